@@ -1,0 +1,104 @@
+"""Validation of arguments: one clear error that names the argument and the remedy, before any kernel runs."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+
+def finite_array(value: Any, name: str, *, ndim: int | None = None) -> NDArray[np.float64]:
+    """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank."""
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "biuf":
+            raise TypeError
+        array = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be an array of real numbers, got {type(value).__name__}") from None
+    if ndim is not None and array.ndim != ndim:
+        raise ValueError(f"{name} must be a {ndim}-D array, got shape {array.shape}")
+    if not np.all(np.isfinite(array)):
+        bad = int(array.size - np.count_nonzero(np.isfinite(array)))
+        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite value(s)")
+    return array
+
+
+def number(
+    value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = math.inf
+) -> float:
+    """Return ``value`` as a finite float with ``above`` < value, ``least`` <= value <= ``most``."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}")
+    result = float(value)
+    if not (math.isfinite(result) and above < result and least <= result <= most):
+        accepted = "a finite number"
+        if above > -math.inf:
+            accepted += f" > {above:g}"
+        if least > -math.inf:
+            accepted += f" >= {least:g}"
+        if most < math.inf:
+            accepted += f" <= {most:g}"
+        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+    return result
+
+
+def positive(value: Any, name: str) -> float:
+    """Return ``value`` as a finite float > 0."""
+    return number(value, name, above=0.0)
+
+
+def count(value: Any, name: str, *, least: int = 1) -> int:
+    """Return ``value`` as an integer >= ``least``."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
+    if value < least:
+        raise ValueError(f"{name} must be an integer >= {least}, got {value}")
+    return int(value)
+
+
+def pair(value: Any, name: str) -> tuple[float, float]:
+    """Return a positive scalar, or a pair in the order (y, x), as a pair of positive floats."""
+    if isinstance(value, (tuple, list, np.ndarray)):
+        if len(value) != 2:
+            raise ValueError(f"{name} must be one number or a pair (y, x), got {len(value)} values")
+        return positive(value[0], f"{name}[0]"), positive(value[1], f"{name}[1]")
+    single = positive(value, name)
+    return single, single
+
+
+def vector(value: Any, name: str) -> NDArray[np.float64]:
+    """Return ``value`` as a finite float64 vector of shape (3,)."""
+    array = finite_array(value, name)
+    if array.shape != (3,):
+        raise ValueError(f"{name} must be a vector of 3 numbers, got shape {array.shape}")
+    return array
+
+
+def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
+    """Return directions as unit vectors, shape (n, 3), and whether a single one of shape (3,) was given."""
+    array = finite_array(value, name)
+    if array.ndim not in (1, 2) or array.shape[-1] != 3:
+        raise ValueError(f"{name} must have shape (3,) or (n, 3), got {array.shape}")
+    single = array.ndim == 1
+    array = np.atleast_2d(array)
+    # Scaling by the largest component first keeps tiny and huge vectors from under- or overflowing.
+    largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
+    if not np.all(largest > 0.0):
+        raise ValueError(f"{name} must not contain zero vectors, got {int(np.sum(largest == 0.0))}")
+    array /= largest
+    array /= np.linalg.norm(array, axis=1, keepdims=True)
+    return array, single
+
+
+def choice(value: Any, name: str, options: Collection[str]) -> str:
+    """Return ``value`` if it is one of ``options``."""
+    if value not in options:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, options))}, got {value!r}")
+    return str(value)
