@@ -1,0 +1,1 @@
+"""Warp kernels: one Warp module a file, with the structs and functions that it needs."""

@@ -1,0 +1,103 @@
+"""From directions, or from pixels and a light, to what the spectral kernels take: (u, v, w) and the gain."""
+
+import warp as wp
+
+from warpdiff.kernels.optics import gain, schlick
+from warpdiff.kernels.raycast import occluded
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Reflection:
+    """What the reflectance needs besides the directions."""
+
+    normal_reflectance: wp.float64
+    masking: wp.bool
+
+
+@wp.struct
+class LightArguments:
+    """One light, and what of it the pigment sends back."""
+
+    to_light: wp.vec3d
+    power: wp.float64
+    mesh_id: wp.uint64
+    shadows: wp.bool
+    pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
+    white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
+    rgb_to_xyz: wp.mat33d
+
+
+@wp.struct
+class Pixels:
+    """What the rays found, one entry a pixel."""
+
+    hit: wp.array(dtype=wp.int32)
+    tangent: wp.array(dtype=wp.vec3f)
+    bitangent: wp.array(dtype=wp.vec3f)
+    normal: wp.array(dtype=wp.vec3f)
+    to_view: wp.array(dtype=wp.vec3f)
+    shadow_origin: wp.array(dtype=wp.vec3f)
+    base_colour: wp.array(dtype=wp.vec3f)
+
+
+@wp.kernel
+def deflect_directions(
+    # In:
+    to_lights: wp.array(dtype=wp.vec3d),
+    to_views: wp.array(dtype=wp.vec3d),
+    reflection: Reflection,
+    first: wp.int32,
+    # Out:
+    deflections_out: wp.array(dtype=wp.vec3d),
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """Deflection and gain of pairs of unit vectors in the local frame."""
+    i = first + wp.tid()
+    deflections_out[i] = -to_lights[i] - to_views[i]
+    gains_out[i] = wp.float32(gain(to_lights[i], to_views[i], reflection.normal_reflectance, reflection.masking))
+
+
+@wp.kernel
+def deflect_pixels(
+    # In:
+    pixels: Pixels,
+    light: LightArguments,
+    reflection: Reflection,
+    weight: wp.float64,
+    first: wp.int32,
+    # Out:
+    deflections_out: wp.array(dtype=wp.vec3d),
+    gains_out: wp.array(dtype=wp.float32),
+    xyz_out: wp.array(dtype=wp.vec3f),
+):
+    """Deflection and gain of pixels under one light; its pigment is added to ``xyz_out``."""
+    i = first + wp.tid()
+    deflections_out[i] = wp.vec3d()
+    gains_out[i] = wp.float32(0.0)
+    if pixels.hit[i] == 0:
+        return
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    t = wp.vec3d(pixels.tangent[i])
+    b = wp.vec3d(pixels.bitangent[i])
+    n = wp.vec3d(pixels.normal[i])
+    away = wp.vec3d(pixels.to_view[i])
+    # The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
+    to_light = wp.normalize(wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n)))
+    to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
+    if to_light[2] <= zero or to_view[2] <= zero:
+        return
+    if light.shadows:
+        if occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
+            return
+    scale = weight * light.power
+    normal = reflection.normal_reflectance
+    deflections_out[i] = -to_light - to_view
+    gains_out[i] = wp.float32(scale * gain(to_light, to_view, normal, reflection.masking))
+    if light.pigment > zero:
+        under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
+        base = wp.vec3d(pixels.base_colour[i])
+        colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
+        xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)

@@ -1,0 +1,312 @@
+"""From pixels to points on a mesh: rays, shading frames, base colours, and whether a light is hidden.
+
+Positions are in the units of ``SurfaceArrays``, in which the mesh fills the unit sphere about the origin: there
+float32 is as fine for a mesh of a nanometre as for one of a kilometre, wherever either lies.
+"""
+
+import warp as wp
+
+# No fast-math: whether a ray hits is decided with infinities and signed zeros.
+wp.set_module_options({"enable_backward": False})
+
+# Beyond any distance between two points of the unit sphere.
+FAR = wp.constant(wp.float32(4.0))
+# How far a shadow ray starts above the surface: some hundred roundings of a position.
+LIFT = wp.constant(wp.float32(1.0e-5))
+# The least cosine between the shading normal and the view.
+LEAST_COSINE = wp.constant(wp.float32(0.01))
+
+# Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),
+# the last three as shares of 2^32.
+HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
+HASH_2 = wp.constant(wp.uint32(0x846CA68B))
+GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
+R2_X = wp.constant(wp.uint32(3242174889))
+R2_Y = wp.constant(wp.uint32(2447445414))
+
+
+@wp.struct
+class Camera:
+    """A view. The fields are those of ``warpdiff.view.ViewFrame``, in the surface's units."""
+
+    origin: wp.vec3d
+    right: wp.vec3d
+    up: wp.vec3d
+    back: wp.vec3d
+    half_width: wp.float64
+    half_height: wp.float64
+    orthographic: wp.bool
+    width: wp.int32
+    height: wp.int32
+
+
+@wp.struct
+class Sampling:
+    """Which of how many samples of every pixel; a single one lies in the pixel's centre."""
+
+    sample: wp.int32
+    samples: wp.int32
+    seed: wp.int32
+
+
+@wp.struct
+class SurfaceArrays:
+    """A mesh with what is interpolated on it. The fields are those of ``warpdiff.surface.Surface``."""
+
+    mesh_id: wp.uint64
+    positions: wp.array(dtype=wp.vec3f)
+    faces: wp.array2d(dtype=wp.int32)
+    normals: wp.array(dtype=wp.vec3f)
+    tangents: wp.array(dtype=wp.vec3f)
+    handedness: wp.array(dtype=wp.float32)
+    uvs: wp.array(dtype=wp.vec2f)
+    vertex_colours: wp.array(dtype=wp.vec3f)
+    texture: wp.array2d(dtype=wp.vec3f)
+    has_vertex_colours: wp.bool
+    smooth: wp.bool
+
+
+@wp.func
+def occluded(mesh_id: wp.uint64, origin: wp.vec3f, direction: wp.vec3f) -> wp.bool:
+    """Whether the mesh is met on the way from ``origin`` to infinity along the unit vector ``direction``."""
+    return wp.mesh_query_ray_anyhit(mesh_id, origin, direction, FAR)
+
+
+@wp.func
+def scramble(value: wp.uint32) -> wp.uint32:
+    """A hash of 32 bits to 32 bits."""
+    x = value
+    x = x ^ (x >> wp.uint32(16))
+    x = x * HASH_1
+    x = x ^ (x >> wp.uint32(15))
+    x = x * HASH_2
+    return x ^ (x >> wp.uint32(16))
+
+
+@wp.func
+def to_unit(bits: wp.uint32) -> wp.float64:
+    """32 bits as a number strictly between 0 and 1."""
+    return (wp.float64(bits) + wp.float64(0.5)) / wp.float64(4294967296.0)
+
+
+@wp.func
+def pixel_offset(sampling: Sampling, pixel: wp.int32) -> wp.vec2d:
+    """Where in the pixel a sample lies, (right, down) of its centre [pixels].
+
+    The offsets are distributed as the reconstruction filter, a Gaussian of 0.5 pixel cut at 1.5, so that samples
+    count alike. They follow the R2 sequence, rotated for each pixel by its hash (Cranley-Patterson);
+    in 32-bit integers the sequence is exact at any index.
+    """
+    result = wp.vec2d()
+    if sampling.samples > 1:
+        index = wp.uint32(sampling.sample)
+        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(sampling.seed)))
+        rotation_y = scramble(rotation_x + GOLDEN)
+        radial = to_unit(index * R2_X + rotation_x)
+        angular = to_unit(index * R2_Y + rotation_y)
+        # 1 − exp(−1.5² / (2 · 0.5²)) of the Gaussian lies within the cut.
+        inside = wp.float64(1.0) - wp.exp(wp.float64(-4.5))
+        radius = wp.float64(0.5) * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
+        angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
+        result = wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
+    return result
+
+
+@wp.func
+def perpendicular(v: wp.vec3f) -> wp.vec3f:
+    """A unit vector at right angles to the unit vector ``v``: the axis that is furthest from it, projected."""
+    axis = wp.vec3f(1.0, 0.0, 0.0)
+    size = wp.abs(v[0])
+    if wp.abs(v[1]) < size:
+        axis = wp.vec3f(0.0, 1.0, 0.0)
+        size = wp.abs(v[1])
+    if wp.abs(v[2]) < size:
+        axis = wp.vec3f(0.0, 0.0, 1.0)
+    return wp.normalize(axis - wp.dot(axis, v) * v)
+
+
+@wp.func
+def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) -> wp.vec3f:
+    """Tilt a unit normal towards the viewer until their cosine is at least ``LEAST_COSINE``.
+
+    A normal that points straight away from the viewer leaves open which way to turn; then the geometric one says it.
+    """
+    result = normal
+    if wp.dot(normal, to_view) < LEAST_COSINE:
+        aside = normal - wp.dot(normal, to_view) * to_view
+        if wp.length_sq(aside) < 1.0e-12:
+            aside = geometric - wp.dot(geometric, to_view) * to_view
+        if wp.length_sq(aside) < 1.0e-12:
+            aside = perpendicular(to_view)
+        # Projected twice: a short remainder of two nearly parallel vectors carries their rounding.
+        aside = wp.normalize(aside)
+        aside = wp.normalize(aside - wp.dot(aside, to_view) * to_view)
+        result = LEAST_COSINE * to_view + wp.sqrt(1.0 - LEAST_COSINE * LEAST_COSINE) * aside
+    return result
+
+
+@wp.func
+def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
+    """``index`` modulo ``size``, for an index that is out by less than one period."""
+    result = index
+    if result < 0:
+        result = result + size
+    if result >= size:
+        result = result - size
+    return result
+
+
+@wp.func
+def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
+    """Bilinear texture look-up; the texture repeats, its row 0 is the one at v = 1, texel centres lie at +0.5."""
+    height = texture.shape[0]
+    width = texture.shape[1]
+    x = (uv[0] - wp.floor(uv[0])) * wp.float32(width) - 0.5
+    y = (wp.float32(1.0) - (uv[1] - wp.floor(uv[1]))) * wp.float32(height) - 0.5
+    fx = x - wp.floor(x)
+    fy = y - wp.floor(y)
+    x0 = wrap(wp.int32(wp.floor(x)), width)
+    y0 = wrap(wp.int32(wp.floor(y)), height)
+    x1 = wrap(x0 + 1, width)
+    y1 = wrap(y0 + 1, height)
+    top = (1.0 - fx) * texture[y0, x0] + fx * texture[y0, x1]
+    bottom = (1.0 - fx) * texture[y1, x0] + fx * texture[y1, x1]
+    return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def above_tangent_plane(point: wp.vec3f, vertex: wp.vec3f, normal: wp.vec3f) -> wp.vec3f:
+    """``point``, lifted to the tangent plane of a vertex where it lies below: where the surface is convex."""
+    return point - wp.min(wp.float32(0.0), wp.dot(point - vertex, normal)) * normal
+
+
+@wp.kernel
+def cast(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    sampling: Sampling,
+    first: wp.int32,
+    # Out:
+    hit_out: wp.array(dtype=wp.int32),
+    face_out: wp.array(dtype=wp.int32),
+    tangent_out: wp.array(dtype=wp.vec3f),
+    bitangent_out: wp.array(dtype=wp.vec3f),
+    normal_out: wp.array(dtype=wp.vec3f),
+    to_view_out: wp.array(dtype=wp.vec3f),
+    shadow_origin_out: wp.array(dtype=wp.vec3f),
+    base_colour_out: wp.array(dtype=wp.vec3f),
+):
+    """One ray through the pixel ``first`` + thread, counted along rows from the top left.
+
+    The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
+    b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
+    the same x direction.
+
+    Args:
+        camera: The view.
+        surface: The mesh.
+        sampling: Where in the pixel.
+        first: The first thread's pixel.
+        hit_out: 1 where the mesh is met, else 0; the outputs below are then zero vectors.
+        face_out: The face that is met, or −1.
+        tangent_out: t, unit.
+        bitangent_out: b, unit.
+        normal_out: The shading normal n, unit, n·ωr >= 0.01.
+        to_view_out: ωr, unit.
+        shadow_origin_out: Where shadow rays start.
+        base_colour_out: Linear RGB.
+    """
+    pixel = first + wp.tid()
+    hit_out[pixel] = 0
+    face_out[pixel] = -1
+    tangent_out[pixel] = wp.vec3f()
+    bitangent_out[pixel] = wp.vec3f()
+    normal_out[pixel] = wp.vec3f()
+    to_view_out[pixel] = wp.vec3f()
+    shadow_origin_out[pixel] = wp.vec3f()
+    base_colour_out[pixel] = wp.vec3f()
+
+    # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    half = wp.float64(0.5)
+    offset = pixel_offset(sampling, pixel)
+    column = wp.float64(pixel % camera.width) + half + offset[0]
+    row = wp.float64(pixel // camera.width) + half + offset[1]
+    x = camera.half_width * (two * column / wp.float64(camera.width) - one)
+    y = camera.half_height * (one - two * row / wp.float64(camera.height))
+    across = x * camera.right + y * camera.up
+    origin = camera.origin
+    along = across - camera.back
+    if camera.orthographic:
+        origin = camera.origin + across
+        along = -camera.back
+    along = wp.normalize(along)
+    near = wp.max(-wp.dot(origin, along) - two, wp.float64(0.0))
+    start = wp.vec3f(origin + near * along)
+    direction = wp.normalize(wp.vec3f(along))
+
+    query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
+    if not query.result:
+        return
+    face = query.face
+    i0 = surface.faces[face, 0]
+    i1 = surface.faces[face, 1]
+    i2 = surface.faces[face, 2]
+    # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
+    b0 = query.u
+    b1 = query.v
+    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
+    p0 = surface.positions[i0]
+    p1 = surface.positions[i1]
+    p2 = surface.positions[i2]
+    to_view = -direction
+
+    geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
+    side = wp.float32(1.0)
+    if wp.dot(geometric, to_view) < 0.0:
+        side = wp.float32(-1.0)
+    geometric = side * geometric
+    point = b0 * p0 + b1 * p1 + b2 * p2
+    normal = geometric
+    shadow_origin = point
+    if surface.smooth:
+        n0 = side * surface.normals[i0]
+        n1 = side * surface.normals[i1]
+        n2 = side * surface.normals[i2]
+        blend = b0 * n0 + b1 * n1 + b2 * n2
+        if wp.length_sq(blend) > 1.0e-8:
+            normal = wp.normalize(blend)
+        # Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for, or
+        # the facets would shadow each other where the light grazes it.
+        shadow_origin = (
+            b0 * above_tangent_plane(point, p0, n0)
+            + b1 * above_tangent_plane(point, p1, n1)
+            + b2 * above_tangent_plane(point, p2, n2)
+        )
+    normal = face_the_viewer(normal, geometric, to_view)
+
+    tangent = b0 * surface.tangents[i0] + b1 * surface.tangents[i1] + b2 * surface.tangents[i2]
+    tangent = tangent - wp.dot(tangent, normal) * normal
+    if wp.length_sq(tangent) > 1.0e-10:
+        # Projected twice, as in face_the_viewer.
+        tangent = wp.normalize(tangent)
+        tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
+    else:
+        tangent = perpendicular(normal)
+
+    colour = wp.vec3f(-1.0, -1.0, -1.0)
+    if surface.has_vertex_colours:
+        colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
+    if colour[0] < 0.0:
+        colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
+
+    hit_out[pixel] = 1
+    face_out[pixel] = face
+    tangent_out[pixel] = tangent
+    bitangent_out[pixel] = surface.handedness[i0] * wp.cross(normal, tangent)
+    normal_out[pixel] = normal
+    to_view_out[pixel] = to_view
+    shadow_origin_out[pixel] = shadow_origin + LIFT * geometric
+    base_colour_out[pixel] = colour

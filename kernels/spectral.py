@@ -1,0 +1,163 @@
+"""Spectral integration: windowed Fourier coefficients near (u, v)/λ, summed over a set of wavelengths.
+
+One thread is one direction. At each wavelength the coefficient nearest to q = (u, v)/λ is found by rounding, and with
+its neighbours weighted by the Gaussian of the coherence window: powers in the averaged form, amplitudes in the centred
+one. A coefficient is the scalar product of a basis in κ = w/λ, the same for all coefficients, with its row of a table.
+"""
+
+import functools
+import types
+
+import warp as wp
+
+# The vectors below are as long as the table's rows: the first two flags let their sums be reordered into SIMD lanes.
+# They are the parts of fast-math that do so and leave NaN and infinity defined.
+OPTIONS = {
+    "enable_backward": False,
+    "cpu_compiler_flags": "-O3 -march=native -mreassociate -fno-signed-zeros -ffp-contract=fast",
+}
+
+
+@functools.cache
+def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
+    """The struct and the kernels for rows of ``lanes`` terms, in the averaged or the centred form.
+
+    Returns:
+        A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.
+    """
+    row_t = wp.types.vector(length=lanes, dtype=wp.float32)
+
+    @wp.struct
+    class Table:
+        rows: wp.array(dtype=row_t)  # (my·mx·2): real and imaginary part of each coefficient's terms
+        basis_scale: row_t  # 1/n, so that basis[n] = basis[n − 1]·x·(1/n)
+        count_y: wp.int32
+        count_x: wp.int32
+        origin_y: wp.int32
+        origin_x: wp.int32
+        reach_y: wp.int32
+        reach_x: wp.int32
+        length_y: wp.float64  # the patch's size [µm]
+        length_x: wp.float64
+        falloff_y: wp.float32  # exponent per squared distance in coefficients
+        falloff_x: wp.float32
+        height_scale: wp.float64  # half of the height range [µm]
+
+    @wp.func
+    def power(table: Table, deflection: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+        """⟨|P|²⟩ at one wavelength; the wavenumber is 1/λ [1/µm]."""
+        # Positions reach hundreds of coefficients and Gaussians are narrow: the integer part is taken off in float64.
+        qy = deflection[1] * wavenumber * table.length_y
+        qx = deflection[0] * wavenumber * table.length_x
+        iy = wp.int32(wp.rint(qy))
+        ix = wp.int32(wp.rint(qx))
+        fy = wp.float32(qy - wp.float64(iy))
+        fx = wp.float32(qx - wp.float64(ix))
+        x = wp.float32(wp.float64(6.283185307179586) * deflection[2] * wavenumber * table.height_scale)
+
+        basis = row_t()
+        term = wp.float32(1.0)
+        basis[0] = term
+        for n in range(1, lanes):
+            term = term * x * table.basis_scale[n]
+            basis[n] = term
+
+        # The Gaussian along an axis, by two multiplications a step outwards from the nearest coefficient.
+        shrink_y = wp.exp(-2.0 * table.falloff_y)
+        shrink_x = wp.exp(-2.0 * table.falloff_x)
+        start_y = wp.exp(-table.falloff_y * fy * fy)
+        start_x = wp.exp(-table.falloff_x * fx * fx)
+        up_x = wp.exp(-table.falloff_x * (1.0 - 2.0 * fx))
+        down_x = wp.exp(-table.falloff_x * (1.0 + 2.0 * fx))
+
+        total = wp.float32(0.0)
+        total_re = wp.float32(0.0)
+        total_im = wp.float32(0.0)
+        gy = start_y
+        step_y = wp.exp(-table.falloff_y * (1.0 - 2.0 * fy))
+        dy = wp.int32(0)
+        sign_y = wp.int32(1)
+        for j in range(2 * table.reach_y + 1):
+            if j == table.reach_y + 1:
+                gy = start_y
+                step_y = wp.exp(-table.falloff_y * (1.0 + 2.0 * fy))
+                dy = wp.int32(0)
+                sign_y = wp.int32(-1)
+            if j > 0:
+                gy = gy * step_y
+                step_y = step_y * shrink_y
+                dy = dy + sign_y
+            y = (iy + dy + table.origin_y) % table.count_y
+            if y < 0:
+                y = y + table.count_y
+            gx = start_x
+            step_x = up_x
+            dx = wp.int32(0)
+            sign_x = wp.int32(1)
+            for i in range(2 * table.reach_x + 1):
+                if i == table.reach_x + 1:
+                    gx = start_x
+                    step_x = down_x
+                    dx = wp.int32(0)
+                    sign_x = wp.int32(-1)
+                if i > 0:
+                    gx = gx * step_x
+                    step_x = step_x * shrink_x
+                    dx = dx + sign_x
+                column = (ix + dx + table.origin_x) % table.count_x
+                if column < 0:
+                    column = column + table.count_x
+                at = 2 * (y * table.count_x + column)
+                re = wp.dot(table.rows[at], basis)
+                im = wp.dot(table.rows[at + 1], basis)
+                if wp.static(centred):
+                    total_re += gy * gx * re
+                    total_im += gy * gx * im
+                else:
+                    total += gy * gx * (re * re + im * im)
+        if wp.static(centred):
+            total = total_re * total_re + total_im * total_im
+        return total
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def integrate(
+        # In:
+        table: Table,
+        deflections: wp.array(dtype=wp.vec3d),
+        gains: wp.array(dtype=wp.float32),
+        wavenumbers: wp.array(dtype=wp.float64),
+        weights: wp.array(dtype=wp.vec3f),
+        first: wp.int32,
+        # Out:
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add the XYZ of each direction to ``xyz_out``."""
+        i = first + wp.tid()
+        gain = gains[i]
+        if gain > 0.0:
+            colour = wp.vec3f()
+            for k in range(wavenumbers.shape[0]):
+                colour += weights[k] * power(table, deflections[i], wavenumbers[k])
+            xyz_out[i] = xyz_out[i] + gain * colour
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def sample(
+        # In:
+        table: Table,
+        deflections: wp.array(dtype=wp.vec3d),
+        gains: wp.array(dtype=wp.float32),
+        wavenumbers: wp.array(dtype=wp.float64),
+        first: wp.int32,
+        # Out:
+        reflectance_out: wp.array2d(dtype=wp.float32),
+    ):
+        """ρ of each direction at each of the given wavelengths."""
+        i = first + wp.tid()
+        gain = gains[i]
+        for k in range(wavenumbers.shape[0]):
+            reflectance = wp.float32(0.0)
+            if gain > 0.0:
+                reflectance = gain * power(table, deflections[i], wavenumbers[k])
+            reflectance_out[i, k] = reflectance
+
+    return types.SimpleNamespace(row=row_t, Table=Table, integrate=integrate, sample=sample)

@@ -1,0 +1,70 @@
+"""Fixtures: real inputs where they are present, one kernel cache a test worker."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DATA = Path(os.environ.get("WARPDIFF_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+
+
+def _data_file(name: str) -> Path:
+    path = DATA / name
+    if not path.is_file():
+        pytest.skip(f"{name} is not in {DATA}; set WARPDIFF_DATA to the folder with the real inputs")
+    return path
+
+
+@pytest.fixture(scope="session")
+def scan_path() -> Path:
+    """The atomic force microscope scan of a snake's skin."""
+    return _data_file("elaphe_65um.png")
+
+
+@pytest.fixture(scope="session")
+def fuze_path() -> Path:
+    """The textured test mesh."""
+    return _data_file("fuze.obj")
+
+
+@pytest.fixture(scope="session")
+def scan(scan_path):
+    """The scan, levelled."""
+    import warpdiff as wd
+
+    return wd.HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375).levelled(order=2)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A seeded generator."""
+    return np.random.default_rng(20140)
+
+
+@pytest.fixture(scope="session", params=["cpu", "cuda"])
+def device(request) -> str:
+    """Each device of this machine."""
+    if request.param == "cuda":
+        import warp as wp
+
+        wp.config.log_level = wp.LOG_ERROR
+        if not wp.is_cuda_available():
+            pytest.skip("no CUDA device on this machine")
+    return request.param
+
+
+def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np.ndarray:
+    """Random unit vectors with z >= lowest, uniform in z."""
+    z = rng.uniform(lowest, 1.0, count)
+    phi = rng.uniform(0.0, 2.0 * np.pi, count)
+    s = np.sqrt(1.0 - z * z)
+    return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+
+
+def at_angle(theta_deg: float | np.ndarray) -> np.ndarray:
+    """Unit vectors in the xz-plane at angles from the normal, towards +x."""
+    theta = np.radians(theta_deg)
+    return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)

@@ -1,0 +1,332 @@
+"""Rays, shading frames and base colours of the kernel against brute force in float64."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from brute_force import intersect, pixel_rays, shading_frame
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
+from warpdiff.kernels import raycast
+
+from warpdiff import meshes
+from warpdiff.scene import SceneArrays, camera, needs_shadow_rays
+from warpdiff.surface import prepare_surface
+from warpdiff.view import View
+
+OUTPUTS = ("hit", "face", "tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour")
+
+
+def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None):
+    """The kernel's outputs by name, (height * width, ...) each."""
+    scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
+    sampling = raycast.Sampling()
+    sampling.sample, sampling.samples, sampling.seed = sample, samples, seed
+    count = view.width * view.height
+    outputs = [wp.zeros(count, dtype=wp.int32 if k < 2 else wp.vec3f, device="cpu") for k in range(8)]
+    inputs = [camera(view, surface), scene.arrays, sampling]
+    bounds = np.linspace(0, count, slices + 1).astype(int)
+    for begin, end in itertools.pairwise(bounds):
+        wp.launch(raycast.cast, dim=int(end - begin), inputs=[*inputs, int(begin)], outputs=outputs, device="cpu")
+    return {name: array.numpy() for name, array in zip(OUTPUTS, outputs, strict=True)}
+
+
+def world(surface):
+    return surface.vertices.astype(np.float64) * surface.radius + surface.centre
+
+
+def torn(surface):
+    """The same surface with three vertices a face, coloured so that the base colour is the barycentrics."""
+    corner = surface.faces.ravel()
+    arrays = {
+        name: np.ascontiguousarray(getattr(surface, name)[corner])
+        for name in ("vertices", "normals", "tangents", "handedness", "uvs")
+    }
+    faces = np.arange(len(corner), dtype=np.int32).reshape(-1, 3)
+    colours = np.tile(np.eye(3, dtype=np.float32), (len(faces), 1))
+    return dataclasses.replace(surface, faces=faces, vertex_colours=colours, **arrays)
+
+
+def a_tube(_request):
+    mesh = meshes.tube(segments_along=40, segments_around=24)
+    return mesh, View((0.5, 1.9, 1.2), (0.1, 0, 0), width=70, height=48)
+
+
+def a_disc(_request):
+    # Seen from behind.
+    return meshes.disc(segments=48, rings=3), View((0.4, 0.3, -2.2), (0, 0, 0), width=60, height=56)
+
+
+def a_sphere(_request):
+    return trimesh.creation.icosphere(subdivisions=2), View(
+        (1.5, 2.5, 1.0), (0, 0, 0), fov_y_deg=36, width=60, height=56
+    )
+
+
+def the_bottle(request):
+    path = request.getfixturevalue("fuze_path")
+    return path, View.orthographic((0.3, 0.3, 0.3), (0, 0, 0.11), up=(0, 0, 1), extent_y=0.25, width=52, height=64)
+
+
+@pytest.mark.parametrize("make", [a_tube, a_disc, a_sphere, the_bottle])
+@pytest.mark.parametrize("smooth", [True, False])
+def test_rays_and_frames_equal_brute_force(make, smooth, request):
+    mesh, view = make(request)
+    tangents = [[0.2, 1.0, 0.3]] * len(mesh.vertices) if make is a_sphere else None
+    surface = torn(prepare_surface(mesh, tangents=tangents))
+    got = cast(surface, view, smooth=smooth)
+
+    fov = None if view.extent_y else view.fov_y_deg
+    size = {"width": view.width, "height": view.height, "fov_y_deg": fov, "extent_y": view.extent_y}
+    origins, directions = pixel_rays(view.eye, view.target, view.up, **size)
+    vertices = world(surface)
+    t, face, bary, margin = intersect(origins, directions, vertices, surface.faces)
+
+    # Rays through an edge, to float32, may take either face: the place must be the same all the same.
+    edge = margin < 1e-5
+    assert np.count_nonzero(edge) < 0.005 * len(edge)
+    sure = ~edge
+    np.testing.assert_array_equal(got["hit"][sure], (face >= 0)[sure])
+    np.testing.assert_array_equal(got["face"][sure], face[sure])
+    hit = (got["hit"] == 1) & (face >= 0)
+    assert np.count_nonzero(hit) > 0.1 * len(hit)
+    place = np.einsum("kc,kcd->kd", got["base_colour"][hit], vertices[surface.faces[got["face"][hit]]])
+    np.testing.assert_allclose(np.sum((place - origins[hit]) * directions[hit], axis=1) / t[hit], 1.0, atol=2e-5)
+    hit &= sure
+    # Grazed faces magnify a rounding of the position by 1 / cos.
+    corners = vertices[surface.faces[face]]
+    geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    grazing = np.abs(np.sum(geometric * directions, axis=1)) / np.linalg.norm(geometric, axis=1)
+    hit &= grazing > 0.02
+    np.testing.assert_allclose(got["base_colour"][hit], bary[hit], atol=2e-4)
+    frame = shading_frame(
+        face[hit],
+        bary[hit],
+        directions[hit],
+        vertices,
+        surface.faces,
+        **{name: getattr(surface, name).astype(np.float64) for name in ("normals", "tangents", "handedness")},
+        smooth=smooth,
+    )
+    for name, expected in zip(("tangent", "bitangent", "normal"), frame, strict=True):
+        error = np.linalg.norm(got[name][hit] - expected, axis=1)
+        assert np.median(error) < 1e-6, name
+        assert np.max(error) < 1e-3, name
+        assert np.mean(error > 2e-5) < 0.01, name
+    np.testing.assert_allclose(got["to_view"][hit], -directions[hit], atol=3e-7)
+    for name in OUTPUTS[2:]:
+        np.testing.assert_array_equal(got[name][got["hit"] == 0], 0.0)
+    np.testing.assert_array_equal(got["face"] == -1, got["hit"] == 0)
+
+
+def wall(corner_colours=None, size=100.0):
+    """A square in the plane z = 0 with u along x and v along y, one texture in all."""
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    material = None if corner_colours is None else SimpleMaterial(image=corner_colours)
+    visual = TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+
+
+def test_perspective_pixel_centres():
+    surface = prepare_surface(wall())
+    width, height = 8, 6
+    got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
+    away = got["to_view"].reshape(height, width, 3).astype(np.float64)
+    # The place on the plane z = 1 behind the eye, in half heights: row 0 on top, column 0 on the left.
+    place = -away[..., :2] / away[..., 2:]
+    np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) / 3.0)[:, None], (6, 8)), atol=1e-6)
+    np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
+
+
+def test_orthographic_pixel_centres():
+    surface = prepare_surface(wall(size=4.0))
+    got = cast(surface, View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=3.0, width=8, height=6), smooth=False)
+    np.testing.assert_allclose(got["to_view"], np.tile([[0, 0, 1.0]], (48, 1)), atol=1e-7)
+    place = (got["shadow_origin"] * surface.radius + surface.centre).reshape(6, 8, 3)
+    np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) * 0.5, (6, 8)), atol=1e-6)
+    np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) * 0.5)[:, None], (6, 8)), atol=1e-6)
+
+
+def test_a_distant_eye_loses_nothing():
+    mesh = meshes.disc(segments=24, rings=2)
+    surface = prepare_surface(mesh)
+    frames = []
+    for distance in (1e3, 1e7):
+        fov = np.degrees(2.0 * np.arctan(1.2 / distance))
+        frames.append(cast(surface, View((0, 0, distance), (0, 0, 0), fov_y_deg=float(fov), width=64, height=64)))
+    assert np.mean(frames[0]["hit"] != frames[1]["hit"]) < 0.002
+    both = (frames[0]["hit"] == 1) & (frames[1]["hit"] == 1)
+    np.testing.assert_allclose(frames[0]["tangent"][both], frames[1]["tangent"][both], atol=3e-3)
+
+
+def test_slices_make_the_same_picture():
+    surface = prepare_surface(meshes.tube(segments_along=24, segments_around=12))
+    view = View((0.5, 2, 2), (0, 0, 0), width=33, height=21)
+    scene = SceneArrays(surface, device="cpu")
+    whole, parts = (cast(surface, view, scene=scene, slices=n, samples=4, sample=1) for n in (1, 7))
+    for name in OUTPUTS:
+        np.testing.assert_array_equal(whole[name], parts[name])
+
+
+def offsets(sample, samples, seed=0, width=64, height=48):
+    """Offsets (right, down) in pixels, found from where orthographic rays meet a wall one unit a pixel."""
+    surface = prepare_surface(wall(size=200.0))
+    view = View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=float(height), width=width, height=height)
+    got = cast(surface, view, smooth=False, sample=sample, samples=samples, seed=seed)
+    place = got["shadow_origin"] * surface.radius + surface.centre
+    rows, columns = np.divmod(np.arange(width * height), width)
+    return np.stack([place[:, 0] - (columns + 0.5 - width / 2), height / 2 - rows - 0.5 - place[:, 1]], axis=1)
+
+
+def test_gaussian_offsets():
+    np.testing.assert_allclose(offsets(0, 1), 0.0, atol=3e-5)
+    np.testing.assert_array_equal(offsets(3, 8), offsets(3, 8))
+    all_of_them = np.stack([offsets(k, 16) for k in range(16)])
+    assert np.linalg.norm(all_of_them, axis=2).max() < 1.5 + 3e-5
+    flat = all_of_them.reshape(-1, 2)
+    np.testing.assert_allclose(flat.mean(axis=0), 0.0, atol=0.005)
+    # E[r²] of the Gaussian cut at c = 1.5: 2σ² − c² e / (1 − e), e = exp(−c² / 2σ²).
+    e = np.exp(-4.5)
+    std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
+    np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
+    assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
+    # Low discrepancy: a pixel's mean of 16 is far nearer to 0 than that of 16 independent samples, σ / 4.
+    assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
+    # Neighbouring pixels, and other seeds, are rotated otherwise.
+    assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
+    assert np.mean(offsets(0, 16, seed=1) == all_of_them[0]) < 0.01
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_both_sides_have_a_frame(mirrored):
+    mesh = wall(size=2.0)
+    if mirrored:
+        mesh.visual.uv = mesh.visual.uv * [1.0, -1.0]
+    surface = prepare_surface(mesh)
+    sign = -1.0 if mirrored else 1.0
+    for z in (2.0, -2.0):
+        got = cast(surface, View((0, 0, z), (0, 0, 0), fov_y_deg=20, width=4, height=4))
+        assert np.all(got["hit"] == 1)
+        np.testing.assert_allclose(got["normal"], np.tile([[0, 0, np.sign(z)]], (16, 1)), atol=1e-6)
+        np.testing.assert_allclose(got["tangent"], np.tile([[1, 0, 0]], (16, 1)), atol=1e-6)
+        # n × t with the turned normal, times the handedness.
+        np.testing.assert_allclose(got["bitangent"], np.tile([[0, sign * np.sign(z), 0]], (16, 1)), atol=1e-6)
+        assert np.all(got["shadow_origin"][:, 2] * np.sign(z) > 0.0)
+
+
+def test_shading_normals_are_tilted_to_a_hundredth():
+    mesh = wall(size=2.0)
+    # Normals that lean away from a viewer far to the right, and straight away from one above.
+    for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
+        surface = dataclasses.replace(
+            prepare_surface(mesh), normals=np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
+        )
+        got = cast(surface, View(eye, (0, 0, 0), up=(0, 0, 1), fov_y_deg=5, width=16, height=4))
+        hit = got["hit"] == 1
+        cosine = np.sum(got["normal"] * got["to_view"], axis=1, dtype=np.float64)[hit]
+        np.testing.assert_allclose(cosine, 0.01, atol=2e-7)
+        np.testing.assert_allclose(np.linalg.norm(got["normal"][hit], axis=1), 1.0, atol=1e-6)
+        # In the plane of the normal and the view.
+        aside = np.cross(got["normal"][hit], got["to_view"][hit])
+        np.testing.assert_allclose(np.sum(aside * surface.normals[0], axis=1), 0.0, atol=1e-6)
+
+
+def test_a_normal_straight_away_from_the_viewer_has_a_defined_answer():
+    surface = dataclasses.replace(prepare_surface(wall(size=2.0)), normals=np.tile(np.float32([[0, 0, -1]]), (4, 1)))
+    got = cast(surface, View.orthographic((0, 0, 2), (0, 0, 0), extent_y=1.0, width=3, height=3))
+    assert np.all(got["hit"] == 1)
+    for name in ("tangent", "bitangent", "normal"):
+        np.testing.assert_allclose(np.linalg.norm(got[name], axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(got["normal"][:, 2], 0.01, atol=1e-7)
+
+
+@pytest.mark.parametrize("tangent", [(0, 0, 1), (0, 0, 0), (1e-30, 0, 1)])
+def test_a_tangent_along_the_normal_has_a_defined_answer(tangent):
+    surface = dataclasses.replace(prepare_surface(wall(size=2.0)), tangents=np.tile(np.float32([tangent]), (4, 1)))
+    got = cast(surface, View((0, 0, 2), (0, 0, 0), fov_y_deg=20, width=3, height=3))
+    frame = np.stack([got["tangent"], got["bitangent"], got["normal"]], axis=1)
+    np.testing.assert_allclose(frame @ np.swapaxes(frame, 1, 2), np.tile(np.eye(3), (9, 1, 1)), atol=1e-6)
+
+
+def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
+    pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    mesh = wall(Image.fromarray(pixels), size=2.0)
+    view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
+    # Pixel centres fall on texel centres.
+    got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
+    np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
+    # Half a texel on, each is the mean of all four, across the border as well.
+    mesh.visual.uv = mesh.visual.uv + np.array([0.25, 0.25])
+    got = cast(prepare_surface(mesh), view)["base_colour"]
+    np.testing.assert_allclose(got, 0.5, atol=1e-5)
+    mesh.visual.uv = mesh.visual.uv + np.array([-3.25, 6.75])
+    got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
+    np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
+
+
+@wp.kernel
+def shadow_rays(
+    mesh_id: wp.uint64,
+    origins: wp.array(dtype=wp.vec3f),
+    direction: wp.vec3f,
+    # Out:
+    occluded_out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    occluded_out[i] = wp.where(raycast.occluded(mesh_id, origins[i], direction), 1, 0)
+
+
+def shadowed(scene, origins, direction):
+    result = wp.zeros(len(origins), dtype=wp.int32, device="cpu")
+    start = wp.array(origins, dtype=wp.vec3f, device="cpu")
+    inputs = [scene.mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
+    wp.launch(shadow_rays, dim=len(origins), inputs=inputs, outputs=[result], device="cpu")
+    return result.numpy() == 1
+
+
+def test_smooth_shading_has_no_jagged_terminator():
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    surface = prepare_surface(sphere, tangents=[[0.2, 1.0, 0.3]] * len(sphere.vertices))
+    scene = SceneArrays(surface, device="cpu")
+    got = cast(surface, View((3, 0, 0), (0, 0, 0), width=96, height=96), scene=scene)
+    hit = got["hit"] == 1
+    direction = np.array([0.1, 0.3, 1.0]) / np.linalg.norm([0.1, 0.3, 1.0])
+    lit = np.sum(got["normal"][hit] * direction, axis=1) > 0.0
+    origins = got["shadow_origin"][hit]
+    assert np.mean(shadowed(scene, origins[lit], direction)) < 0.005
+    # The other half is in the body's own shadow.
+    dark = np.sum(got["normal"][hit] * direction, axis=1) < -0.3
+    assert np.all(shadowed(scene, origins[dark], direction))
+
+
+def test_shadows_are_cast():
+    plates = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0, 0, 1.0])])
+    surface = prepare_surface(plates)
+    scene = SceneArrays(surface, smooth=False, device="cpu")
+    view = View((0, -6, 0.3), (0, 0, 0), fov_y_deg=25, width=80, height=60)
+    got = cast(surface, view, scene=scene)
+    place = got["shadow_origin"] * surface.radius + surface.centre
+    lower = (got["hit"] == 1) & (place[:, 2] < 0.5)
+    below = np.max(np.abs(place[:, :2]), axis=1) < 0.5
+    clear = np.abs(np.max(np.abs(place[:, :2]), axis=1) - 0.5) > 1e-3
+    assert np.count_nonzero(lower & below) > 10
+    dark = shadowed(scene, got["shadow_origin"], (0, 0, 1))
+    np.testing.assert_array_equal(dark[lower & clear], below[lower & clear])
+
+
+def test_convex_bodies_need_no_shadow_rays_from_outside():
+    box = trimesh.creation.box()
+    surface = prepare_surface(box, tangents=[[0.3, 0.5, 0.7]] * len(box.vertices))
+    outside, inside = View((2, 1, 1), (0, 0, 0)), View((0.1, 0, 0), (1, 0, 0))
+    assert not needs_shadow_rays(surface, outside)
+    assert needs_shadow_rays(surface, inside)
+    assert not needs_shadow_rays(surface, View.orthographic((2, 0, 0), (0, 0, 0), extent_y=1))
+    assert needs_shadow_rays(surface, View.orthographic((0.4, 0, 0), (0, 0, 0), extent_y=1))
+    assert needs_shadow_rays(prepare_surface(meshes.tube(segments_along=24, segments_around=12)), outside)

@@ -1,0 +1,109 @@
+"""Colour: white, quadratures, matrices and the transfer function."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff import spectrum
+
+WHITE_D65 = (0.950423, 1.0, 1.088610)
+FLAT = wd.HeightField(np.zeros((8, 8)), 0.05)
+NORMAL = (0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def colour():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import colour
+    return colour
+
+
+def one_nm_sum(colour, illuminant, rho=1.0):
+    shape = colour.SpectralShape(380, 780, 1)
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
+    source = colour.SDS_ILLUMINANTS[illuminant].copy().align(shape).values
+    return (np.reshape(rho, (-1, 1)) * observer * source[:, None]).sum(axis=0) / (observer[:, 1] * source).sum()
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "A", "E", "FL2"])
+def test_white_is_the_one_nm_sum(colour, illuminant):
+    expected = one_nm_sum(colour, illuminant)
+    for wavelengths in (spectrum.wavelengths_uniform_in_wavenumber(227), np.arange(380, 781), [555.0], [400, 500, 700]):
+        weights = spectrum.quadrature_weights(wavelengths, illuminant)
+        assert weights.min() >= 0.0
+        np.testing.assert_allclose(weights.sum(axis=0), expected, rtol=1e-12)
+    if illuminant == "D65":
+        np.testing.assert_allclose(expected, WHITE_D65, atol=1e-6)
+
+
+def test_flat_mirror_is_white(device):
+    finest = wd.reflectance(FLAT, NORMAL, NORMAL, tolerance=1e-5, device=device)
+    np.testing.assert_allclose(finest, WHITE_D65, atol=1e-6)
+
+
+def test_a_linear_reflectance_is_integrated_exactly(colour):
+    rho = np.linspace(0.2, 0.9, 401)
+    for step in (1, 5, 10, 25, 100):
+        weights = spectrum.quadrature_weights(np.arange(380, 781, step))
+        np.testing.assert_allclose(rho[::step] @ weights, one_nm_sum(colour, "D65", rho), atol=2e-12)
+
+
+def test_quadrature_converges_for_a_wave():
+    def colour_of(count):
+        nodes = spectrum.wavelengths_uniform_in_wavenumber(count)
+        return (1.0 + np.cos(2e3 * np.pi * 3.0 / nodes)) @ spectrum.quadrature_weights(nodes)
+
+    exact = colour_of(40_001)
+    errors = [np.linalg.norm(colour_of(count) - exact) for count in (101, 201, 401, 801)]
+    assert errors[-1] < 1e-4
+    assert all(later < 0.3 * before for before, later in zip(errors[:-1], errors[1:], strict=True))
+
+
+def test_matrices_agree_with_colour_science(colour):
+    reference = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB
+    np.testing.assert_allclose(spectrum.XYZ_TO_RGB, reference, atol=1e-12)
+    np.testing.assert_allclose(spectrum.xyz_to_rgb([WHITE_D65])[0], 1.0, atol=2e-3)
+    np.testing.assert_allclose(spectrum.xyz_to_rgb(spectrum.rgb_to_xyz([[0.2, -0.1, 0.7]]))[0], [0.2, -0.1, 0.7])
+
+
+def test_transfer_function(colour):
+    linear = np.linspace(0.0, 1.0, 1001)
+    np.testing.assert_allclose(spectrum.srgb_encode(linear), colour.models.eotf_inverse_sRGB(linear), atol=1e-12)
+    np.testing.assert_allclose(spectrum.srgb_decode(spectrum.srgb_encode(linear)), linear, atol=1e-7)
+    np.testing.assert_allclose(spectrum.srgb_encode([-0.5, 2.0]), [0.0, 1.0], atol=1e-15)
+
+
+def test_the_package_announces_nothing_of_colour_science():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        spectrum.colour_products.cache_clear()
+        spectrum.colour_products("D65")
+
+
+@pytest.mark.parametrize(
+    ("wavelengths", "message"),
+    [
+        ([500.0, 400.0], "strictly increasing"),
+        ([0.5, 0.6], "they are nanometres"),
+        ([], "shape"),
+        ([[400.0, 500.0]], "shape"),
+        ([np.nan], "finite"),
+        ("blue", "real numbers"),
+    ],
+)
+def test_bad_wavelengths(wavelengths, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        spectrum.quadrature_weights(wavelengths)
+
+
+@pytest.mark.parametrize(
+    ("illuminant", "message"), [("D66", "one of"), (6500, "name of a CIE"), ("ISO 7589 Photographic Daylight", "cover")]
+)
+def test_bad_illuminants(illuminant, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        wd.reflectance(FLAT, NORMAL, NORMAL, illuminant=illuminant)

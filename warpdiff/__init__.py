@@ -1,0 +1,47 @@
+"""Iridescent colours of diffraction gratings given as measured height fields, on NVIDIA Warp.
+
+The map of the package, in the order in which data flows:
+
+- ``heightfield``, ``gratings``: a measured or synthetic surface, and its cleaning
+- ``coherence``, ``planning``: the window of the Fourier sum; from a tolerance to terms, neighbours and wavelengths
+- ``fourier``, ``tables``: the transforms of the powers of the heights, in NumPy; the same on a device
+- ``meshes``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
+- ``kernels``: Warp kernels: ray casting, directions, spectral integration
+- ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
+- ``render``: ``shade``, a picture of a mesh; ``evaluate``: the reflectance at arrays of directions; ``direct``: the
+  same by a sum that approximates nothing
+- ``image``: the picture and its files; ``cli``, ``demo``: the command line
+"""
+
+from importlib.metadata import version
+
+from warpdiff import gratings, meshes
+from warpdiff.coherence import Coherence
+from warpdiff.errors import WarpdiffWarning
+from warpdiff.evaluate import brdf, brdf_map, reflectance, spectral_reflectance
+from warpdiff.heightfield import HeightField
+from warpdiff.image import Image
+from warpdiff.light import DirectionalLight
+from warpdiff.planning import Plan, plan
+from warpdiff.render import shade
+from warpdiff.view import View
+
+__version__ = version("warpdiff")
+
+__all__ = [
+    "Coherence",
+    "DirectionalLight",
+    "HeightField",
+    "Image",
+    "Plan",
+    "View",
+    "WarpdiffWarning",
+    "brdf",
+    "brdf_map",
+    "gratings",
+    "meshes",
+    "plan",
+    "reflectance",
+    "shade",
+    "spectral_reflectance",
+]

@@ -1,0 +1,86 @@
+"""Which device runs the kernels, and how a launch is cut into slices over threads."""
+
+from __future__ import annotations
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+from warpdiff import checks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import warp as wp
+
+# Small enough that threads finish together and progress is smooth, large enough that a launch costs nothing.
+_SLICE = 2048
+
+
+def resolve_device(device: Any) -> wp.Device:
+    """The Warp device of a name such as ``"cpu"`` or ``"cuda:0"``; None is the CPU."""
+    import warp as wp
+
+    # Unless told otherwise before it starts, Warp prints a banner, a line a module, and that there is no CUDA driver.
+    if wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_ERROR
+    try:
+        return wp.get_device("cpu" if device is None else device)
+    except Exception as error:
+        raise ValueError(f"device must be 'cpu' or a CUDA device of this machine, got {device!r}: {error}") from None
+
+
+def resolve_threads(threads: Any) -> int:
+    """The number of threads; None is one for each core this process may use."""
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return checks.count(threads, "threads")
+
+
+def launch(
+    kernel: Any,
+    size: int,
+    inputs: list[Any],
+    outputs: list[Any],
+    *,
+    device: wp.Device,
+    threads: int,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Launch a kernel whose last input is ``first``, the index of its first thread.
+
+    A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads;
+    every index is computed by itself, and the result does not depend on their number.
+    """
+    import warp as wp
+
+    if size == 0:
+        return
+    if not device.is_cpu:
+        wp.launch(kernel, dim=size, inputs=[*inputs, 0], outputs=outputs, device=device)
+        wp.synchronize_device(device)
+        if progress is not None:
+            progress(1.0)
+        return
+    # Compiling is not safe to race for.
+    kernel.module.load(device)
+    firsts = range(0, size, _SLICE)
+    lock = threading.Lock()
+    done = 0
+
+    def run(first: int) -> None:
+        nonlocal done
+        wp.launch(kernel, dim=min(_SLICE, size - first), inputs=[*inputs, first], outputs=outputs, device=device)
+        with lock:
+            done += 1
+            if progress is not None:
+                progress(done / len(firsts))
+
+    if threads == 1:
+        for first in firsts:
+            run(first)
+        return
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        for _ in pool.map(run, firsts):
+            pass

@@ -1,0 +1,550 @@
+"""Height fields: loading, levelling, removing dust, cropping, resampling, making periodic, and describing.
+
+A sample ``heights_um[j, i]`` lies at x = i·dx, y = j·dy. Pairs are in the order (y, x), lengths in µm. Every
+transform returns a new `HeightField`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff import checks
+
+if TYPE_CHECKING:
+    import os
+
+    from numpy.typing import ArrayLike, NDArray
+
+SHORTEST_WAVELENGTH_UM = 0.38
+"""Blue end of the visible range [µm]; it decides which directions a pitch supports."""
+
+
+@dataclass(frozen=True)
+class HeightFieldSummary:
+    """What a height field holds, and how far it can be trusted; `str` of it is a few lines to print.
+
+    Attributes:
+        shape: Samples (ny, nx).
+        size_um: Extent (Ly, Lx) [µm].
+        pitch_um: Distance of the samples (dy, dx) [µm].
+        height_range_um: Highest minus lowest height [µm].
+        rms_um: Standard deviation of the heights [µm].
+        rms_slope: Root mean square of the slope (a ratio).
+        dominant_periods_um: Pairs (period [µm], direction [degrees]), see `HeightField.dominant_periods_um`.
+        max_uv: Largest component of (u, v) = −ωi − ωr that the pitch supports at 380 nm: λ / (2 · pitch). From 2 on
+            the whole hemisphere of lights and views is free of aliasing.
+    """
+
+    shape: tuple[int, int]
+    size_um: tuple[float, float]
+    pitch_um: tuple[float, float]
+    height_range_um: float
+    rms_um: float
+    rms_slope: float
+    dominant_periods_um: tuple[tuple[float, float], ...]
+    max_uv: float
+
+    def __str__(self) -> str:
+        """Return the summary as lines of text."""
+        ny, nx = self.shape
+        periods = ", ".join(f"{period:.3g} µm at {angle:.0f}°" for period, angle in self.dominant_periods_um) or "none"
+        supported = "the whole hemisphere" if self.max_uv >= 2.0 else f"|u|, |v| up to {self.max_uv:.2f}"
+        return "\n".join(
+            [
+                f"size              {self.size_um[1]:.4g} × {self.size_um[0]:.4g} µm (x × y), {nx} × {ny} samples",
+                f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)",
+                f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
+                f"rms slope         {self.rms_slope:.3g} ({math.degrees(math.atan(self.rms_slope)):.1f}°)",
+                f"dominant periods  {periods}",
+                f"supports          {supported} at {1e3 * SHORTEST_WAVELENGTH_UM:.0f} nm",
+            ]
+        )
+
+
+class HeightField:
+    """One period (or one patch) of a surface, as heights on a regular grid; immutable.
+
+    Two height fields are equal only if they are the same object, so that one can be a key of a dictionary.
+
+    Args:
+        heights_um: Surface heights [µm], shape (ny, nx), rows along y. It is copied. One row is a one-dimensional
+            grating, constant along y.
+        pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
+
+    Raises:
+        TypeError: An argument is not numeric.
+        ValueError: The heights are not a non-empty, finite 2-D array, or the pitch is not positive.
+    """
+
+    __slots__ = ("__weakref__", "_heights_um", "_pitch_um")
+
+    def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
+        heights = checks.finite_array(heights_um, "heights_um", ndim=2)
+        if heights.size == 0:
+            raise ValueError(f"heights_um must hold at least one sample, got shape {heights.shape}")
+        heights.setflags(write=False)
+        self._heights_um = heights
+        self._pitch_um = checks.pair(pitch_um, "pitch_um")
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        extent_um: float | None = None,
+        pitch_um: float | tuple[float, float] | None = None,
+        height_range_um: float | None = None,
+    ) -> HeightField:
+        """Read a height field from a grey image (any format OpenImageIO reads) or a NumPy ``.npy`` file.
+
+        Rows are taken in the file's order, not flipped. Integer samples say nothing of their unit: their type's full
+        scale (255 or 65535) is taken as ``height_range_um``, even if the file does not use all of it. Floating-point
+        samples are heights in µm.
+
+        Args:
+            path: The file.
+            extent_um: Width of the image along x [µm]; samples are then square.
+            pitch_um: Distance of the samples [µm], one number or a pair (dy, dx); give this or ``extent_um``.
+            height_range_um: Height of the integer type's full scale [µm]; for integer samples only.
+
+        Returns:
+            The heights, float64, shape (ny, nx).
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The file cannot be read, is a colour image, is not two-dimensional or not finite, or the
+                scale is missing or given twice.
+        """
+        if (extent_um is None) == (pitch_um is None):
+            given = "neither" if extent_um is None else "both"
+            raise ValueError(
+                f"give exactly one of extent_um (width along x) and pitch_um (a sample's size), got {given}"
+            )
+        file = Path(path)
+        if not file.exists():
+            raise FileNotFoundError(f"path: there is no file {str(file)!r}; check the name and the working directory")
+        if not file.is_file():
+            raise ValueError(f"path: {str(file)!r} is not a file; give a grey image or a .npy file")
+        samples = _read_npy(file) if file.suffix.lower() == ".npy" else _read_image(file)
+        heights = _in_micrometres(samples, file, height_range_um)
+        if extent_um is not None:
+            return cls(heights, checks.positive(extent_um, "extent_um") / heights.shape[1])
+        return cls(heights, checks.pair(pitch_um, "pitch_um"))
+
+    @property
+    def heights_um(self) -> NDArray[np.float64]:
+        """Heights [µm], shape (ny, nx), read-only."""
+        return self._heights_um
+
+    @property
+    def pitch_um(self) -> tuple[float, float]:
+        """Distance of the samples (dy, dx) [µm]."""
+        return self._pitch_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of samples (ny, nx)."""
+        ny, nx = self._heights_um.shape
+        return ny, nx
+
+    @property
+    def size_um(self) -> tuple[float, float]:
+        """Extent (Ly, Lx) [µm]: samples times pitch, which is one period of a periodic field."""
+        return self.shape[0] * self.pitch_um[0], self.shape[1] * self.pitch_um[1]
+
+    @property
+    def height_range_um(self) -> float:
+        """Highest minus lowest height [µm]."""
+        return float(np.ptp(self._heights_um))
+
+    @property
+    def rms_um(self) -> float:
+        """Standard deviation of the heights [µm]."""
+        return float(np.std(self._heights_um))
+
+    @property
+    def rms_slope(self) -> float:
+        """Root mean square of the slope between neighbouring samples, without those across the edges."""
+        total = 0.0
+        for axis in (0, 1):
+            if self.shape[axis] > 1:
+                total += float(np.mean((np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2))
+        return math.sqrt(total)
+
+    def __repr__(self) -> str:
+        ny, nx = self.shape
+        ly, lx = self.size_um
+        return (
+            f"HeightField({ny} × {nx} samples (y × x), {ly:.4g} × {lx:.4g} µm, "
+            f"height range {self.height_range_um:.4g} µm)"
+        )
+
+    def levelled(self, order: int = 1) -> HeightField:
+        """Subtract the least-squares polynomial of total degree ``order``: tilt (1), bow (2), or the mean alone (0).
+
+        Args:
+            order: Highest total degree; along an axis of n samples it is n − 1 at most.
+
+        Returns:
+            Heights of zero mean.
+
+        Raises:
+            ValueError: ``order`` is negative.
+        """
+        order = checks.count(order, "order", least=0)
+        # Tensor products of bases that are orthonormal on the samples are orthonormal, so projections are the
+        # least-squares solution, with no system to solve and none to be ill-conditioned.
+        along_y, along_x = (_polynomials(n, order) for n in self.shape)
+        coefficients = along_y.T @ self._heights_um @ along_x
+        degree = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1]))
+        coefficients[degree > order] = 0.0
+        return HeightField(self._heights_um - along_y @ coefficients @ along_x.T, self.pitch_um)
+
+    def despiked(self, threshold: float = 3.0, *, size_um: float = 1.0) -> HeightField:
+        """Remove dust grains and bright scratches: what stands out of the surface is replaced from its surroundings.
+
+        A sample's score is its height above a smooth background (a normalised Gaussian convolution of spread
+        ``size_um`` that leaves out the spikes found so far; three rounds), in units of a robust scale: the distance
+        from the median of those heights to their 2.5 % or 97.5 % quantile, whichever is larger, over 1.96. That is
+        the standard deviation for Gaussian roughness; the usual median absolute deviation is zero for a rectangular
+        grating, and would flag all its ridges. Samples above ``threshold`` and their connected surroundings above 0.8
+        of it, slightly dilated, are filled by normalised convolutions from coarse to fine (Knutsson and Westin 1993).
+        Only elevations are removed: pits and cracks belong to the surface, and the deepest points of a relief often
+        look like them.
+
+        Level the field first, as tilt counts as height. Samples that are not replaced keep their values exactly, so
+        ``np.mean(after.heights_um != before.heights_um)`` is the share replaced. Elevations that belong to the
+        surface and cover less than some 3 % of it are taken for dust.
+
+        Args:
+            threshold: Score from which a sample is a spike, > 0.
+            size_um: Spread of the background [µm], about the distance of the surface's own features.
+
+        Returns:
+            The cleaned field, of the same shape; unchanged where nothing stands out.
+
+        Raises:
+            ValueError: An argument is not positive.
+        """
+        threshold = checks.positive(threshold, "threshold")
+        size = checks.positive(size_um, "size_um")
+        heights = self._heights_um
+        spikes = np.zeros(self.shape, dtype=bool)
+        for _ in range(3):
+            valid = np.where(spikes, 0.0, 1.0)
+            weight = np.maximum(self._blurred(valid, size), 1e-9)
+            residual = heights - self._blurred(heights * valid, size) / weight
+            lower, median, upper = np.quantile(residual[~spikes], (0.025, 0.5, 0.975))
+            scale = max(upper - median, median - lower) / 1.96
+            # Rounding noise of the convolution must not become a scale: on a flat field nothing stands out.
+            if scale <= 1e-9 * max(float(np.max(np.abs(heights))), 1e-9):
+                break
+            score = (residual - median) / scale
+            found = _grown(score > threshold, score > 0.8 * threshold)
+            if np.array_equal(found, spikes):
+                break
+            spikes = found
+        if not spikes.any():
+            return HeightField(heights, self.pitch_um)
+        spikes |= self._blurred(spikes.astype(np.float64), 0.1 * size) > 0.02
+        valid = np.where(spikes, 0.0, 1.0)
+        filled = np.full(self.shape, np.mean(heights[~spikes]) if not spikes.all() else np.mean(heights))
+        for spread in size * 2.0 ** np.arange(1, -4, -1):
+            # Where a fine scale sees next to nothing, the coarser one's value stands.
+            weight = np.maximum(self._blurred(valid, spread), 0.0)
+            filled = (self._blurred(heights * valid, spread) + 0.02 * filled) / (weight + 0.02)
+        return HeightField(np.where(spikes, filled, heights), self.pitch_um)
+
+    def cropped(
+        self, size_um: float | tuple[float, float], *, offset_um: tuple[float, float] | None = None
+    ) -> HeightField:
+        """Cut out a rectangle, rounded to whole samples; an axis of one sample is kept as it is.
+
+        Args:
+            size_um: Extent of the result [µm], one number or a pair (y, x).
+            offset_um: Position (y, x) of its first sample [µm]; None centres it.
+
+        Returns:
+            The rectangle, at the same pitch.
+
+        Raises:
+            ValueError: The rectangle is smaller than a sample or reaches outside of the field.
+        """
+        size = checks.pair(size_um, "size_um")
+        if offset_um is not None and (not isinstance(offset_um, (tuple, list, np.ndarray)) or len(offset_um) != 2):
+            raise ValueError(f"offset_um must be a pair (y, x) or None, got {offset_um!r}")
+        slices: list[slice] = []
+        for axis, name in enumerate("yx"):
+            have, pitch = self.shape[axis], self.pitch_um[axis]
+            if have == 1:
+                slices.append(slice(0, 1))
+                continue
+            wanted = round(size[axis] / pitch)
+            if wanted < 1 or wanted > have:
+                raise ValueError(
+                    f"size_um along {name} must be from {pitch:.4g} to {have * pitch:.4g}, got {size[axis]:.6g}"
+                )
+            first = (have - wanted) // 2
+            if offset_um is not None:
+                first = round(checks.number(offset_um[axis], f"offset_um[{axis}]") / pitch)
+            if first < 0 or first + wanted > have:
+                raise ValueError(
+                    f"offset_um along {name} must be from 0 to {(have - wanted) * pitch:.4g} for this size, "
+                    f"got {first * pitch:.6g}"
+                )
+            slices.append(slice(first, first + wanted))
+        return HeightField(self._heights_um[slices[0], slices[1]], self.pitch_um)
+
+    def resampled(self, pitch_um: float | tuple[float, float]) -> HeightField:
+        """Interpolate, or band-limit, to another pitch by Fourier series, as one period of a periodic surface.
+
+        Args:
+            pitch_um: The pitch wanted [µm], one number or a pair (dy, dx). The actual one is the nearest that divides
+                the size, which is kept exactly; an axis of one sample is kept as it is.
+
+        Returns:
+            The field with round(L / pitch) samples along each axis.
+
+        Raises:
+            ValueError: The pitch is not positive, or larger than the field.
+        """
+        pitch = checks.pair(pitch_um, "pitch_um")
+        heights = self._heights_um
+        actual = list(self.pitch_um)
+        for axis, name in enumerate("yx"):
+            have, size = self.shape[axis], self.size_um[axis]
+            if have == 1:
+                continue
+            wanted = round(size / pitch[axis])
+            if wanted < 1:
+                raise ValueError(f"pitch_um along {name} must be at most the size {size:.4g}, got {pitch[axis]:.6g}")
+            if wanted != have:
+                heights = _resampled_axis(heights, wanted, axis)
+                actual[axis] = size / wanted
+        return HeightField(heights, (actual[0], actual[1]))
+
+    def periodic(self) -> HeightField:
+        """Make opposite edges match, so that the spectrum has no bright cross along its axes.
+
+        The periodic part of Moisan's periodic-plus-smooth decomposition (2011, J. Math. Imaging Vis. 39, 161–179):
+        a smooth field, harmonic but for the edges where it takes up half of their jump each, is subtracted. Size and
+        mean stay as they are. Level and despike first, as the less there is to take up the less is changed; a field
+        that is periodic already does not need it and would be changed a little.
+
+        Returns:
+            The periodic part, of the same shape.
+        """
+        heights = self._heights_um
+        ny, nx = self.shape
+        jumps = np.zeros(self.shape)
+        across_y = heights[0] - heights[-1]
+        across_x = heights[:, 0] - heights[:, -1]
+        jumps[0] += across_y
+        jumps[-1] -= across_y
+        jumps[:, 0] += across_x
+        jumps[:, -1] -= across_x
+        laplacian = (
+            4.0
+            - 2.0 * np.cos(2.0 * np.pi * np.fft.fftfreq(ny))[:, None]
+            - 2.0 * np.cos(2.0 * np.pi * np.fft.rfftfreq(nx))
+        )
+        laplacian[0, 0] = 1.0
+        spectrum = np.fft.rfft2(jumps) / laplacian
+        spectrum[0, 0] = 0.0
+        return HeightField(heights - np.fft.irfft2(spectrum, self.shape), self.pitch_um)
+
+    def dominant_periods_um(self, count: int = 3) -> tuple[tuple[float, float], ...]:
+        """Return the strongest periods, as local maxima of |FFT(h)|² over frequencies q.
+
+        A peak within a quarter of a stronger one's frequency is taken for a part of it. Resolution is that of the
+        frequencies, one per patch. On a scan the waviness may come first: level it with a higher order to leave it
+        out.
+
+        Args:
+            count: How many at most.
+
+        Returns:
+            Pairs (period [µm], direction of the wave vector from x towards y in (−90°, 90°]), strongest first; empty
+            for a flat field.
+
+        Raises:
+            ValueError: ``count`` is less than 1.
+        """
+        count = checks.count(count, "count")
+        ny, nx = self.shape
+        along_y = np.fft.fftfreq(ny, self.pitch_um[0])[:, None]
+        along_x = np.fft.fftfreq(nx, self.pitch_um[1])[None, :]
+        power = np.abs(np.fft.fft2(self._heights_um - np.mean(self._heights_um)) / (ny * nx)) ** 2
+        is_peak = power > 1e-20 * max(float(np.max(np.abs(self._heights_um))) ** 2, 1e-300)
+        for shift in ((0, 1), (1, -1), (1, 0), (1, 1)):
+            if (ny == 1 and shift[0]) or (nx == 1 and shift[1]):
+                continue
+            is_peak &= power >= np.roll(power, shift, (0, 1))
+            is_peak &= power >= np.roll(power, (-shift[0], -shift[1]), (0, 1))
+        # The heights are real, so of q and −q one is enough.
+        is_peak &= (along_x > 0.0) | ((along_x == 0.0) & (along_y > 0.0)) | (2.0 * along_x * self.pitch_um[1] == -1.0)
+        rows, columns = np.nonzero(is_peak)
+        order = np.argsort(-power[rows, columns], kind="stable")
+        chosen: list[tuple[float, float]] = []
+        for index in order:
+            q = np.array([along_y[rows[index], 0], along_x[0, columns[index]]])
+            if q[1] < 0.0 or (q[1] == 0.0 and q[0] < 0.0):
+                q = -q
+            if all(min(math.dist(q, p), math.dist(q, (-p[0], -p[1]))) > 0.25 * math.hypot(*p) for p in chosen):
+                chosen.append((float(q[0]), float(q[1])))
+            if len(chosen) == count:
+                break
+        return tuple((1.0 / math.hypot(qy, qx), math.degrees(math.atan2(qy, qx)) + 0.0) for qy, qx in chosen)
+
+    def summary(self) -> HeightFieldSummary:
+        """Return size, pitch, range, roughness, slope, dominant periods and the directions that the pitch supports."""
+        sampled = [self.pitch_um[axis] for axis in (0, 1) if self.shape[axis] > 1]
+        return HeightFieldSummary(
+            shape=self.shape,
+            size_um=self.size_um,
+            pitch_um=self.pitch_um,
+            height_range_um=self.height_range_um,
+            rms_um=self.rms_um,
+            rms_slope=self.rms_slope,
+            dominant_periods_um=self.dominant_periods_um(),
+            max_uv=SHORTEST_WAVELENGTH_UM / (2.0 * max(sampled)) if sampled else math.inf,
+        )
+
+    def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:
+        """Convolve ``values`` (ny, nx) with a Gaussian, taking zero outside of the field."""
+        # Padding by four spreads keeps the convolution from wrapping around.
+        padded = tuple(
+            1 if n == 1 else _fast_length(n + math.ceil(min(4.0 * spread_um / pitch, n)))
+            for n, pitch in zip(self.shape, self.pitch_um, strict=True)
+        )
+        factors = [
+            np.exp(-2.0 * (np.pi * spread_um * frequencies(n, pitch)) ** 2)
+            for n, pitch, frequencies in zip(padded, self.pitch_um, (np.fft.fftfreq, np.fft.rfftfreq), strict=True)
+        ]
+        spectrum = np.fft.rfft2(values, padded)
+        spectrum *= factors[0][:, None]
+        spectrum *= factors[1]
+        return np.fft.irfft2(spectrum, padded)[: self.shape[0], : self.shape[1]]
+
+
+def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
+    """Return polynomials of rising degree, orthonormal on equidistant samples, as columns of (samples, degrees)."""
+    x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
+    return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
+
+
+def _grown(seed: NDArray[np.bool_], allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return those parts of ``allowed`` that are connected (by sides) with ``seed``."""
+    mask = seed & allowed
+    size = -1
+    while (grown := int(np.count_nonzero(mask))) != size:
+        size = grown
+        before = mask.copy()
+        mask[1:] |= before[:-1]
+        mask[:-1] |= before[1:]
+        mask[:, 1:] |= before[:, :-1]
+        mask[:, :-1] |= before[:, 1:]
+        mask &= allowed
+    return mask
+
+
+def _fast_length(least: int) -> int:
+    """Return the smallest length >= ``least`` whose prime factors are 2, 3 and 5."""
+    length = least
+    while True:
+        rest = length
+        for prime in (2, 3, 5):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            return length
+        length += 1
+
+
+def _resampled_axis(heights: NDArray[np.float64], wanted: int, axis: int) -> NDArray[np.float64]:
+    """Resample one axis of a periodic real array to ``wanted`` samples by its Fourier series."""
+    have = heights.shape[axis]
+    spectrum = np.moveaxis(np.fft.rfft(heights, axis=axis), axis, -1)
+    kept = min(have, wanted)
+    result = np.zeros((*spectrum.shape[:-1], wanted // 2 + 1), dtype=np.complex128)
+    result[..., : kept // 2 + 1] = spectrum[..., : kept // 2 + 1]
+    if kept % 2 == 0:
+        # The Nyquist term stands for ±kept/2 in the coarser series, but for one of the two in the finer.
+        result[..., kept // 2] *= 0.5 if wanted > have else 2.0
+    resampled = np.fft.irfft(result, wanted, axis=-1) * (wanted / have)
+    return np.moveaxis(resampled, -1, axis)
+
+
+def _read_npy(file: Path) -> NDArray[Any]:
+    """Return the array in a ``.npy`` file."""
+    try:
+        with file.open("rb") as stream:
+            array = np.lib.format.read_array(stream, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(
+            f"path: {str(file)!r} cannot be read as .npy ({error}); write it with numpy.save, as plain numbers"
+        ) from None
+    if array.ndim != 2 or array.size == 0:
+        raise ValueError(f"path: {str(file)!r} has shape {array.shape}; save one array of shape (ny, nx)")
+    return array
+
+
+def _read_image(file: Path) -> NDArray[Any]:
+    """Return the samples of a grey image in the file's own type, shape (ny, nx)."""
+    import OpenImageIO as oiio  # noqa: N813, PLC0415 (loading alone needs it)
+
+    image = oiio.ImageInput.open(str(file))
+    if image is None:
+        raise ValueError(
+            f"path: {str(file)!r} cannot be read as an image ({_one_line(oiio.geterror())}); give a grey image or .npy"
+        )
+    try:
+        channels = image.spec().nchannels
+        if channels != 1:
+            kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
+            raise ValueError(
+                f"path: {str(file)!r} is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float"
+            )
+        samples = image.read_image("unknown")  # the file's own type: nothing is converted
+        if samples is None or image.has_error:
+            raise ValueError(f"path: {str(file)!r} is damaged ({_one_line(image.geterror())}); export the image again")
+        if image.seek_subimage(1, 0):
+            raise ValueError(f"path: {str(file)!r} holds several images; save the one with the heights by itself")
+    finally:
+        image.close()
+    return np.asarray(samples)[..., 0]
+
+
+def _one_line(message: str) -> str:
+    """Return a message of several lines as one."""
+    return " ".join(message.split())
+
+
+def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | None) -> NDArray[np.float64]:
+    """Return samples as heights [µm]: integers by their full scale, floating-point numbers as they are."""
+    if samples.dtype in (np.uint8, np.uint16):
+        full = int(np.iinfo(samples.dtype).max)
+        if height_range_um is None:
+            raise ValueError(
+                f"height_range_um must be given: {str(file)!r} has integer samples without a unit; it is the height "
+                f"[µm] that the full scale 0 to {full} stands for"
+            )
+        return samples.astype(np.float64) * (checks.positive(height_range_um, "height_range_um") / full)
+    if samples.dtype.kind != "f":
+        raise ValueError(
+            f"path: {str(file)!r} has samples of type {samples.dtype}; save uint8, uint16, or floating-point µm"
+        )
+    if height_range_um is not None:
+        raise ValueError(
+            f"height_range_um must not be given: {str(file)!r} has floating-point samples, which are in µm already"
+        )
+    heights = samples.astype(np.float64)
+    bad = int(heights.size - np.count_nonzero(np.isfinite(heights)))
+    if bad:
+        raise ValueError(f"path: {str(file)!r} has {bad} NaN or infinite sample(s); fill them before loading")
+    return heights

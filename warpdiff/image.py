@@ -1,0 +1,124 @@
+"""A picture in linear CIE XYZ, and its files."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff import checks, spectrum
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.planning import Plan
+
+_FORMATS = (".exr", ".png")
+
+
+@dataclass(frozen=True)
+class Image:
+    """What an evaluation of a picture returns.
+
+    Attributes:
+        xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 on top; 0 in the background.
+        mask: Whether anything was hit, shape (height, width).
+        coverage: Share of the pixel's samples that hit something, 0 to 1, float32; alpha in files.
+        plan: What was computed and why.
+    """
+
+    xyz: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    coverage: NDArray[np.float32]
+    plan: Plan
+
+    @property
+    def rgb(self) -> NDArray[np.float32]:
+        """Linear sRGB, shape (height, width, 3), float32; colours out of gamut have negative components."""
+        return spectrum.xyz_to_rgb(self.xyz).astype(np.float32)
+
+    @property
+    def auto_exposure(self) -> float:
+        """The factor that maps the 99th percentile of the lit pixels' luminance to 1; 1 for a black picture."""
+        luminance = self.xyz[..., 1][self.mask]
+        lit = luminance[luminance > 0.0]
+        return 1.0 / float(np.percentile(lit, 99.0)) if lit.size else 1.0
+
+    def save(self, path: str | os.PathLike[str], *, exposure: float | None = None, bits: int = 8) -> Path:
+        """Write the picture; an existing file is replaced only once the new one is complete.
+
+        Args:
+            path: ``.exr`` holds linear float32 channels R, G, B, A and XYZ.X, XYZ.Y, XYZ.Z, unscaled unless
+                ``exposure`` is given. ``.png`` is sRGB with alpha.
+            exposure: Linear factor; None is 1 for EXR and :attr:`auto_exposure` for PNG.
+            bits: 8 or 16, for PNG.
+
+        Returns:
+            The path written.
+
+        Raises:
+            ValueError: Another suffix, a bad exposure or number of bits.
+            OSError: The file cannot be written.
+        """
+        import OpenImageIO as oiio
+
+        target = Path(path)
+        suffix = target.suffix.lower()
+        if suffix not in _FORMATS:
+            raise ValueError(f"path must end in {' or '.join(_FORMATS)}, got {target.name!r}")
+        if bits not in (8, 16):
+            raise ValueError(f"bits must be 8 or 16, got {bits!r}")
+        if exposure is None:
+            exposure = self.auto_exposure if suffix == ".png" else 1.0
+        else:
+            exposure = checks.positive(exposure, "exposure")
+        if not target.parent.is_dir():
+            raise FileNotFoundError(f"path: the folder {target.parent} does not exist; create it first")
+
+        height, width = self.mask.shape
+        alpha = self.coverage[..., None]
+        if suffix == ".exr":
+            channels = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z")
+            pixels = np.concatenate([exposure * self.rgb, alpha, exposure * self.xyz], axis=2, dtype=np.float32)
+            spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
+            spec.attribute("compression", "zip")
+            spec.attribute("oiio:ColorSpace", "lin_rec709")
+        else:
+            channels = ("R", "G", "B", "A")
+            # PNG holds colours that are not multiplied by alpha.
+            straight = exposure * spectrum.xyz_to_rgb(self.xyz) / np.where(alpha > 0.0, alpha, 1.0)
+            encoded = np.concatenate([spectrum.srgb_encode(straight), alpha], axis=2)
+            levels = 2**bits - 1
+            pixels = np.round(encoded * levels).astype(np.uint8 if bits == 8 else np.uint16)
+            spec = oiio.ImageSpec(width, height, len(channels), oiio.UINT8 if bits == 8 else oiio.UINT16)
+            spec.attribute("oiio:UnassociatedAlpha", 1)
+            spec.attribute("oiio:ColorSpace", "sRGB")
+        spec.channelnames = channels
+        spec.alpha_channel = 3
+        spec.attribute("Software", "warpdiff")
+        spec.attribute("ImageDescription", str(self.plan))
+        spec.attribute("warpdiff:exposure", float(exposure))
+
+        # The temporary name ends in the same suffix, which is how the writer of the format is found.
+        handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{target.stem}-", dir=target.parent)
+        os.close(handle)
+        try:
+            output = oiio.ImageOutput.create(temporary)
+            if output is None or not output.open(temporary, spec):
+                reason = oiio.geterror() if output is None else output.geterror()
+                raise OSError(f"cannot write {target}: {reason}")
+            written = output.write_image(np.ascontiguousarray(pixels))
+            if not (output.close() and written):
+                raise OSError(f"cannot write {target}: {output.geterror()}")
+            # mkstemp makes a private file; a picture gets the permissions of any new file.
+            mask = os.umask(0)
+            os.umask(mask)
+            Path(temporary).chmod(0o666 & ~mask)
+            Path(temporary).replace(target)
+        finally:
+            Path(temporary).unlink(missing_ok=True)
+        return target

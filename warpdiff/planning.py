@@ -1,0 +1,268 @@
+"""The plan: from a height field, a window, a range of directions and a tolerance to the numbers the kernels get.
+
+Every number follows from a bound that holds for all directions of the range, so a plan errs on the side of accuracy.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff import checks, fourier
+from warpdiff.coherence import Coherence
+from warpdiff.errors import WarpdiffWarning
+from warpdiff.heightfield import HeightField
+from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+METHODS = ("auto", "taylor", "direct")
+
+# A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
+# mirror by as much again: what is left out of an amplitude must be smaller by this factor, ...
+_AMPLITUDE_MARGIN = 1e-3
+# ... and what is left out of a power by this one. On the scan, 3 × 3, 5 × 5 and 7 × 7 coefficients err by 3.7 %, 2e-4
+# and 6e-8 in the median; the margin asks for the second at a tolerance of 1e-2 and for the third at 1e-4.
+_POWER_MARGIN = 1e-4
+# A colour changes as fast as the colour curves and the illuminant do: their share of the samples, at a tolerance of
+# 1e-2, in samples per unit of 1/λ [µm]; linear interpolation between samples errs as the square of their distance.
+_COLOUR_BANDWIDTH_UM = 48.0
+# A wider neighbourhood is a mistake in the units or a patch much larger than the window.
+_MOST_NEIGHBOURS = 40_000
+_PATCH_IN_SIGMAS = 20.0
+# Float32 rounds each term of the series to half a unit in the last place.
+_FLOAT32_ROUNDING = 2.0**-24
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
+
+    Attributes:
+        method: ``"taylor"`` or ``"direct"``.
+        coherence: The window.
+        tolerance: What was asked for.
+        terms: Taylor terms, n = 0 … terms − 1.
+        reach: Coefficients (y, x) on either side of the nearest one; the neighbourhood is 2·reach + 1 wide.
+        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ; 0 where the caller gives wavelengths.
+        max_uv: Largest |(u, v)| of the directions that the numbers hold for.
+        max_w: Largest |w| of these.
+        lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
+        truncation: Bound of the error of exp(2πiκh) from the terms left out.
+        neighbourhood: Weight of the nearest coefficient that is left out.
+        quadrature: Predicted relative error of the integral over λ; 0 without one.
+        rounding: Bound of the error of exp(2πiκh) from float32 arithmetic.
+        multiply_adds: Predicted cost of a direction.
+    """
+
+    method: str
+    coherence: Coherence
+    tolerance: float
+    terms: int
+    reach: tuple[int, int]
+    wavelengths: int
+    max_uv: float
+    max_w: float
+    lambda_min_nm: float
+    truncation: float
+    neighbourhood: float
+    quadrature: float
+    rounding: float
+    multiply_adds: int
+
+    def __post_init__(self) -> None:
+        checks.choice(self.method, "method", METHODS[1:])
+        if not 1 <= checks.count(self.terms, "terms") <= fourier.MAX_TERMS:
+            raise ValueError(f"terms must be 1 to {fourier.MAX_TERMS}, got {self.terms}")
+        if len(self.reach) != 2:
+            raise ValueError(f"reach must be a pair (y, x), got {self.reach!r}")
+        for axis, value in enumerate(self.reach):
+            checks.count(value, f"reach[{axis}]", least=0)
+        if self.wavelengths != 0:
+            checks.count(self.wavelengths, "wavelengths", least=2)
+
+    def __str__(self) -> str:
+        window = f"{self.coherence.kind} window with σ = {self.coherence.sigma_um:g} µm"
+        scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| up to {self.max_w:.3g}"
+        if self.method == "direct":
+            return f"Direct sum over the height samples in float64, {window}: no approximation but the integral over λ."
+        rows, columns = (2 * n + 1 for n in self.reach)
+        text = (
+            f"Taylor series, {window}, tolerance {self.tolerance:g}, {scope}: "
+            f"{self.terms} terms leave out {self.truncation:.1e} of exp(2πiκh), and float32 rounds it by up to "
+            f"{self.rounding:.1e}; {rows} × {columns} coefficients leave out neighbours of weight "
+            f"{self.neighbourhood:.1e}; "
+        )
+        if self.wavelengths:
+            text += f"{self.wavelengths} wavelengths equally spaced in 1/λ integrate to about {self.quadrature:.1e}; "
+        return text + f"some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction."
+
+
+def plan(
+    hf: HeightField,
+    to_light: ArrayLike | None = None,
+    to_view: ArrayLike | None = None,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    strict: bool = True,
+) -> Plan:
+    """What an evaluation of these directions would compute.
+
+    Args:
+        hf: The height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
+        to_view: Directions to the viewer; None is the whole hemisphere.
+        tolerance: Error of XYZ that is asked for, in 1e-5 to 0.5.
+        method: ``"auto"``, ``"taylor"`` or ``"direct"``.
+        coherence: The window; the default is averaged with σ = 16.25 µm.
+        strict: Raise a ``ValueError`` where the tolerance cannot be met; otherwise warn.
+
+    Returns:
+        The plan; ``print(plan)`` explains it.
+    """
+    if to_light is None and to_view is None:
+        max_uv, max_w = 2.0, 2.0
+    elif to_light is None or to_view is None:
+        given, _ = checks.directions(
+            *((to_view, "to_view") if to_light is None else (to_light, "to_light"))
+        )
+        above = given[given[:, 2] > 0.0]
+        max_uv = min(2.0, 1.0 + float(np.max(np.hypot(above[:, 0], above[:, 1]), initial=0.0)))
+        max_w = 1.0 + float(np.max(above[:, 2], initial=0.0))
+    else:
+        lights, views, _ = broadcast_directions(to_light, to_view)
+        max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
+    return plan_for_range(
+        hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=coherence or Coherence(), strict=strict
+    )
+
+
+def broadcast_directions(
+    to_light: ArrayLike, to_view: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Unit directions, both of shape (n, 3), and whether both were single."""
+    lights, one_light = checks.directions(to_light, "to_light")
+    views, one_view = checks.directions(to_view, "to_view")
+    if len(lights) != len(views) and 1 not in (len(lights), len(views)):
+        raise ValueError(
+            f"to_light and to_view must hold the same number of directions, or one, got {len(lights)} and {len(views)}"
+        )
+    shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
+    return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
+
+
+def deflection_range(deflections: NDArray[np.float64], lit: NDArray[np.bool_]) -> tuple[float, float]:
+    """Largest |(u, v)| and |w| of the lit ones of the deflections, shape (n, 3)."""
+    used = deflections[lit]
+    if not len(used):
+        return 0.0, 0.0
+    return float(np.max(np.hypot(used[:, 0], used[:, 1]))), float(np.max(np.abs(used[:, 2])))
+
+
+def plan_for_range(
+    hf: HeightField,
+    max_uv: float,
+    max_w: float,
+    *,
+    tolerance: float,
+    method: str,
+    coherence: Coherence,
+    strict: bool,
+    wavelengths_nm: NDArray[np.float64] | None = None,
+) -> Plan:
+    """The plan for all directions with |(u, v)| <= ``max_uv`` and |w| <= ``max_w``.
+
+    With ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
+    """
+    checks.choice(method, "method", METHODS)
+    tolerance = checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
+    lambda_min_nm = float(LAMBDA_MIN_NM if wavelengths_nm is None else wavelengths_nm.min())
+    _warn_of_aliasing(hf, max_uv, lambda_min_nm)
+    _, half_range = fourier.height_middle_and_half_range(hf)
+    argument = 2.0 * math.pi * max_w / (lambda_min_nm * 1e-3) * half_range
+
+    terms = min(fourier.taylor_term_count(argument, tolerance * _AMPLITUDE_MARGIN), fourier.MAX_TERMS)
+    rounding = _FLOAT32_ROUNDING * math.exp(min(argument, 700.0))
+    truncation = fourier.taylor_remainder(argument, terms)
+    if method != "direct":
+        _check_taylor(hf, argument, truncation, rounding, tolerance, strict=strict)
+
+    leave_out = tolerance * (_POWER_MARGIN if coherence.kind == "averaged" else _AMPLITUDE_MARGIN)
+    cut_um = math.sqrt(math.log(1.0 / leave_out) / coherence.falloff_um2)
+    reach_y, reach_x = (max(0, math.ceil(cut_um * length - 0.5)) for length in hf.size_um)
+    neighbours = (2 * reach_y + 1) * (2 * reach_x + 1)
+    if method != "direct" and neighbours > _MOST_NEIGHBOURS:
+        raise ValueError(
+            f"sigma_um={coherence.sigma_um:g} is too short for a patch of {hf.size_um[0]:g} × {hf.size_um[1]:g} µm: "
+            f"{2 * reach_y + 1} × {2 * reach_x + 1} coefficients lie in its window's reach; crop the height field to "
+            f"some {_PATCH_IN_SIGMAS * coherence.sigma_um:.3g} µm, which the window cannot tell from the whole"
+        )
+    nearest = min((n + 0.5) / length for n, length in zip((reach_y, reach_x), hf.size_um, strict=True))
+    neighbourhood = math.exp(-min(coherence.falloff_um2 * nearest**2, 700.0))
+
+    wavelengths, quadrature = 0, 0.0
+    if wavelengths_nm is None:
+        # A trapezoidal sum in τ = 1/λ sees what oscillates slower than its samples: products of two points of the
+        # surface oscillate as w(h − h') + (u, v)·(x − x'), and exp(−|x − x'|²/4σ²) weighs their distance.
+        quadrature = tolerance / 4.0
+        separation_um = 2.0 * coherence.sigma_um * math.sqrt(math.log(2.0 / quadrature))
+        colour = _COLOUR_BANDWIDTH_UM * math.sqrt(max(1e-2 / tolerance, 0.25))
+        bandwidth = max_uv * separation_um + max_w * 2.0 * half_range + colour
+        span = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
+        wavelengths = math.ceil(span * bandwidth) + 1
+
+    return Plan(
+        method="direct" if method == "direct" else "taylor",
+        coherence=coherence,
+        tolerance=tolerance,
+        terms=terms,
+        reach=(reach_y, reach_x),
+        wavelengths=wavelengths,
+        max_uv=max_uv,
+        max_w=max_w,
+        lambda_min_nm=lambda_min_nm,
+        truncation=truncation,
+        neighbourhood=neighbourhood,
+        quadrature=quadrature,
+        rounding=rounding,
+        multiply_adds=2 * terms * neighbours * max(wavelengths, 1),
+    )
+
+
+def _check_taylor(
+    hf: HeightField, argument: float, truncation: float, rounding: float, tolerance: float, *, strict: bool
+) -> None:
+    """Refuse, or warn of, a series that cannot reach the tolerance in float32."""
+    # The bound on rounding adds all terms up in the worst way and at one height; what a coefficient sees of it is
+    # smaller by more than the margin that an amplitude needs.
+    if rounding <= tolerance and truncation <= tolerance * _AMPLITUDE_MARGIN:
+        return
+    message = (
+        f"the Taylor series cannot reach tolerance={tolerance:g} in float32 for a height range of "
+        f"{hf.height_range_um:.3g} µm: its terms grow to e^{argument:.1f} and cancel, leaving an error of up to {max(truncation, rounding):.1e}; "
+        "reduce the range with levelled(), despiked() or cropped(), ask for a larger tolerance, or use method='direct'"
+    )
+    if strict:
+        raise ValueError(message + "; strict=False computes it all the same")
+    warnings.warn(message, WarpdiffWarning, stacklevel=4)
+
+
+def _warn_of_aliasing(hf: HeightField, max_uv: float, lambda_min_nm: float) -> None:
+    """Warn where the directions ask for frequencies beyond what the pitch can carry."""
+    coarsest = max(hf.pitch_um)
+    supported = lambda_min_nm * 1e-3 / (2.0 * coarsest)
+    if max_uv > supported * (1.0 + 1e-9):
+        warnings.warn(
+            f"a pitch of {coarsest:.3g} µm supports |(u, v)| up to {supported:.3g} at {lambda_min_nm:g} nm, and directions "
+            f"up to {max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer pitch, or "
+            "use HeightField.resampled() where the surface is known to be smooth",
+            WarpdiffWarning,
+            stacklevel=4,
+        )

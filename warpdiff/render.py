@@ -1,0 +1,287 @@
+"""``shade``: a picture of a mesh whose surface carries a height field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff import checks, optics, spectrum
+from warpdiff.coherence import Coherence
+from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.evaluate import check_plan, direct_colour
+from warpdiff.heightfield import HeightField
+from warpdiff.image import Image
+from warpdiff.light import DirectionalLight
+from warpdiff.planning import Plan, deflection_range, plan_for_range
+from warpdiff.surface import prepare_surface
+from warpdiff.tables import table_for
+from warpdiff.view import View
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import warp as wp
+    from numpy.typing import ArrayLike
+
+    from warpdiff.surface import Surface
+
+_SEED = 0
+
+
+def shade(
+    mesh: Any,
+    hf: HeightField,
+    light: DirectionalLight | Sequence[DirectionalLight],
+    view: View,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float = 1.5,
+    masking: bool = True,
+    pigment: float = 1.0,
+    shadows: bool = True,
+    smooth: bool = True,
+    tangents: ArrayLike | None = None,
+    samples_per_pixel: int = 1,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """Render a mesh whose surface carries a height field.
+
+    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, with the pigment's share
+    where the mesh has a base colour. The mesh is seen from both sides.
+
+    Args:
+        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or a path to a mesh file. Its unit has nothing to do with µm.
+        hf: The height field; its x axis lies along the tangent field.
+        light: One light, or several.
+        view: The camera.
+        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the lit pixels.
+        method: ``"auto"``, ``"taylor"``, or ``"direct"`` (float64, slow and certain).
+        coherence: The window; None is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        masking: Whether V-cavity masking and shadowing is included.
+        pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
+        shadows: Whether lights are hidden by the mesh itself.
+        smooth: Whether vertex normals are interpolated; otherwise facets are seen.
+        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
+            the texture coordinates.
+        samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre.
+        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
+        strict: Raise where the tolerance cannot be met, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core. The picture does not depend on it.
+        progress: Called with the share that is done, 0 to 1.
+
+    Returns:
+        The picture; ``image.plan`` says what was computed and why.
+
+    Raises:
+        ValueError: A bad argument, a mesh without area or tangents, a tolerance out of reach; the message names it.
+        FileNotFoundError: ``mesh`` is a path to nothing.
+    """
+    lights = _check_lights(light)
+    _check_type(hf, HeightField, "hf")
+    _check_type(view, View, "view")
+    normal = optics.normal_reflectance(ior)
+    pigment = checks.number(pigment, "pigment", least=0.0)
+    samples = checks.count(samples_per_pixel, "samples_per_pixel")
+    if plan is not None:
+        check_plan(plan, coherence, colour=True)
+    target = resolve_device(device)
+    workers = resolve_threads(threads)
+    surface = prepare_surface(mesh, tangents=tangents)
+
+    frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
+    window = plan.coherence if plan is not None else coherence or Coherence()
+    arguments = [
+        frame.light_arguments(each, window, pigment=pigment / normal, shadows=shadows) for each in lights
+    ]
+    reflection = frame.reflection(normal, masking=masking)
+    # A first pass over the rays, which cost a hundredth of the colours, finds the range of directions to plan for.
+    max_uv = max_w = 0.0
+    for sample in range(samples):
+        frame.cast(sample)
+        for argument in arguments:
+            uv, w = deflection_range(*frame.deflections(argument, reflection))
+            max_uv, max_w = max(max_uv, uv), max(max_w, w)
+    frame.clear()
+    if plan is None:
+        plan = plan_for_range(
+            hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=window, strict=strict
+        )
+
+    if plan.method != "direct":
+        wavelengths = spectrum.wavelengths_uniform_in_wavenumber(plan.wavelengths)
+        table = table_for(hf, plan, max_uv * 1e3 / spectrum.LAMBDA_MIN_NM, device=target, threads=workers)
+    passes = samples * len(lights)
+    for sample in range(samples):
+        if samples > 1:
+            frame.cast(sample)
+        frame.count_hits()
+        for index, (each, argument) in enumerate(zip(lights, arguments, strict=True)):
+            deflections, lit = frame.deflections(argument, reflection)
+            share = _share(progress, sample * len(lights) + index, passes)
+            if plan.method == "direct":
+                gains = np.where(lit, frame.gains.numpy().astype(np.float64), 0.0)
+                frame.add(direct_colour(hf, deflections, gains, plan, each.illuminant, progress=share))
+            else:
+                weights = spectrum.quadrature_weights(wavelengths, each.illuminant)
+                frame.integrate(table, 1e3 / wavelengths, weights, progress=share)
+    return frame.image(plan)
+
+
+class _Frame:
+    """The arrays of one picture on a device, and the launches that fill them."""
+
+    def __init__(
+        self, surface: Surface, view: View, *, smooth: bool, samples: int, device: wp.Device, threads: int
+    ) -> None:
+        import warp as wp
+
+        from warpdiff import scene
+        from warpdiff.kernels import directions
+
+        self._view = view
+        self._samples = samples
+        self._device = device
+        self._threads = threads
+        self._scene = scene.SceneArrays(surface, smooth=smooth, device=device)
+        self._camera = scene.camera(view, surface)
+        self._needs_shadow_rays = scene.needs_shadow_rays(surface, view)
+        self._has_base_colour = surface.has_base_colour
+        self._size = size = view.width * view.height
+
+        def empty(dtype: Any) -> Any:
+            return wp.empty(size, dtype=dtype, device=device)
+
+        self._pixels = directions.Pixels()
+        self._pixels.hit = empty(wp.int32)
+        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
+            setattr(self._pixels, name, empty(wp.vec3f))
+        self._face = empty(wp.int32)
+        self._deflections = empty(wp.vec3d)
+        self.gains = empty(wp.float32)
+        self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
+        self._hits = np.zeros(size, dtype=np.int64)
+
+    def light_arguments(self, light: DirectionalLight, window: Coherence, *, pigment: float, shadows: bool) -> Any:
+        """The struct of one light."""
+        import warp as wp
+
+        from warpdiff.kernels import directions
+
+        grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1) * 1e-3
+        white = optics.pigment_solid_angle(grid_um, window.sigma_um) @ spectrum.colour_products(light.illuminant)
+        arguments = directions.LightArguments()
+        arguments.to_light = wp.vec3d(*light.to_light)
+        arguments.power = light.power
+        arguments.mesh_id = self._scene.mesh_id
+        arguments.shadows = shadows and self._needs_shadow_rays
+        arguments.pigment = pigment if self._has_base_colour else 0.0
+        arguments.white_rgb = wp.vec3d(*spectrum.xyz_to_rgb(white))
+        arguments.rgb_to_xyz = wp.mat33d(*spectrum.RGB_TO_XYZ.ravel())
+        return arguments
+
+    @staticmethod
+    def reflection(normal: float, *, masking: bool) -> Any:
+        """The struct of the reflectance."""
+        from warpdiff.kernels import directions
+
+        result = directions.Reflection()
+        result.normal_reflectance = normal
+        result.masking = masking
+        return result
+
+    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], **options: Any) -> None:
+        launch(kernel, self._size, inputs, outputs, device=self._device, threads=self._threads, **options)
+
+    def cast(self, sample: int) -> None:
+        """Send one ray through every pixel."""
+        from warpdiff.kernels import raycast
+
+        sampling = raycast.Sampling()
+        sampling.sample, sampling.samples, sampling.seed = sample, self._samples, _SEED
+        found = self._pixels
+        self._launch(
+            raycast.cast,
+            [self._camera, self._scene.arrays, sampling],
+            [
+                found.hit,
+                self._face,
+                found.tangent,
+                found.bitangent,
+                found.normal,
+                found.to_view,
+                found.shadow_origin,
+                found.base_colour,
+            ],
+        )
+
+    def count_hits(self) -> None:
+        """Add the last rays' hits to the coverage."""
+        self._hits += self._pixels.hit.numpy()
+
+    def deflections(self, light: Any, reflection: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Deflections and gains under one light, whose pigment is added; the deflections, and which are lit."""
+        from warpdiff.kernels import directions
+
+        self._launch(
+            directions.deflect_pixels,
+            [self._pixels, light, reflection, 1.0 / self._samples],
+            [self._deflections, self.gains, self._xyz],
+        )
+        return self._deflections.numpy(), self.gains.numpy() > 0.0
+
+    def integrate(self, table: Any, wavenumbers: np.ndarray, weights: np.ndarray, **options: Any) -> None:
+        """Add the diffraction colours of the last deflections."""
+        import warp as wp
+
+        nodes = wp.array(wavenumbers, dtype=wp.float64, device=self._device)
+        colours = wp.array(weights.astype(np.float32), dtype=wp.vec3f, device=self._device)
+        inputs = [table.arguments, self._deflections, self.gains, nodes, colours]
+        self._launch(table.integrate, inputs, [self._xyz], **options)
+
+    def add(self, xyz: np.ndarray) -> None:
+        """Add colours that were computed on the host."""
+        self._xyz.assign((self._xyz.numpy() + xyz).astype(np.float32))
+
+    def clear(self) -> None:
+        """Forget the colours so far."""
+        self._xyz.zero_()
+
+    def image(self, plan: Plan) -> Image:
+        """The finished picture."""
+        shape = (self._view.height, self._view.width)
+        coverage = (self._hits / self._samples).astype(np.float32).reshape(shape)
+        return Image(
+            xyz=self._xyz.numpy().reshape(*shape, 3).copy(), mask=coverage > 0.0, coverage=coverage, plan=plan
+        )
+
+
+def _check_lights(light: Any) -> list[DirectionalLight]:
+    lights = [light] if isinstance(light, DirectionalLight) else light
+    if not isinstance(lights, Sequence) or not lights:
+        raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
+    for index, each in enumerate(lights):
+        _check_type(each, DirectionalLight, f"light[{index}]")
+        spectrum.check_illuminant(each.illuminant, f"light[{index}].illuminant")
+    return list(lights)
+
+
+def _check_type(value: Any, kind: type, name: str) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
+
+
+def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:
+    """The progress of one of several passes as a share of all."""
+    if progress is None:
+        return None
+    return lambda done: progress((index + done) / count)

@@ -1,0 +1,81 @@
+"""A surface and a view on a Warp device: what the ray kernel takes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.kernels import raycast
+
+if TYPE_CHECKING:
+    from warpdiff.surface import Surface
+    from warpdiff.view import View
+
+
+class SceneArrays:
+    """A :class:`~warpdiff.surface.Surface` on a device.
+
+    The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
+
+    Attributes:
+        arrays: The struct for :func:`warpdiff.kernels.raycast.cast`.
+        mesh_id: Number of the mesh with its bounding volume hierarchy, for shadow rays.
+    """
+
+    def __init__(self, surface: Surface, *, smooth: bool = True, device: Any = None) -> None:
+        """Copy the arrays to the device and build the hierarchy.
+
+        Args:
+            surface: What to copy.
+            smooth: Whether vertex normals are interpolated; otherwise every face shows its own.
+            device: A Warp device or its name; ``None`` is Warp's default.
+        """
+        colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
+        arrays = raycast.SurfaceArrays()
+        arrays.positions = wp.array(surface.vertices, dtype=wp.vec3f, device=device)
+        arrays.faces = wp.array(surface.faces, dtype=wp.int32, device=device)
+        arrays.normals = wp.array(surface.normals, dtype=wp.vec3f, device=device)
+        arrays.tangents = wp.array(surface.tangents, dtype=wp.vec3f, device=device)
+        arrays.handedness = wp.array(surface.handedness, dtype=wp.float32, device=device)
+        arrays.uvs = wp.array(surface.uvs, dtype=wp.vec2f, device=device)
+        arrays.vertex_colours = wp.array(colours, dtype=wp.vec3f, device=device)
+        arrays.texture = wp.array(surface.texture, dtype=wp.vec3f, device=device)
+        arrays.has_vertex_colours = surface.vertex_colours is not None
+        arrays.smooth = bool(smooth)
+        self._mesh = wp.Mesh(points=arrays.positions, indices=arrays.faces.flatten())
+        self.mesh_id = self._mesh.id
+        arrays.mesh_id = self.mesh_id
+        self.arrays = arrays
+
+
+def camera(view: View, surface: Surface) -> Any:
+    """The :class:`warpdiff.kernels.raycast.Camera` of a view, in the units of the surface."""
+    frame = view.frame()
+    result = raycast.Camera()
+    result.origin = wp.vec3d(*((frame.origin - surface.centre) / surface.radius))
+    result.right = wp.vec3d(*frame.right)
+    result.up = wp.vec3d(*frame.up)
+    result.back = wp.vec3d(*frame.back)
+    scale = surface.radius if frame.orthographic else 1.0
+    result.half_width = frame.half_width / scale
+    result.half_height = frame.half_height / scale
+    result.orthographic = frame.orthographic
+    result.width = view.width
+    result.height = view.height
+    return result
+
+
+def needs_shadow_rays(surface: Surface, view: View) -> bool:
+    """Whether a point that the view shows could be shadowed: not on a convex body seen from outside."""
+    if not surface.is_convex:
+        return True
+    frame = view.frame()
+    eye = (frame.origin - surface.centre) / surface.radius
+    vertices = surface.vertices.astype(np.float64)
+    if frame.orthographic:
+        # Rays leave from a plane, which must not cut the body.
+        return bool(np.max(vertices @ frame.back) > eye @ frame.back)
+    a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
+    return not np.any(np.einsum("ij,ij->i", np.cross(b - a, c - a), eye - a) > 0.0)

@@ -1,0 +1,589 @@
+"""Triangle meshes made ready for rays: normals, a tangent field, and base colours at the vertices.
+
+Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with area only, every vertex in use.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff import checks
+from warpdiff.errors import WarpdiffWarning
+from warpdiff.spectrum import srgb_decode
+
+if TYPE_CHECKING:
+    import trimesh
+    from numpy.typing import ArrayLike, NDArray
+
+# A face is flat to a line where twice its area is below this share of its longest edge squared.
+ZERO_AREA = 1e-9
+# Vertices closer than this share of the mesh's radius are at one position.
+WELD = 1e-6
+# Tangents on two sides of a seam are joined within this angle.
+SEAM_COSINE = float(np.cos(np.radians(30.0)))
+
+HOW_TO_GET_TANGENTS = (
+    "give tangents= (world frame, shape (n, 3), one per vertex, along the height field's x axis), "
+    "or a mesh with texture coordinates, whose u axis then is the direction"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A mesh as the ray kernel takes it; n vertices, m faces, each with an area, every vertex in use.
+
+    Attributes:
+        vertices: Positions in the unit sphere, (world − ``centre``) / ``radius``, shape (n, 3), float32.
+        faces: Vertex indices, counter-clockwise as seen from the front, shape (m, 3), int32.
+        normals: Unit vertex normals, shape (n, 3), float32; zero where no direction is defined.
+        tangents: Unit vectors along the height field's x axis, at right angles to the normals, shape (n, 3), float32.
+        handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; one value a face.
+        uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where there are none.
+        texture: Linear RGB, row 0 at v = 1, shape (h, w, 3), float32; 1 × 1 for a plain colour, black for none.
+        vertex_colours: Linear RGB, shape (n, 3), float32; negative at the vertices where ``texture`` is meant;
+            ``None`` where that is all of them.
+        has_base_colour: Whether the mesh came with a colour of any kind.
+        is_convex: Whether the mesh bounds a convex body or lies in a plane, so that nothing on its outside is shadowed.
+        centre: The origin of ``vertices``, world frame, shape (3,), float64.
+        radius: The unit of ``vertices``, in the mesh's unit.
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    tangents: NDArray[np.float32]
+    handedness: NDArray[np.float32]
+    uvs: NDArray[np.float32]
+    texture: NDArray[np.float32]
+    vertex_colours: NDArray[np.float32] | None
+    has_base_colour: bool
+    is_convex: bool
+    centre: NDArray[np.float64]
+    radius: float
+
+
+def prepare_surface(
+    mesh: trimesh.Trimesh | trimesh.Scene | str | os.PathLike[str], *, tangents: ArrayLike | None = None
+) -> Surface:
+    """Check a mesh and work out its normals, tangents and base colours.
+
+    Normals are the file's own where it has any, else angle-weighted means over all faces that meet at a position, so
+    that seams of the texture are none of the shading. The tangent field is ``tangents`` or else ∂P/∂u of the texture
+    coordinates, averaged across seams at which its direction goes on (within 30°).
+
+    Args:
+        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
+            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices.
+        tangents: Directions along the height field's x axis, world frame, one per vertex (of a scene: of its
+            geometries, in the order of its nodes), shape (n, 3); they need not be unit vectors.
+
+    Returns:
+        The surface.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        TypeError: ``mesh`` is nothing of the kind.
+        ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
+            vertices it lacks; there is no tangent field; several textures would have to be used at once.
+    """
+    parts = [_part(geometry, transform) for geometry, transform in _geometries(mesh)]
+    return _build(_join(parts), tangents)
+
+
+@dataclass
+class _Part:
+    """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` given ones."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    source: NDArray[np.int64]
+    count: int
+    normals: NDArray[np.float64] | None
+    uvs: NDArray[np.float64] | None
+    texture: NDArray[np.float32] | None
+    colours: NDArray[np.float64] | None
+
+
+def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
+    """The meshes of ``mesh``, each with its transform."""
+    import trimesh
+
+    if isinstance(mesh, (str, os.PathLike)):
+        path = Path(mesh)
+        if not path.exists():
+            raise FileNotFoundError(f"mesh: there is no file {str(path)!r}")
+        try:
+            # process=False: merging vertices would tear the texture along its seams.
+            loaded = trimesh.load_scene(path, process=False)
+        except Exception as error:
+            # trimesh's loaders raise whatever their parser happened to stumble over.
+            raise ValueError(f"mesh must be a file that trimesh can read, got {str(path)!r}: {error}") from error
+        return _geometries(loaded)
+    if isinstance(mesh, trimesh.Trimesh):
+        return [(mesh, np.eye(4))]
+    if not isinstance(mesh, trimesh.Scene):
+        raise TypeError(f"mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}")
+    found = []
+    for node in mesh.graph.nodes_geometry:
+        transform, name = mesh.graph[node]
+        geometry = mesh.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh):
+            found.append((geometry, np.asarray(transform, dtype=np.float64)))
+    if not found:
+        raise ValueError("mesh must have triangles, got a scene or file without any")
+    return found
+
+
+def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
+    """Check one mesh and take its arrays."""
+    vertices = np.array(mesh.vertices, dtype=np.float64)
+    faces = np.array(mesh.faces, dtype=np.int64)
+    if len(vertices) == 0:
+        raise ValueError("mesh must have vertices, got none")
+    if len(faces) == 0:
+        raise ValueError(f"mesh must have faces, got {len(vertices)} vertices and no face")
+    bad = len(vertices) - int(np.count_nonzero(np.all(np.isfinite(vertices), axis=1)))
+    if bad:
+        raise ValueError(f"mesh must have finite vertices, got {bad} with NaN or infinite coordinates")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"mesh must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
+            f"got {faces.min()} to {faces.max()}"
+        )
+    part = _Part(
+        vertices=vertices,
+        faces=faces,
+        source=np.arange(len(vertices)),
+        count=len(vertices),
+        normals=_own_normals(mesh, vertices, faces),
+        uvs=_own_uvs(mesh, len(vertices)),
+        texture=None,
+        colours=None,
+    )
+    _take_colours(mesh, part)
+    part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
+    determinant = float(np.linalg.det(transform[:3, :3]))
+    if determinant < 0.0:
+        part.faces = part.faces[:, ::-1]
+    if part.normals is not None and determinant != 0.0:
+        # The cofactors are the inverse's transpose times the determinant, whose sign cancels the mirrored winding.
+        part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
+    return part
+
+
+def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Vertex normals that were given with the mesh, shape (n, 3), or ``None``.
+
+    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position;
+    the latter are told by their value.
+    """
+    if "vertex_normals" not in mesh._cache:
+        return None
+    normals = np.array(mesh.vertex_normals, dtype=np.float64)
+    if normals.shape != vertices.shape:
+        return None
+    computed = _unit(_angle_weighted(vertices, faces, np.arange(len(vertices)))[0])
+    normals = _unit(np.where(np.isfinite(normals), normals, 0.0))
+    return None if np.allclose(normals, computed, atol=1e-6) else normals
+
+
+def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
+    """Texture coordinates, shape (n, 2), or ``None``."""
+    uvs = getattr(mesh.visual, "uv", None)
+    if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
+        return None
+    uvs = np.array(uvs[:, :2], dtype=np.float64)
+    if not np.all(np.isfinite(uvs)):
+        bad = int(np.count_nonzero(~np.isfinite(uvs).all(axis=1)))
+        raise ValueError(f"mesh must have finite texture coordinates, got {bad} NaN or infinite ones")
+    return uvs
+
+
+def _take_colours(mesh: Any, part: _Part) -> None:
+    """Set the part's texture or colours; face colours need vertices of each face's own."""
+    visual = mesh.visual
+    if visual.kind == "vertex":
+        part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
+    elif visual.kind == "face":
+        corner = part.faces.ravel()
+        part.colours = np.repeat(srgb_decode(np.asarray(visual.face_colors)[:, :3] / 255.0), 3, axis=0)
+        part.vertices, part.source = part.vertices[corner], part.source[corner]
+        part.normals = None if part.normals is None else part.normals[corner]
+        part.uvs = None if part.uvs is None else part.uvs[corner]
+        part.faces = np.arange(len(corner)).reshape(-1, 3)
+    elif hasattr(visual, "material"):
+        if getattr(visual, "face_materials", None) is not None:
+            raise ValueError(
+                "mesh must have one material a geometry, got face materials; split it by material, or bake them "
+                "into one texture"
+            )
+        texture, colour = _material(visual.material)
+        if texture is not None and part.uvs is not None:
+            part.texture = texture
+        elif colour is not None:
+            part.colours = np.tile(colour, (len(part.vertices), 1))
+
+
+def _material(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.float64] | None]:
+    """A material's texture, shape (h, w, 3), and its plain colour, shape (3,), in linear RGB, each where defined."""
+    from trimesh.visual import DEFAULT_COLOR
+    from trimesh.visual.material import PBRMaterial, color_image
+
+    if isinstance(material, PBRMaterial):
+        # As in glTF, the factor is linear and multiplies the decoded texture.
+        factor = material.baseColorFactor
+        linear = None if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0
+        if material.baseColorTexture is None:
+            return None, linear
+        texture = _image(material.baseColorTexture)
+        return (texture if linear is None else (texture * linear).astype(np.float32)), None
+    image = getattr(material, "image", None)
+    if image is not None:
+        # trimesh gives a mesh without a material a few grey pixels for one.
+        invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
+        return (None if invented else _image(image)), None
+    diffuse = getattr(material, "diffuse", None)
+    if diffuse is None:
+        return None, None
+    colour = np.asarray(diffuse, dtype=np.float64)[:3] / 255.0
+    return None, (None if np.array_equal(diffuse, DEFAULT_COLOR) else srgb_decode(colour))
+
+
+def _image(image: Any) -> NDArray[np.float32]:
+    """A PIL image in linear RGB, shape (h, w, 3)."""
+    if image.mode.startswith("I"):
+        # 16-bit grey; converting it to RGB would clip at 255.
+        grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
+        return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
+    # A table, for a megapixel's transfer function takes longer than all else here.
+    table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
+    return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
+
+
+def _join(parts: list[_Part]) -> _Part:
+    """All parts as one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
+    if len(parts) == 1:
+        return parts[0]
+    textures: list[NDArray[np.float32]] = []
+    for part in parts:
+        if part.texture is not None and not any(np.array_equal(part.texture, known) for known in textures):
+            textures.append(part.texture)
+    if len(textures) > 1:
+        raise ValueError(
+            f"mesh must have at most one texture image, got a scene with {len(textures)}; render its geometries one "
+            "by one, or bake them into one texture"
+        )
+    vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    source_start = np.cumsum([0, *(part.count for part in parts)])
+
+    def gather(name: str, columns: int) -> NDArray[np.float64] | None:
+        arrays = [getattr(part, name) for part in parts]
+        if all(array is None for array in arrays):
+            return None
+        missing = [np.full((len(part.vertices), columns), np.nan) for part in parts]
+        return np.concatenate([m if array is None else array for array, m in zip(arrays, missing, strict=True)])
+
+    colours = gather("colours", 3)
+    if colours is not None:
+        # Without a colour there is no pigment: black.
+        none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
+        colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
+    return _Part(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
+        source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
+        count=int(source_start[-1]),
+        normals=gather("normals", 3),
+        uvs=gather("uvs", 2),
+        texture=textures[0] if textures else None,
+        colours=colours,
+    )
+
+
+def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
+    """Drop what has no area, then normals, tangents and the arrays for the device."""
+    given = _check_tangents(part, tangents)
+    faces = part.faces
+    low, high = part.vertices[faces].min(axis=(0, 1)), part.vertices[faces].max(axis=(0, 1))
+    centre = low / 2.0 + high / 2.0
+    largest = float(np.max(high - centre))
+    # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
+    radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
+    if not np.isfinite(radius):
+        raise ValueError("mesh must have a finite size, got coordinates that overflow")
+    # float32 first: what has no area in the kernels shall have none here.
+    vertices = ((part.vertices - centre) / radius).astype(np.float32).astype(np.float64)
+    edges = np.roll(vertices[faces], -1, axis=1) - vertices[faces]
+    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    keep = twice_area > ZERO_AREA * np.max(np.sum(edges**2, axis=2), axis=1)
+    dropped = int(np.count_nonzero(~keep))
+    if dropped == len(keep):
+        raise ValueError(f"mesh must have a face with an area, got {dropped} without")
+    if dropped:
+        warnings.warn(
+            f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=4
+        )
+        faces = faces[keep]
+
+    # One handedness a face: a vertex that mirrored and unmirrored faces share is split in two.
+    mirrored = np.zeros(len(faces), dtype=np.int64)
+    if given is None and part.uvs is not None:
+        mirrored = _mirrored(part.uvs, faces, len(vertices))
+    used, corner = np.unique((faces * 2 + mirrored[:, None]).ravel(), return_inverse=True)
+    faces = corner.reshape(-1, 3)
+    index = used // 2
+    handedness = np.where(used % 2 == 1, -1.0, 1.0)
+    vertices = vertices[index]
+    uvs = None if part.uvs is None else part.uvs[index]
+
+    weld = _weld(vertices)
+    normals = _normals(vertices, faces, weld, None if part.normals is None else part.normals[index])
+    if given is not None:
+        scale = np.max(np.abs(given), initial=0.0)
+        field = _unit(_tangential(given[part.source[index]] / (scale if scale > 0.0 else 1.0), normals))
+        field = _fill(field, normals, faces, weld, "tangents")
+    else:
+        assert uvs is not None  # noqa: S101 - told to mypy; refused above
+        field = _tangents_from_uvs(vertices, faces, uvs, normals)
+        field = _join_seams(field, weld, handedness)
+        field = _fill(_unit(_tangential(field, normals)), normals, faces, weld, "mesh's texture coordinates")
+
+    has_colour = part.texture is not None or part.colours is not None
+    texture = np.zeros((1, 1, 3), np.float32) if part.texture is None else part.texture
+    colours = None if part.colours is None else part.colours[index]
+    if colours is not None and np.all(colours == colours[0]) and part.texture is None:
+        texture, colours = colours[:1].reshape(1, 1, 3).astype(np.float32), None
+    return Surface(
+        vertices=vertices.astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=normals.astype(np.float32),
+        tangents=field.astype(np.float32),
+        handedness=handedness.astype(np.float32),
+        uvs=np.zeros((len(vertices), 2), np.float32) if uvs is None else np.nan_to_num(uvs).astype(np.float32),
+        texture=texture,
+        vertex_colours=None if colours is None else colours.astype(np.float32),
+        has_base_colour=has_colour,
+        is_convex=_is_convex(vertices, faces, weld),
+        centre=centre,
+        radius=radius,
+    )
+
+
+def _check_tangents(part: _Part, tangents: ArrayLike | None) -> NDArray[np.float64] | None:
+    """The given tangents as an array; without any the part must have texture coordinates."""
+    if tangents is not None:
+        given = checks.finite_array(tangents, "tangents")
+        if given.shape != (part.count, 3):
+            raise ValueError(
+                f"tangents must have shape ({part.count}, 3), one vector for each of the mesh's vertices, "
+                f"got {given.shape}"
+            )
+        return given
+    if part.uvs is None:
+        raise ValueError(f"mesh has neither texture coordinates nor tangents=; {HOW_TO_GET_TANGENTS}")
+    if np.any(np.isnan(part.uvs)):
+        raise ValueError(f"mesh has a geometry without texture coordinates; {HOW_TO_GET_TANGENTS}")
+    return None
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors at unit length; those that are zero but for rounding become zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(np.where(length > 1e-9, vectors / np.where(length > 1e-9, length, 1.0), 0.0))
+
+
+def _tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of each vector at right angles to the unit normal."""
+    return np.asarray(vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals)
+
+
+def _sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Sums of ``values`` (k, 3) by ``index`` (k,), shape (count, 3)."""
+    return np.stack([np.bincount(index, values[:, c], count) for c in range(values.shape[1])], axis=1)
+
+
+def _weld(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
+    """A number for each vertex, (n,), the same for those at one position."""
+    cells = np.round(vertices / WELD).astype(np.int64)
+    # The unit sphere's cells fit in 21 bits an axis and sign: one integer sorts faster than rows.
+    key = ((cells[:, 0] + 2**20) * 2**21 + (cells[:, 1] + 2**20)) * 2**21 + (cells[:, 2] + 2**20)
+    return np.asarray(np.unique(key, return_inverse=True)[1])
+
+
+def _corner_angles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Angle of each face at each of its corners [radians], shape (m, 3)."""
+    corners = vertices[faces]
+    ahead = np.roll(corners, -1, axis=1) - corners
+    behind = np.roll(corners, 1, axis=1) - corners
+    across = np.linalg.norm(np.cross(ahead, behind), axis=2)
+    return np.asarray(np.arctan2(across, np.sum(ahead * behind, axis=2)))
+
+
+def _angle_weighted(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], group: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angle-weighted sums of face normals over groups of vertices, (n, 3), and of the weights, (n,)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    face_normals = np.where(length > 0.0, cross / np.where(length > 0.0, length, 1.0), 0.0)
+    angles = _corner_angles(vertices, faces).ravel()
+    corner_group = group[faces.ravel()]
+    count = int(group.max()) + 1
+    total = _sum_at(corner_group, angles[:, None] * np.repeat(face_normals, 3, axis=0), count)
+    return total[group], np.asarray(np.bincount(corner_group, angles, count)[group], dtype=np.float64)
+
+
+def _normals(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    weld: NDArray[np.int64],
+    own: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """Unit vertex normals, shape (n, 3): given ones, on the side that the winding faces, else computed ones."""
+    total, weight = _angle_weighted(vertices, faces, weld)
+    # Two faces back to back cancel out at a welded vertex but not at their own vertices.
+    apart, _ = _angle_weighted(vertices, faces, np.arange(len(vertices)))
+    cancelled = np.linalg.norm(total, axis=1) <= 1e-6 * weight
+    computed = _unit(np.where(cancelled[:, None], apart, total))
+    if own is None:
+        return computed
+    own = _unit(np.nan_to_num(own))
+    own = np.where(np.sum(own * computed, axis=1, keepdims=True) < 0.0, -own, own)
+    return np.where(np.any(own != 0.0, axis=1, keepdims=True), own, computed)
+
+
+def _uv_edges(
+    uvs: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Two edges of each face in the texture, (m, 2) each, and their determinant, (m,), zero where degenerate."""
+    one = uvs[faces[:, 1]] - uvs[faces[:, 0]]
+    two = uvs[faces[:, 2]] - uvs[faces[:, 0]]
+    determinant = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
+    longest = np.maximum(np.sum(one**2, axis=1), np.sum(two**2, axis=1))
+    return one, two, np.where(np.abs(determinant) > ZERO_AREA * longest, determinant, 0.0)
+
+
+def _mirrored(uvs: NDArray[np.float64], faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """1 for faces whose texture is mirrored, else 0, (m,); degenerate ones follow a neighbour."""
+    determinant = _uv_edges(uvs, faces)[2]
+    votes = np.bincount(faces.ravel(), np.repeat(np.sign(determinant), 3), count)
+    return np.where(determinant == 0.0, votes[faces].sum(axis=1) < 0.0, determinant < 0.0).astype(np.int64)
+
+
+def _tangents_from_uvs(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    uvs: NDArray[np.float64],
+    normals: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """∂P/∂u, angle-weighted over the faces of each vertex, shape (n, 3)."""
+    one, two, determinant = _uv_edges(uvs, faces)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    along_u = (b - a) * two[:, 1:] - (c - a) * one[:, 1:]
+    # Only the direction counts; scaling by the largest component keeps the texture's scale out of _unit's bound.
+    size = np.max(np.abs(along_u), axis=1, keepdims=True)
+    along_u = along_u / np.where(size > 0.0, size, 1.0) * np.sign(determinant)[:, None]
+    angles = _corner_angles(vertices, faces).ravel()
+    corner = faces.ravel()
+    # Turned into each vertex's tangent plane before the mean, so that curvature does not shorten a face's share.
+    turned = _unit(_tangential(np.repeat(_unit(along_u), 3, axis=0), normals[corner]))
+    return _sum_at(corner, angles[:, None] * turned, len(vertices))
+
+
+def _join_seams(
+    field: NDArray[np.float64], weld: NDArray[np.int64], handedness: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Add to each vertex's tangent those of the vertices at its position that agree in direction and handedness."""
+    unit = _unit(field)
+    key = weld * 2 + (handedness < 0.0)
+    order = np.argsort(key, kind="stable")
+    ordered = key[order]
+    result = field.copy()
+    # Vertices at one position are neighbours in this order: compare each with the next, the one after that, …
+    start = np.flatnonzero(ordered[1:] == ordered[:-1])
+    step = 1
+    while len(start):
+        a, b = order[start], order[start + step]
+        agree = np.sum(unit[a] * unit[b], axis=1) > SEAM_COSINE
+        # Within one step each vertex appears once on either side.
+        result[a[agree]] += field[b[agree]]
+        result[b[agree]] += field[a[agree]]
+        step += 1
+        start = start[start + step < len(ordered)]
+        start = start[ordered[start + step] == ordered[start]]
+    return result
+
+
+def _fill(
+    field: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    weld: NDArray[np.int64],
+    name: str,
+) -> NDArray[np.float64]:
+    """Give vertices without a tangent the mean of their neighbours', ring by ring."""
+    missing = ~np.any(field != 0.0, axis=1)
+    if not np.any(missing):
+        return field
+    if np.all(missing):
+        raise ValueError(f"{name} must define a direction along the surface, got none at any vertex")
+    warnings.warn(
+        f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(field)} vertices; "
+        "filled from their neighbours",
+        WarpdiffWarning,
+        stacklevel=5,
+    )
+    count = int(weld.max()) + 1
+    corners = weld[faces]
+    start = np.concatenate([corners[:, k] for k in (0, 1, 2, 0, 1, 2)])
+    end = np.concatenate([corners[:, k] for k in (1, 2, 0, 2, 0, 1)])
+    at = _unit(_sum_at(weld, field, count))
+    while True:
+        known = np.any(at != 0.0, axis=1)
+        useful = known[start] & ~known[end]
+        new = _unit(_sum_at(end[useful], at[start[useful]], count))
+        if not np.any(new):
+            break
+        at = at + new
+    # What no neighbour reaches takes the whole mesh's mean.
+    at = np.where(np.any(at != 0.0, axis=1)[:, None], at, field.sum(axis=0))
+    return np.where(missing[:, None], _unit(_tangential(at[weld], normals)), field)
+
+
+def _is_convex(vertices: NDArray[np.float64], faces: NDArray[np.int64], weld: NDArray[np.int64]) -> bool:
+    """Whether the faces lie in a plane or bound one convex body.
+
+    That is: closed, bent outwards at every edge, and a sphere by Euler's count.
+    """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    outward = _unit_rows(np.cross(b - a, c - a))
+    if np.all(np.abs((vertices - a[0]) @ outward[0]) <= 1e-6):
+        return True
+    welded = weld[faces]
+    count = int(weld.max()) + 1
+    start = np.concatenate([welded[:, k] for k in range(3)])
+    end = np.concatenate([welded[:, (k + 1) % 3] for k in range(3)])
+    opposite = np.concatenate([faces[:, (k + 2) % 3] for k in range(3)])
+    forward, backward = start * count + end, end * count + start
+    order, reverse = np.argsort(forward), np.argsort(backward)
+    edges = forward[order]
+    if np.any(edges[1:] == edges[:-1]) or not np.array_equal(edges, backward[reverse]):
+        return False
+    if count - len(edges) // 2 + len(faces) != 2:
+        return False
+    # The face beyond each edge must not rise above the plane of the one on this side.
+    face = np.tile(np.arange(len(faces)), 3)
+    rise = vertices[opposite[reverse]] - a[face[order]]
+    return bool(np.all(np.sum(rise * outward[face[order]], axis=1) <= 1e-6))
+
+
+def _unit_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Nonzero vectors of any size at unit length."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -1,0 +1,132 @@
+"""Cameras: from where, and through which pixels, a mesh is seen."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from warpdiff import checks
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+
+class ViewFrame(NamedTuple):
+    """A view as the rays need it.
+
+    A pixel's place on the image plane is x = half_width · (2 (column + 0.5) / width − 1) along ``right`` and
+    y = half_height · (1 − 2 (row + 0.5) / height) along ``up``. A perspective ray leaves ``origin`` along
+    x right + y up − back, an orthographic one leaves origin + x right + y up along −back.
+
+    Attributes:
+        origin: The eye, world frame, shape (3,).
+        right: Unit vector to the right of the image, shape (3,).
+        up: Unit vector to the top of the image, shape (3,).
+        back: Unit vector from the target to the eye, shape (3,).
+        half_width: Half the image's width: a tangent (perspective) or a length (orthographic).
+        half_height: Half the image's height, likewise.
+        orthographic: Whether the rays are parallel.
+    """
+
+    origin: NDArray[np.float64]
+    right: NDArray[np.float64]
+    up: NDArray[np.float64]
+    back: NDArray[np.float64]
+    half_width: float
+    half_height: float
+    orthographic: bool
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: right-handed, it looks along its −z from ``eye`` to ``target``, with +y up.
+
+    Pixels are square, their centres lie at +0.5, and row 0 is the top one. The camera is a perspective one;
+    :meth:`orthographic` makes the other kind.
+
+    Attributes:
+        eye: Where the camera is, world frame.
+        target: The point in the middle of the image, world frame.
+        up: A direction that points up in the image; it need not be perpendicular to the line of sight.
+        fov_y_deg: Vertical field of view [degrees], within 0 to 180; an orthographic camera has no use for it.
+        width: Pixels in a row.
+        height: Rows.
+        extent_y: Height of an orthographic image [the mesh's unit]; ``None`` is a perspective camera.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    _: KW_ONLY
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    fov_y_deg: float = 40.0
+    width: int = 640
+    height: int = 480
+    extent_y: float | None = None
+
+    def __post_init__(self) -> None:
+        eye = checks.vector(self.eye, "eye")
+        target = checks.vector(self.target, "target")
+        up = checks.vector(self.up, "up")
+        with np.errstate(over="ignore"):
+            distance = eye - target
+        if not np.any(distance) or not np.all(np.isfinite(distance)):
+            raise ValueError(
+                f"eye and target must be two different points, got eye={self.eye!r}, target={self.target!r}"
+            )
+        back = checks.directions(distance, "eye - target")[0][0]
+        if float(np.linalg.norm(np.cross(checks.directions(up, "up")[0][0], back))) < 1e-6:
+            raise ValueError(f"up must not be parallel to the line of sight from eye to target, got {self.up!r}")
+        fov = checks.positive(self.fov_y_deg, "fov_y_deg")
+        if fov >= 180.0:
+            raise ValueError(f"fov_y_deg must be a finite number > 0 and < 180, got {self.fov_y_deg!r}")
+        for name, value in (("eye", eye), ("target", target), ("up", up)):
+            object.__setattr__(self, name, (float(value[0]), float(value[1]), float(value[2])))
+        object.__setattr__(self, "fov_y_deg", fov)
+        object.__setattr__(self, "width", checks.count(self.width, "width"))
+        object.__setattr__(self, "height", checks.count(self.height, "height"))
+        if self.extent_y is not None:
+            object.__setattr__(self, "extent_y", checks.positive(self.extent_y, "extent_y"))
+
+    @classmethod
+    def orthographic(
+        cls,
+        eye: ArrayLike,
+        target: ArrayLike,
+        *,
+        up: ArrayLike = (0.0, 1.0, 0.0),
+        extent_y: float,
+        width: int = 640,
+        height: int = 480,
+    ) -> View:
+        """A camera with parallel rays; what lies behind the plane through ``eye`` is not seen.
+
+        Args:
+            eye: A point of the plane that the rays leave from, world frame, shape (3,).
+            target: The point in the middle of the image, world frame, shape (3,).
+            up: A direction that points up in the image, shape (3,).
+            extent_y: Height of the image [the mesh's unit].
+            width: Pixels in a row.
+            height: Rows.
+        """
+        # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
+        operands: Any = (eye, target, up)
+        extent = checks.positive(extent_y, "extent_y")
+        return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
+
+    def frame(self) -> ViewFrame:
+        """The camera's origin and axes, in float64."""
+        origin = np.array(self.eye)
+        back = checks.directions(origin - np.array(self.target), "eye - target")[0][0]
+        right = checks.directions(np.cross(checks.directions(self.up, "up")[0][0], back), "up")[0][0]
+        half_height = float(np.tan(np.radians(self.fov_y_deg) / 2.0)) if self.extent_y is None else self.extent_y / 2.0
+        return ViewFrame(
+            origin=origin,
+            right=right,
+            up=np.cross(back, right),
+            back=back,
+            half_width=half_height * self.width / self.height,
+            half_height=half_height,
+            orthographic=self.extent_y is not None,
+        )
