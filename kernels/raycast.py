@@ -254,13 +254,27 @@ def cast(
     i0 = surface.faces[face, 0]
     i1 = surface.faces[face, 1]
     i2 = surface.faces[face, 2]
-    # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
-    b0 = query.u
-    b1 = query.v
-    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
     p0 = surface.positions[i0]
     p1 = surface.positions[i1]
     p2 = surface.positions[i2]
+    # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
+    b0 = query.u
+    b1 = query.v
+    # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
+    # 1e-5, which a window of many wavelengths sees in what lies between its orders.
+    edge1 = wp.vec3d(p1) - wp.vec3d(p0)
+    edge2 = wp.vec3d(p2) - wp.vec3d(p0)
+    across_edge2 = wp.cross(along, edge2)
+    determinant = wp.dot(edge1, across_edge2)
+    if determinant != wp.float64(0.0):
+        from_corner = origin - wp.vec3d(p0)
+        share1 = wp.dot(from_corner, across_edge2) / determinant
+        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
+        share1 = wp.clamp(share1, wp.float64(0.0), one)
+        share2 = wp.clamp(share2, wp.float64(0.0), one - share1)
+        b0 = wp.float32(one - share1 - share2)
+        b1 = wp.float32(share1)
+    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
     to_view = -direction
 
     geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))

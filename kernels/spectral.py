@@ -117,7 +117,9 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
                     total += gy * gx * (re * re + im * im)
         if wp.static(centred):
             total = total_re * total_re + total_im * total_im
-        return total
+        # A mean of phases is at most 1. A series far beyond its range, which is computed on request only, may overflow
+        # to infinity or NaN; wp.min then returns its second argument.
+        return wp.min(total, wp.float32(1.0))
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(

@@ -1,4 +1,4 @@
-"""Fixtures: real inputs where they are present, one kernel cache a test worker."""
+"""Fixtures: real inputs where they are present, devices, directions."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ from brute_force import intersect, pixel_rays, shading_frame
 from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
-from warpdiff.kernels import raycast
 
 from warpdiff import meshes
+from warpdiff.kernels import raycast
 from warpdiff.scene import SceneArrays, camera, needs_shadow_rays
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 
 import numpy as np
@@ -46,11 +47,14 @@ def test_flat_mirror_is_white(device):
     np.testing.assert_allclose(finest, WHITE_D65, atol=1e-6)
 
 
-def test_a_linear_reflectance_is_integrated_exactly(colour):
+def test_a_linear_reflectance(colour):
+    """To the fourth order in 1/λ for dense samples; coarse ones are interpolated linearly in 1/λ."""
     rho = np.linspace(0.2, 0.9, 401)
-    for step in (1, 5, 10, 25, 100):
+    exact = one_nm_sum(colour, "D65", rho)
+    for step, error in ((1, 1e-8), (5, 1e-8), (10, 1e-7), (25, 1e-3), (100, 1e-2)):
         weights = spectrum.quadrature_weights(np.arange(380, 781, step))
-        np.testing.assert_allclose(rho[::step] @ weights, one_nm_sum(colour, "D65", rho), atol=2e-12)
+        assert weights.min() >= 0.0
+        np.testing.assert_allclose(rho[::step] @ weights, exact, rtol=0.0, atol=error)
 
 
 def test_quadrature_converges_for_a_wave():
@@ -60,8 +64,8 @@ def test_quadrature_converges_for_a_wave():
 
     exact = colour_of(40_001)
     errors = [np.linalg.norm(colour_of(count) - exact) for count in (101, 201, 401, 801)]
-    assert errors[-1] < 1e-4
-    assert all(later < 0.3 * before for before, later in zip(errors[:-1], errors[1:], strict=True))
+    assert errors[-1] < 1e-8
+    assert all(later < 0.1 * before for before, later in itertools.pairwise(errors))
 
 
 def test_matrices_agree_with_colour_science(colour):

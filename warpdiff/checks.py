@@ -17,11 +17,11 @@ def finite_array(value: Any, name: str, *, ndim: int | None = None) -> NDArray[n
     """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank."""
     try:
         given = np.asarray(value)
-        if given.dtype.kind not in "biuf":
-            raise TypeError
-        array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be an array of real numbers, got {type(value).__name__}") from None
+        given = None  # rows of different lengths
+    if given is None or given.dtype.kind not in "biuf":
+        raise TypeError(f"{name} must be an array of real numbers, got {type(value).__name__}")
+    array = np.array(given, dtype=np.float64)
     if ndim is not None and array.ndim != ndim:
         raise ValueError(f"{name} must be a {ndim}-D array, got shape {array.shape}")
     if not np.all(np.isfinite(array)):
@@ -99,6 +99,25 @@ def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
 
 def choice(value: Any, name: str, options: Collection[str]) -> str:
     """Return ``value`` if it is one of ``options``."""
-    if value not in options:
+    if not isinstance(value, str) or value not in options:
         raise ValueError(f"{name} must be one of {', '.join(map(repr, options))}, got {value!r}")
-    return str(value)
+    return value
+
+
+def instance(value: Any, kind: type, name: str, *, optional: bool = False) -> None:
+    """Refuse what is not of one of the package's own types; with ``optional`` None passes."""
+    if not isinstance(value, kind) and not (optional and value is None):
+        raise TypeError(f"{name} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
+
+
+def flag(value: Any, name: str) -> bool:
+    """Return ``value`` as a bool; a string such as ``"no"`` would count as true and is refused."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
+def callback(value: Any, name: str) -> None:
+    """Refuse what is neither None nor callable."""
+    if value is not None and not callable(value):
+        raise TypeError(f"{name} must be callable or None, got {type(value).__name__}")

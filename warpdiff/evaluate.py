@@ -10,15 +10,16 @@ import numpy as np
 from warpdiff import checks, direct, optics, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
-from warpdiff.heightfield import HeightField
 from warpdiff.image import Image
-from warpdiff.planning import Plan, broadcast_directions, deflection_range, plan_for_range
+from warpdiff.planning import Plan, broadcast_directions, check_request, deflection_range, plan_for_range
 from warpdiff.tables import table_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.heightfield import HeightField
 
 # The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
 _DIRECT_SETTLED = 0.05
@@ -67,6 +68,10 @@ def spectral_reflectance(
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
         at or below the horizon.
     """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
     wavelengths = spectrum.check_wavelengths(wavelengths_nm)
     lights, views, single = broadcast_directions(to_light, to_view)
     normal = optics.normal_reflectance(ior)
@@ -76,11 +81,9 @@ def spectral_reflectance(
     )  # fmt: skip
     if used.method == "direct":
         gains = optics.gain(lights, views, normal=normal, masking=masking)
-        result = np.zeros((len(lights), len(wavelengths)))
+        result: NDArray[Any] = np.zeros((len(lights), len(wavelengths)))
         lit = gains > 0.0
-        power = direct.window_power(
-            hf, used.coherence, -(lights + views)[lit], wavelengths * 1e-3, progress=progress
-        )
+        power = direct.window_power(hf, used.coherence, -(lights + views)[lit], wavelengths * 1e-3, progress=progress)
         result[lit] = gains[lit, None] * power
     else:
         result = _run(
@@ -129,6 +132,10 @@ def reflectance(
         CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
         normal incidence gives the illuminant's white, Y = 1.
     """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
     spectrum.check_illuminant(illuminant)
     lights, views, single = broadcast_directions(to_light, to_view)
     result, _ = _reflectance(
@@ -178,13 +185,17 @@ def brdf_map(
     Returns:
         The map; its mask is the inside of the disc.
     """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
     spectrum.check_illuminant(illuminant)
     light, single = checks.directions(to_light, "to_light")
     if not single:
         raise ValueError(f"to_light must have shape (3,) for a map, got {np.shape(to_light)}")
-    if light[0, 2] <= 0.0:
+    if light[0, 2] <= optics.HORIZON:
         raise ValueError(f"to_light must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}")
-    checks.count(size, "size", least=2)
+    size = checks.count(size, "size", least=2)
     axis = (2.0 * np.arange(size) + 1.0) / size - 1.0
     x, y = np.meshgrid(axis, -axis)
     radius2 = x * x + y * y
@@ -274,12 +285,32 @@ def _plan(
     )  # fmt: skip
 
 
+def check_call(
+    hf: Any,
+    *,
+    tolerance: Any,
+    method: Any,
+    coherence: Any,
+    masking: Any,
+    strict: Any,
+    device: Any,
+    threads: Any,
+    progress: Any,
+) -> None:
+    """Refuse what the evaluating functions have in common, before anything is computed."""
+    check_request(hf, tolerance=tolerance, method=method, coherence=coherence, strict=strict)
+    checks.flag(masking, "masking")
+    checks.callback(progress, "progress")
+    resolve_threads(threads)
+    resolve_device(device)
+
+
 def check_plan(plan: Plan, coherence: Coherence | None, *, colour: bool) -> Plan:
     """Return an explicit plan if the call can use it."""
     if not isinstance(plan, Plan):
         raise TypeError(f"plan must be a warpdiff.Plan, such as warpdiff.plan(hf) returns, got {type(plan).__name__}")
     if coherence is not None and coherence != plan.coherence:
-        raise ValueError("coherence differs from the one in plan=; give one of the two, or dataclasses.replace the plan's")
+        raise ValueError("coherence differs from the one in plan=; give one of them, or dataclasses.replace the plan's")
     if colour and plan.wavelengths == 0:
         raise ValueError("plan has no wavelengths, it was made for given ones; make one with warpdiff.plan(hf)")
     return plan

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
 
 MAX_TERMS = 64
+# Heights in nanometres given for micrometres must end in a message about their range, not in an overflow.
+_LARGEST_EXPONENT = 700.0
 
 
 @dataclass(frozen=True)
@@ -77,13 +79,13 @@ def taylor_remainder(argument: float, terms: int) -> float:
     """
     if argument == 0.0:
         return 0.0
-    return min(math.exp(terms * math.log(argument) - math.lgamma(terms + 1.0)), math.exp(argument))
+    return math.exp(min(terms * math.log(argument) - math.lgamma(terms + 1.0), argument, _LARGEST_EXPONENT))
 
 
-def taylor_term_count(argument: float, tolerance: float) -> int:
-    """The fewest terms whose remainder is within ``tolerance`` for |x| <= ``argument``."""
+def taylor_term_count(argument: float, tolerance: float, *, most: float = math.inf) -> int:
+    """The fewest terms whose remainder is within ``tolerance`` for |x| <= ``argument``, or ``most``."""
     terms = 1
-    while taylor_remainder(argument, terms) > tolerance:
+    while terms < most and taylor_remainder(argument, terms) > tolerance:
         terms += 1
     return terms
 

@@ -496,7 +496,7 @@ def _read_npy(file: Path) -> NDArray[Any]:
 
 def _read_image(file: Path) -> NDArray[Any]:
     """Return the samples of a grey image in the file's own type, shape (ny, nx)."""
-    import OpenImageIO as oiio  # noqa: N813, PLC0415 (loading alone needs it)
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
     image = oiio.ImageInput.open(str(file))
     if image is None:

@@ -6,7 +6,7 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -64,25 +64,21 @@ class Image:
             ValueError: Another suffix, a bad exposure or number of bits.
             OSError: The file cannot be written.
         """
-        import OpenImageIO as oiio
+        import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
-        target = Path(path)
+        target = check_target(path)
         suffix = target.suffix.lower()
-        if suffix not in _FORMATS:
-            raise ValueError(f"path must end in {' or '.join(_FORMATS)}, got {target.name!r}")
-        if bits not in (8, 16):
+        if checks.count(bits, "bits") not in (8, 16):
             raise ValueError(f"bits must be 8 or 16, got {bits!r}")
         if exposure is None:
             exposure = self.auto_exposure if suffix == ".png" else 1.0
         else:
             exposure = checks.positive(exposure, "exposure")
-        if not target.parent.is_dir():
-            raise FileNotFoundError(f"path: the folder {target.parent} does not exist; create it first")
 
         height, width = self.mask.shape
         alpha = self.coverage[..., None]
         if suffix == ".exr":
-            channels = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z")
+            channels: tuple[str, ...] = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z")
             pixels = np.concatenate([exposure * self.rgb, alpha, exposure * self.xyz], axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
@@ -103,22 +99,41 @@ class Image:
         spec.attribute("ImageDescription", str(self.plan))
         spec.attribute("warpdiff:exposure", float(exposure))
 
-        # The temporary name ends in the same suffix, which is how the writer of the format is found.
-        handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{target.stem}-", dir=target.parent)
-        os.close(handle)
-        try:
-            output = oiio.ImageOutput.create(temporary)
-            if output is None or not output.open(temporary, spec):
-                reason = oiio.geterror() if output is None else output.geterror()
-                raise OSError(f"cannot write {target}: {reason}")
-            written = output.write_image(np.ascontiguousarray(pixels))
-            if not (output.close() and written):
-                raise OSError(f"cannot write {target}: {output.geterror()}")
-            # mkstemp makes a private file; a picture gets the permissions of any new file.
-            mask = os.umask(0)
-            os.umask(mask)
-            Path(temporary).chmod(0o666 & ~mask)
-            Path(temporary).replace(target)
-        finally:
-            Path(temporary).unlink(missing_ok=True)
+        _replace(target, spec, np.ascontiguousarray(pixels))
         return target
+
+
+def check_target(path: Any, name: str = "path") -> Path:
+    """Return the path of a picture that can be written there, or say why it cannot."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a string or a path, got {type(path).__name__}")
+    target = Path(path)
+    if target.suffix.lower() not in _FORMATS:
+        raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{name}: the folder {target.parent} does not exist; create it first")
+    return target
+
+
+def _replace(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
+    """Write a file beside ``target`` and put it in its place once it is complete."""
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+    # The temporary name ends in the same suffix, which is how the writer of the format is found.
+    handle, temporary = tempfile.mkstemp(suffix=target.suffix.lower(), prefix=f".{target.stem}-", dir=target.parent)
+    os.close(handle)
+    try:
+        output = oiio.ImageOutput.create(temporary)
+        if output is None or not output.open(temporary, spec):
+            reason = oiio.geterror() if output is None else output.geterror()
+            raise OSError(f"cannot write {target}: {reason}")
+        written = output.write_image(pixels)
+        if not (output.close() and written):
+            raise OSError(f"cannot write {target}: {output.geterror()}")
+        # mkstemp makes a private file; a picture gets the permissions of any new file.
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(temporary).chmod(0o666 & ~mask)
+        Path(temporary).replace(target)
+    finally:
+        Path(temporary).unlink(missing_ok=True)

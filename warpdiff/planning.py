@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ _AMPLITUDE_MARGIN = 1e-3
 # and 6e-8 in the median; the margin asks for the second at a tolerance of 1e-2 and for the third at 1e-4.
 _POWER_MARGIN = 1e-4
 # A colour changes as fast as the colour curves and the illuminant do: their share of the samples, at a tolerance of
-# 1e-2, in samples per unit of 1/λ [µm]; linear interpolation between samples errs as the square of their distance.
+# 1e-2, in samples per unit of 1/λ [µm]; cubic interpolation between samples errs as the fourth power of their distance.
 _COLOUR_BANDWIDTH_UM = 48.0
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
@@ -77,9 +78,11 @@ class Plan:
 
     def __post_init__(self) -> None:
         checks.choice(self.method, "method", METHODS[1:])
+        checks.instance(self.coherence, Coherence, "coherence")
+        check_tolerance(self.tolerance)
         if not 1 <= checks.count(self.terms, "terms") <= fourier.MAX_TERMS:
             raise ValueError(f"terms must be 1 to {fourier.MAX_TERMS}, got {self.terms}")
-        if len(self.reach) != 2:
+        if not isinstance(self.reach, Sequence) or len(self.reach) != 2:
             raise ValueError(f"reach must be a pair (y, x), got {self.reach!r}")
         for axis, value in enumerate(self.reach):
             checks.count(value, f"reach[{axis}]", least=0)
@@ -127,12 +130,11 @@ def plan(
     Returns:
         The plan; ``print(plan)`` explains it.
     """
+    check_request(hf, tolerance=tolerance, method=method, coherence=coherence, strict=strict)
     if to_light is None and to_view is None:
         max_uv, max_w = 2.0, 2.0
     elif to_light is None or to_view is None:
-        given, _ = checks.directions(
-            *((to_view, "to_view") if to_light is None else (to_light, "to_light"))
-        )
+        given, _ = checks.directions(*((to_view, "to_view") if to_light is None else (to_light, "to_light")))
         above = given[given[:, 2] > 0.0]
         max_uv = min(2.0, 1.0 + float(np.max(np.hypot(above[:, 0], above[:, 1]), initial=0.0)))
         max_w = 1.0 + float(np.max(above[:, 2], initial=0.0))
@@ -142,6 +144,20 @@ def plan(
     return plan_for_range(
         hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=coherence or Coherence(), strict=strict
     )
+
+
+def check_tolerance(tolerance: Any) -> float:
+    """Return a tolerance within the range that float32 and a picture make sense of."""
+    return checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
+
+
+def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
+    """Refuse what no plan can be made for, before anything is computed."""
+    checks.instance(hf, HeightField, "hf")
+    check_tolerance(tolerance)
+    checks.choice(method, "method", METHODS)
+    checks.instance(coherence, Coherence, "coherence", optional=True)
+    checks.flag(strict, "strict")
 
 
 def broadcast_directions(
@@ -181,14 +197,13 @@ def plan_for_range(
 
     With ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
     """
-    checks.choice(method, "method", METHODS)
-    tolerance = checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
+    tolerance = check_tolerance(tolerance)
     lambda_min_nm = float(LAMBDA_MIN_NM if wavelengths_nm is None else wavelengths_nm.min())
     _warn_of_aliasing(hf, max_uv, lambda_min_nm)
     _, half_range = fourier.height_middle_and_half_range(hf)
     argument = 2.0 * math.pi * max_w / (lambda_min_nm * 1e-3) * half_range
 
-    terms = min(fourier.taylor_term_count(argument, tolerance * _AMPLITUDE_MARGIN), fourier.MAX_TERMS)
+    terms = fourier.taylor_term_count(argument, tolerance * _AMPLITUDE_MARGIN, most=fourier.MAX_TERMS)
     rounding = _FLOAT32_ROUNDING * math.exp(min(argument, 700.0))
     truncation = fourier.taylor_remainder(argument, terms)
     if method != "direct":
@@ -213,7 +228,7 @@ def plan_for_range(
         # surface oscillate as w(h − h') + (u, v)·(x − x'), and exp(−|x − x'|²/4σ²) weighs their distance.
         quadrature = tolerance / 4.0
         separation_um = 2.0 * coherence.sigma_um * math.sqrt(math.log(2.0 / quadrature))
-        colour = _COLOUR_BANDWIDTH_UM * math.sqrt(max(1e-2 / tolerance, 0.25))
+        colour = _COLOUR_BANDWIDTH_UM * (1e-2 / tolerance) ** 0.25
         bandwidth = max_uv * separation_um + max_w * 2.0 * half_range + colour
         span = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
         wavelengths = math.ceil(span * bandwidth) + 1
@@ -246,7 +261,8 @@ def _check_taylor(
         return
     message = (
         f"the Taylor series cannot reach tolerance={tolerance:g} in float32 for a height range of "
-        f"{hf.height_range_um:.3g} µm: its terms grow to e^{argument:.1f} and cancel, leaving an error of up to {max(truncation, rounding):.1e}; "
+        f"{hf.height_range_um:.3g} µm: its terms grow to e^{argument:.1f} and cancel, leaving an error of up to "
+        f"{max(truncation, rounding):.1e}; "
         "reduce the range with levelled(), despiked() or cropped(), ask for a larger tolerance, or use method='direct'"
     )
     if strict:
@@ -260,9 +276,9 @@ def _warn_of_aliasing(hf: HeightField, max_uv: float, lambda_min_nm: float) -> N
     supported = lambda_min_nm * 1e-3 / (2.0 * coarsest)
     if max_uv > supported * (1.0 + 1e-9):
         warnings.warn(
-            f"a pitch of {coarsest:.3g} µm supports |(u, v)| up to {supported:.3g} at {lambda_min_nm:g} nm, and directions "
-            f"up to {max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer pitch, or "
-            "use HeightField.resampled() where the surface is known to be smooth",
+            f"a pitch of {coarsest:.3g} µm supports |(u, v)| up to {supported:.3g} at {lambda_min_nm:g} nm, and "
+            f"directions up to {max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer pitch, "
+            "or use HeightField.resampled() where the surface is known to be smooth",
             WarpdiffWarning,
             stacklevel=4,
         )

@@ -10,8 +10,7 @@ import numpy as np
 from warpdiff import checks, optics, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
-from warpdiff.evaluate import check_plan, direct_colour
-from warpdiff.heightfield import HeightField
+from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import Plan, deflection_range, plan_for_range
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import ArrayLike
 
+    from warpdiff.heightfield import HeightField
     from warpdiff.surface import Surface
 
 _SEED = 0
@@ -86,9 +86,14 @@ def shade(
         ValueError: A bad argument, a mesh without area or tangents, a tolerance out of reach; the message names it.
         FileNotFoundError: ``mesh`` is a path to nothing.
     """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
     lights = _check_lights(light)
-    _check_type(hf, HeightField, "hf")
-    _check_type(view, View, "view")
+    checks.instance(view, View, "view")
+    checks.flag(shadows, "shadows")
+    checks.flag(smooth, "smooth")
     normal = optics.normal_reflectance(ior)
     pigment = checks.number(pigment, "pigment", least=0.0)
     samples = checks.count(samples_per_pixel, "samples_per_pixel")
@@ -100,9 +105,7 @@ def shade(
 
     frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
     window = plan.coherence if plan is not None else coherence or Coherence()
-    arguments = [
-        frame.light_arguments(each, window, pigment=pigment / normal, shadows=shadows) for each in lights
-    ]
+    arguments = [frame.light_arguments(each, window, pigment=pigment / normal, shadows=shadows) for each in lights]
     reflection = frame.reflection(normal, masking=masking)
     # A first pass over the rays, which cost a hundredth of the colours, finds the range of directions to plan for.
     max_uv = max_w = 0.0
@@ -113,9 +116,7 @@ def shade(
             max_uv, max_w = max(max_uv, uv), max(max_w, w)
     frame.clear()
     if plan is None:
-        plan = plan_for_range(
-            hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=window, strict=strict
-        )
+        plan = plan_for_range(hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=window, strict=strict)
 
     if plan.method != "direct":
         wavelengths = spectrum.wavelengths_uniform_in_wavenumber(plan.wavelengths)
@@ -177,7 +178,7 @@ class _Frame:
 
         from warpdiff.kernels import directions
 
-        grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1) * 1e-3
+        grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
         white = optics.pigment_solid_angle(grid_um, window.sigma_um) @ spectrum.colour_products(light.illuminant)
         arguments = directions.LightArguments()
         arguments.to_light = wp.vec3d(*light.to_light)
@@ -260,9 +261,7 @@ class _Frame:
         """The finished picture."""
         shape = (self._view.height, self._view.width)
         coverage = (self._hits / self._samples).astype(np.float32).reshape(shape)
-        return Image(
-            xyz=self._xyz.numpy().reshape(*shape, 3).copy(), mask=coverage > 0.0, coverage=coverage, plan=plan
-        )
+        return Image(xyz=self._xyz.numpy().reshape(*shape, 3).copy(), mask=coverage > 0.0, coverage=coverage, plan=plan)
 
 
 def _check_lights(light: Any) -> list[DirectionalLight]:
@@ -270,14 +269,9 @@ def _check_lights(light: Any) -> list[DirectionalLight]:
     if not isinstance(lights, Sequence) or not lights:
         raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
     for index, each in enumerate(lights):
-        _check_type(each, DirectionalLight, f"light[{index}]")
+        checks.instance(each, DirectionalLight, f"light[{index}]")
         spectrum.check_illuminant(each.illuminant, f"light[{index}].illuminant")
     return list(lights)
-
-
-def _check_type(value: Any, kind: type, name: str) -> None:
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
 
 
 def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:

@@ -83,9 +83,8 @@ def _build(hf: HeightField, plan: Plan, block: fourier.Block, *, device: wp.Devi
 
 def _centre_phase(hf: HeightField, plan: Plan, block: fourier.Block) -> np.ndarray:
     """exp(−2πi q_rs·x_c), which moves the window from the patch's corner to x_c."""
-    centre = plan.coherence.centre_um
-    if centre is None:
-        centre = tuple((n // 2) * pitch for n, pitch in zip(hf.shape, hf.pitch_um, strict=True))
+    middle = ((hf.shape[0] // 2) * hf.pitch_um[0], (hf.shape[1] // 2) * hf.pitch_um[1])
+    centre = plan.coherence.centre_um or middle
     s, r = block.orders()
     turns = s[:, None] * (centre[0] / hf.size_um[0]) + r[None, :] * (centre[1] / hf.size_um[1])
     return np.exp(-2j * math.pi * turns)

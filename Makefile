@@ -1,0 +1,68 @@
+# Python >= 3.11 and make are all that a fresh clone needs; everything else goes into .venv.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+# Touched once the extras are installed; a change of pyproject.toml installs them again.
+DEMO_STAMP := $(VENV)/.stamp-core
+TEST_STAMP := $(VENV)/.stamp-test
+LINT_STAMP := $(VENV)/.stamp-lint
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench clean
+# A stamp must not outlive an installation that failed.
+.DELETE_ON_ERROR:
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-6s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(DEMO_STAMP) ## render the example pictures into demo/
+	$(BIN)/warpdiff demo --output demo
+
+test: $(TEST_STAMP) ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(LINT_STAMP) ## check style and types
+	$(BIN)/python -m ruff check
+	$(BIN)/python -m ruff format --check
+	$(BIN)/python -m mypy
+
+bench: $(DEMO_STAMP) ## measure the speed of shading
+	$(BIN)/python bench/shade_speed.py
+
+clean: ## remove the environment, caches, builds and the demonstration's pictures
+	rm -rf $(VENV) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find warpdiff kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# An environment made by hand is kept; only its version is checked.
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "error: $(PYTHON) is not installed; name another one: make PYTHON=python3.12" >&2; exit 1; }
+	@$(call check_version,$(PYTHON))
+	$(PYTHON) -m venv $(VENV)
+
+define check_version
+$(1) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "error: warpdiff needs Python 3.11 or newer, but $(1) is " + sys.version.split()[0] + "; name another one: make PYTHON=python3.12")'
+endef
+
+# Some tools make environments without pip.
+define install
+@$(call check_version,$(BIN)/python)
+@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip
+$(BIN)/python -m pip install -e '$(1)'
+endef
+
+# Order-only: what is in the environment is newer than the interpreter that it links to.
+$(DEMO_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.)
+	@touch $@
+
+$(TEST_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[test])
+	@touch $@ $(DEMO_STAMP)
+
+$(LINT_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[lint])
+	@touch $@ $(DEMO_STAMP)

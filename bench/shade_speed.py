@@ -1,0 +1,98 @@
+"""Speed against accuracy of ``reflectance``: µs a direction and error of XYZ, by tolerance and for fixed settings.
+
+Every setting is timed in one interleaved run on the same random directions; the figure is the median of the rounds and
+the spread their range. The error is the design's: ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · P99(Y)) against the float64 direct sum on
+a subset of the directions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import platform
+import time
+from pathlib import Path
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff import demo
+
+TOLERANCES = (1e-1, 1e-2, 1e-3)
+
+
+def directions(count: int, seed: int) -> np.ndarray:
+    """Random unit vectors on the hemisphere, at least 3° above the horizon, uniform in z."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(0.05, 1.0, count)
+    phi = rng.uniform(0.0, 2.0 * np.pi, count)
+    s = np.sqrt(1.0 - z * z)
+    return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+
+
+def settings(hf: wd.HeightField) -> dict[str, wd.Plan]:
+    """The automatic plans, and the published numbers: 81 wavelengths, 37 terms, 3 × 3 neighbours."""
+    plans = {f"tolerance {tolerance:g}": wd.plan(hf, tolerance=tolerance) for tolerance in TOLERANCES}
+    plans["published numbers"] = dataclasses.replace(wd.plan(hf), terms=37, reach=(1, 1), wavelengths=81)
+    return plans
+
+
+def run(
+    name: str, hf: wd.HeightField, *, count: int, truth: int, rounds: int, device: str, threads: int | None
+) -> None:
+    """Measure one height field and print its table."""
+    lights, views = directions(count, 1), directions(count, 2)
+    exact = wd.reflectance(hf, lights[:truth], views[:truth], method="direct", tolerance=1e-3)
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    scale = np.maximum(np.linalg.norm(exact, axis=1), floor)
+    plans = settings(hf)
+    times: dict[str, list[float]] = {key: [] for key in plans}
+    values = {}
+    for _ in range(rounds + 1):
+        for key, plan in plans.items():
+            started = time.perf_counter()
+            values[key] = wd.reflectance(hf, lights, views, plan=plan, device=device, threads=threads)
+            times[key].append((time.perf_counter() - started) / count * 1e6)
+    print(f"\n{name}: {hf!r}")
+    print(
+        f"{'setting':20s} {'µs/direction':>14s} {'spread':>15s} {'error P50':>10s} {'P99':>10s}"
+        "  terms, reach, wavelengths"
+    )
+    for key, plan in plans.items():
+        warm = times[key][1:]  # the first round compiles and builds the table
+        error = np.linalg.norm(values[key][:truth] - exact, axis=1) / scale
+        print(
+            f"{key:20s} {np.median(warm):14.2f} {min(warm):7.2f}-{max(warm):.2f} {np.median(error):10.1e} "
+            f"{np.percentile(error, 99.0):10.1e}  {plan.terms}, {plan.reach}, {plan.wavelengths}"
+        )
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--directions", type=int, default=4000, help="directions timed (default: 4000)")
+    parser.add_argument("--truth", type=int, default=32, help="of these compared with the direct sum (default: 32)")
+    parser.add_argument("--rounds", type=int, default=5, help="timed rounds (default: 5)")
+    parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
+    parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    parser.add_argument("--data", type=Path, help="folder with the scan (default: $WARPDIFF_DATA, ../shared/data)")
+    options = parser.parse_args()
+    print(
+        f"warpdiff {wd.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, {os.cpu_count()} cores"
+    )
+    surfaces = {"synthetic fingers": wd.gratings.fingers(size_um=12.8, pitch_um=0.08)}
+    data = demo.data_folder(options.data)
+    if data is not None and (data / demo.SCAN).is_file():
+        surfaces["scan, 12.5 µm crop"] = demo.cleaned_scan(data / demo.SCAN).cropped(12.5)
+    else:
+        print(f"{demo.SCAN} is not at hand: synthetic surfaces only")
+    for name, hf in surfaces.items():
+        run(
+            name, hf, count=options.directions, truth=options.truth, rounds=options.rounds, device=options.device,
+            threads=options.threads,
+        )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""The command line, run as a user would: exit codes, files, messages, progress."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import pytest
+
+from warpdiff import cli, demo
+
+SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
+
+
+def test_render_writes_a_picture(tmp_path, capsys):
+    target = tmp_path / "disc.exr"
+    assert cli.main(["render", "disc", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target)]) == 0
+    spec = oiio.ImageInput.open(str(target)).spec()
+    assert (spec.width, spec.height) == (24, 16)
+    out = capsys.readouterr().out
+    assert str(target) in out
+    assert "Taylor series" in out
+
+
+def test_render_of_files(tmp_path, fuze_path):
+    heights = tmp_path / "h.npy"
+    np.save(heights, 0.1 * np.sin(2.0 * np.pi * np.arange(32) / 32)[None, :] * np.ones((32, 1)))
+    target = tmp_path / "fuze.png"
+    arguments = [
+        "render",
+        str(fuze_path),
+        str(heights),
+        "--pixel-um",
+        "0.05",
+        *SMALL,
+        "--width",
+        "20",
+        "--height",
+        "30",
+    ]
+    more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--flat"]
+    assert cli.main([*arguments, *more, "-o", str(target)]) == 0
+    pixels = oiio.ImageBuf(str(target)).get_pixels(oiio.FLOAT)
+    assert 0.05 < pixels[..., 3].mean() < 0.9
+
+
+def test_brdf_writes_a_map(tmp_path):
+    target = tmp_path / "map.png"
+    arguments = ["brdf", "sinusoidal", "--period-um", "1.5", "--depth-um", "0.1", "--incidence-deg", "20", *SMALL]
+    assert cli.main([*arguments, "--size", "32", "-o", str(target)]) == 0
+    assert oiio.ImageInput.open(str(target)).spec().width == 32
+
+
+@pytest.mark.parametrize("name", [name for name in cli.GRATINGS if name not in ("dvd", "blu-ray", "cd")])
+def test_info_describes_each_grating(name, capsys):
+    assert cli.main(["info", name, "--tolerance", "0.1"]) == 0
+    out = capsys.readouterr().out
+    assert "pitch" in out
+    assert "hemisphere" in out
+
+
+def test_info_of_the_scan(scan_path, capsys):
+    arguments = ["info", str(scan_path), "--extent-um", "65", "--height-range-um", "0.375", "--crop-um", "20"]
+    assert cli.main([*arguments, "--level", "2", "--despike", "--periodic"]) == 0
+    assert "410 × 410 samples" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "nothing.png"], "there is no file 'nothing.png'"),
+        (["info", "blazed", "--period-um", "-1"], "period_um"),
+        (["info", "blazed", "--tolerance", "7"], "tolerance"),
+        (["brdf", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
+        (["brdf", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
+        (["brdf", "blazed", "--incidence-deg", "90", "-o", "map.png"], "to_light"),
+        (["render", "nothing.obj", "blazed", "-o", "x.png"], "mesh"),
+        (["render", "tube", "blazed", "--width", "0", "-o", "x.png"], "width"),
+        (["render", "tube", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "to_light"),
+        (["render", "tube", "blazed", "--device", "tpu", "-o", "x.png"], "device"),
+        (["demo", "--data", "no/such/folder"], "does not exist"),
+        (["demo", "--scale", "0"], "scale"),
+    ],
+)
+def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_options_are_2():
+    for arguments in ([], ["paint"], ["info"], ["info", "blazed", "--colour", "red"]):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments)
+        assert stopped.value.code == 2
+
+
+def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
+    def fail(*_args, **_options):
+        raise OSError("disk full")
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    arguments = ["brdf", "blazed", "--size", "4", "-o", str(tmp_path / "map.png")]
+    monkeypatch.setattr("warpdiff.Image.save", fail)
+    assert cli.main(arguments) == 1
+    assert "disk full" in capsys.readouterr().err
+    monkeypatch.setattr("warpdiff.Image.save", interrupt)
+    assert cli.main(arguments) == 130
+
+
+def test_help_teaches(capsys):
+    for command in ("demo", "render", "brdf", "info"):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main([command, "--help"])
+        assert stopped.value.code == 0
+        assert "example:\n  warpdiff " + command in capsys.readouterr().out
+
+
+def test_warnings_are_one_line(tmp_path, capsys):
+    heights = tmp_path / "h.npy"
+    np.save(heights, np.zeros((8, 8)))
+    assert cli.main(["info", str(heights), "--pixel-um", "0.5"]) == 0
+    error = capsys.readouterr().err
+    assert error.startswith("warpdiff: warning: a pitch of 0.5 µm")
+    assert error.count("\n") == 1
+
+
+def test_progress_bar_waits_a_second(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    bar = cli.Bar("render")
+    bar(0.3)
+    assert capsys.readouterr().err == ""
+    now[0] = 1.5
+    bar(0.5)
+    assert " 50 %" in capsys.readouterr().err
+    bar(1.0)
+    assert capsys.readouterr().err.endswith("\x1b[K")
+
+
+def test_demo_without_the_data(tmp_path, monkeypatch):
+    empty = tmp_path / "data"
+    empty.mkdir()
+    lines: list[str] = []
+    written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
+    assert len(written) == 6
+    assert all(path.is_file() for path in written)
+    assert "synthetic gratings only" in lines[0]
+    monkeypatch.setenv("WARPDIFF_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match="WARPDIFF_DATA"):
+        demo.data_folder()
+
+
+def test_demo_with_the_data(tmp_path, fuze_path, scan_path):
+    assert scan_path.is_file()
+    written = demo.run(tmp_path, data=fuze_path.parent, scale=0.03)
+    assert {path.stem for path in written} >= {"tube_elaphe", "map_elaphe", "fuze_elaphe"}
+
+
+def test_the_module_runs(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "warpdiff", "info", "lamellar"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": "utf-8"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "dominant periods" in done.stdout

@@ -1,0 +1,109 @@
+"""CUDA: every kernel compiles for sm_90 on a machine without a GPU, and with one computes what the CPU does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere
+
+import warpdiff as wd
+from warpdiff import kernels
+from warpdiff.kernels import directions, raycast, spectral
+
+SM = 90
+# Modules of functions alone are compiled with the kernels that call them.
+FUNCTIONS_ONLY = {"optics"}
+KERNELS = {
+    "raycast": {"cast"},
+    "directions": {"deflect_directions", "deflect_pixels"},
+    "spectral": {"integrate", "sample"},
+}
+FORMS = [(lanes, centred) for lanes in (8, 24) for centred in (False, True)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiler():
+    """Warp's compiler for CUDA, which its packages for Linux and Windows carry."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+    if SM not in wp.get_cuda_supported_archs():
+        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{SM}")
+
+
+@pytest.fixture
+def cuda() -> str:
+    """The first CUDA device."""
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    return "cuda"
+
+
+def compile_to_ptx(module, folder: Path) -> str:
+    """PTX of a Python module's kernels, or of a Warp module."""
+    paths = wp.compile_aot_module(module, device=None, arch=SM, module_dir=folder, use_ptx=True)
+    assert [path.suffix for path in paths] == [".ptx"]
+    ptx = Path(paths[0]).read_text()
+    assert f".target sm_{SM}" in ptx
+    return ptx
+
+
+def entry_points(ptx: str) -> set[str]:
+    """Names of the kernels in PTX, without their hashes and their enclosing function's name."""
+    found = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
+    assert "_cuda_kernel_backward" not in ptx, "enable_backward is to be off"
+    return {name.rpartition("locals__")[2] for name in found}
+
+
+def test_every_kernel_module_is_compiled_here():
+    folder = Path(kernels.__file__).parent
+    names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert names == set(KERNELS) | FUNCTIONS_ONLY, "a kernel module was added: compile it here"
+    for name in names:
+        declared = re.findall(r"@wp\.kernel.*\n\s*def (\w+)", (folder / f"{name}.py").read_text())
+        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
+
+
+@pytest.mark.parametrize("module", [raycast, directions], ids=["raycast", "directions"])
+def test_modules_compile(module, tmp_path):
+    assert entry_points(compile_to_ptx(module, tmp_path)) == KERNELS[module.__name__.rpartition(".")[2]]
+
+
+@pytest.mark.parametrize(("lanes", "centred"), FORMS)
+@pytest.mark.parametrize("name", sorted(KERNELS["spectral"]))
+def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, centred, tmp_path):
+    ptx = compile_to_ptx(getattr(spectral.kernels(lanes, centred), name).module, tmp_path)
+    assert entry_points(ptx) == {name}
+    # A basis indexed by a variable would live in local memory, which PTX shows; what ptxas spills it does not.
+    assert "__local_depot" not in ptx
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+def test_reflectance_is_that_of_the_cpu(kind, cuda, rng):
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    coherence = wd.Coherence(kind=kind, sigma_um=3.25)
+    lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
+    plan = wd.plan(hf, coherence=coherence)
+    expected = wd.reflectance(hf, lights, views, plan=plan, device="cpu")
+    found = wd.reflectance(hf, lights, views, plan=plan, device=cuda)
+    scale = np.maximum(np.linalg.norm(expected, axis=1), 1e-3 * np.percentile(expected[:, 1], 99.0))
+    assert np.max(np.linalg.norm(found - expected, axis=1) / scale) < 1e-3
+
+
+def test_shade_is_that_of_the_cpu(cuda):
+    mesh = wd.meshes.tube(segments_along=64, segments_around=32)
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    coherence = wd.Coherence(sigma_um=3.25)
+    light = wd.DirectionalLight((0.3, 0.5, 1.0))
+    view = wd.View((0.0, 0.0, 8.0), (0.0, 0.0, 0.0), width=64, height=48)
+    expected = wd.shade(mesh, hf, light, view, coherence=coherence)
+    found = wd.shade(mesh, hf, light, view, device=cuda, plan=expected.plan)
+    # A ray that grazes an edge may fall on either side of it.
+    assert np.mean(found.mask != expected.mask) < 0.01
+    both = found.mask & expected.mask
+    floor = 1e-3 * np.percentile(expected.xyz[both][:, 1], 99.0)
+    scale = np.maximum(np.linalg.norm(expected.xyz[both], axis=1), floor)
+    assert np.percentile(np.linalg.norm(found.xyz[both] - expected.xyz[both], axis=1) / scale, 99.0) < 1e-2

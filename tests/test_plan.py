@@ -1,0 +1,264 @@
+"""Plans: from a tolerance to numbers, what they say, that they are obeyed; and the tables kept for the next call."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import math
+import warnings
+import weakref
+
+import numpy as np
+import pytest
+from conftest import at_angle, hemisphere
+
+import warpdiff as wd
+from warpdiff import fourier, optics, tables
+
+UP = [0.0, 0.0, 1.0]
+
+
+@pytest.fixture(scope="module")
+def rough() -> wd.HeightField:
+    """A small patch with structure in both directions, fine enough for the whole hemisphere."""
+    return wd.gratings.fingers(size_um=6.4, seed=3)
+
+
+def deep(height_um: float) -> wd.HeightField:
+    """A random surface of a given height range."""
+    heights = np.random.default_rng(8).uniform(size=(16, 16))
+    heights = (heights - heights.min()) / np.ptp(heights) * height_um
+    return wd.HeightField(heights, 0.05)
+
+
+def test_ranges(rough, rng):
+    whole = wd.plan(rough)
+    assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
+
+    light = at_angle(30.0)
+    for half in (wd.plan(rough, light), wd.plan(rough, None, light)):
+        assert half.max_uv == pytest.approx(1.5)
+        assert half.max_w == pytest.approx(1.0 + math.cos(math.radians(30.0)))
+
+    both = wd.plan(rough, light, at_angle(-30.0))
+    assert both.max_uv == pytest.approx(0.0, abs=1e-12)
+    assert both.max_w == pytest.approx(2.0 * math.cos(math.radians(30.0)))
+
+    lights, views = hemisphere(rng, 50), hemisphere(rng, 50)
+    many = wd.plan(rough, lights, views)
+    total = lights + views
+    assert many.max_uv == pytest.approx(np.hypot(total[:, 0], total[:, 1]).max())
+    assert many.max_w == pytest.approx(total[:, 2].max())
+
+
+@pytest.mark.parametrize("below", [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
+def test_directions_below_the_horizon_ask_for_nothing(rough, below):
+    assert wd.plan(rough, [UP, below], UP) == wd.plan(rough, UP, UP)
+    nothing = wd.plan(rough, below, UP)
+    assert (nothing.max_uv, nothing.max_w) == (0.0, 0.0)
+
+
+def test_the_whole_hemisphere_holds_for_any_direction(rough, rng):
+    whole = wd.plan(rough)
+    for light, view in zip(hemisphere(rng, 20), hemisphere(rng, 20), strict=True):
+        one, half = wd.plan(rough, light, view), wd.plan(rough, light)
+        for name in ("max_uv", "max_w", "terms", "wavelengths", "multiply_adds"):
+            assert getattr(one, name) <= getattr(half, name) <= getattr(whole, name)
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
+    plans = [wd.plan(rough, tolerance=t, coherence=wd.Coherence(kind, 6.5)) for t in (0.5, 0.1, 1e-2, 1e-3, 1e-4)]
+    for name in ("terms", "wavelengths", "multiply_adds"):
+        values = [getattr(plan, name) for plan in plans]
+        assert values == sorted(values)
+        assert values[0] < values[-1]
+    reaches = [plan.reach for plan in plans]
+    assert reaches == sorted(reaches)
+    for name in ("truncation", "neighbourhood", "quadrature"):
+        values = [getattr(plan, name) for plan in plans]
+        assert values == sorted(values, reverse=True)
+    for plan in plans:
+        assert plan.truncation <= plan.tolerance
+        assert plan.neighbourhood <= plan.tolerance
+
+
+def test_a_plan_reads_as_a_paragraph(rough):
+    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=6.5))
+    text = str(plan)
+    assert "\n" not in text
+    assert text.startswith("Taylor series")
+    assert text.endswith("a direction.")
+    rows, columns = (2 * n + 1 for n in plan.reach)
+    for part in (
+        "averaged window with σ = 6.5 µm",
+        "tolerance 0.003",
+        f"|(u, v)| up to {plan.max_uv:.3g}",
+        f"|w| up to {plan.max_w:.3g}",
+        f"{plan.terms} terms",
+        f"{rows} × {columns} coefficients",
+        f"{plan.wavelengths} wavelengths",
+    ):
+        assert part in text
+    assert "Direct sum" in str(wd.plan(rough, method="direct"))
+    assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+def test_the_number_of_terms_is_obeyed(rough, kind):
+    light, view, wavelength_um = at_angle(25.0), at_angle(-5.0), 0.5
+    coherence = wd.Coherence(kind, 3.25)
+    full = wd.plan(rough, light, view, coherence=coherence)
+    plan = dataclasses.replace(full, terms=5)
+    u, v, w = -(light + view)
+
+    # The same sum in float64, over all coefficients of the patch.
+    block = fourier.Block(rough.shape, (0, 0), rough.shape)
+    series = fourier.taylor_coefficients(rough, plan.terms, block)
+    half_range = fourier.height_middle_and_half_range(rough)[1]
+    basis = fourier.taylor_basis(2.0 * math.pi * w / wavelength_um * half_range, plan.terms)
+    s, r = block.orders()
+    (length_y, length_x), a = rough.size_um, coherence.falloff_um2
+    gaussian = np.exp(-a * (v / wavelength_um - s / length_y) ** 2)[:, None]
+    gaussian = gaussian * np.exp(-a * (u / wavelength_um - r / length_x) ** 2)
+    if kind == "averaged":
+        power = np.sum(np.abs(series @ basis) ** 2 * gaussian)
+    else:
+        centre_y, centre_x = (n // 2 * pitch for n, pitch in zip(rough.shape, rough.pitch_um, strict=True))
+        phase = np.exp(-2j * math.pi * (s[:, None] * centre_y / length_y + r * centre_x / length_x))
+        power = np.abs(np.sum((series @ basis) * gaussian * phase)) ** 2
+    gain = optics.gain(light[None], view[None], normal=optics.normal_reflectance(1.5), masking=True)[0]
+
+    found = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
+    assert found == pytest.approx(gain * power, rel=1e-4)
+    assert found != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
+
+
+def test_reach_and_wavelengths_are_obeyed(rough):
+    light, view = at_angle(25.0), at_angle(-5.0)
+    full = wd.plan(rough, light, view, coherence=wd.Coherence(sigma_um=3.25))
+    expected = wd.reflectance(rough, light, view, plan=full)
+    for changed in ({"reach": (0, 0)}, {"wavelengths": 3}, {"terms": 4}):
+        found = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
+        assert np.linalg.norm(found - expected) > 1e-2 * np.linalg.norm(expected)
+    more = dataclasses.replace(full, terms=full.terms + 8, reach=(6, 6), wavelengths=4 * full.wavelengths)
+    found = wd.reflectance(rough, light, view, plan=more)
+    assert np.linalg.norm(found - expected) < full.tolerance * np.linalg.norm(expected)
+
+
+def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
+    light, view = at_angle(25.0), hemisphere(np.random.default_rng(1), 9)
+    plan = wd.plan(rough, light, view, tolerance=3e-2)
+    np.testing.assert_array_equal(
+        wd.reflectance(rough, light, view, tolerance=3e-2), wd.reflectance(rough, light, view, plan=plan)
+    )
+    image = wd.brdf_map(rough, light, size=8, tolerance=3e-2)
+    again = wd.brdf_map(rough, light, size=8, plan=image.plan)
+    assert again.plan is image.plan
+    np.testing.assert_array_equal(image.xyz, again.xyz)
+
+
+def test_plans_are_values(rough):
+    assert wd.plan(rough) == wd.plan(rough)
+    assert hash(wd.plan(rough)) == hash(wd.plan(rough))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        wd.plan(rough).terms = 3
+
+
+def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_the_same():
+    hf = deep(3.0)
+    for call in (wd.plan, lambda *a, **o: wd.reflectance(a[0], UP, UP, **o)):
+        with pytest.raises(ValueError, match=r"tolerance=0\.01 .* height range of 3 µm.*levelled\(\).*strict=False"):
+            call(hf)
+        with pytest.warns(wd.WarpdiffWarning, match="cannot reach tolerance=0.01"):
+            call(hf, strict=False)
+    with pytest.warns(wd.WarpdiffWarning, match="cannot reach"):
+        rough_result = wd.reflectance(hf, UP, hemisphere(np.random.default_rng(2), 20), strict=False)
+    assert np.all(np.isfinite(rough_result))
+    # The direct sum has no series.
+    assert np.all(np.isfinite(wd.spectral_reflectance(hf, UP, UP, 500.0, method="direct")))
+
+
+@pytest.mark.parametrize("height_um", [50.0, 375.0, 1e9])
+def test_heights_in_another_unit_end_in_the_same_message(height_um):
+    with pytest.raises(ValueError, match=r"cannot reach tolerance=0\.01 in float32 for a height range of"):
+        wd.plan(deep(height_um))
+
+
+def test_an_explicit_plan_is_not_argued_with(rough):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = wd.reflectance(deep(3.0), UP, UP, plan=wd.plan(rough), strict=True)
+    assert np.all(np.isfinite(found))
+
+
+def test_a_coarse_pitch_is_said_to_alias(rough):
+    coarse = wd.gratings.sinusoidal(6.4, 0.1).resampled(0.2)
+    with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
+        wd.plan(coarse)
+    with pytest.warns(
+        wd.WarpdiffWarning, match="directions up to 1.5 are asked for: orders beyond repeat those within"
+    ):
+        wd.plan(coarse, at_angle(30.0))
+    with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
+        wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
+    # What the pitch supports is not warned of, and longer wavelengths are supported further.
+    wd.plan(coarse, at_angle(20.0), at_angle(20.0))
+    wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
+    wd.plan(rough)
+
+
+@pytest.fixture
+def builds(monkeypatch):
+    """The height fields whose tables were built."""
+    built = []
+    build = tables._build
+
+    def counted(hf, *args, **options):
+        built.append(weakref.ref(hf))
+        return build(hf, *args, **options)
+
+    monkeypatch.setattr(tables, "_build", counted)
+    return built
+
+
+def test_tables_are_kept_for_the_next_call(rough, builds):
+    hf = wd.HeightField(rough.heights_um, rough.pitch_um)
+    plan = wd.plan(hf)
+    first = wd.reflectance(hf, UP, UP, plan=plan)
+    assert len(builds) == 1
+    np.testing.assert_array_equal(wd.reflectance(hf, UP, UP, plan=plan), first)
+    # A light that moves a little, another index and other wavelengths need no new table.
+    wd.reflectance(hf, at_angle(0.1), UP, plan=plan, ior=2.0)
+    wd.spectral_reflectance(hf, UP, UP, [500.0, 600.0], plan=plan)
+    assert len(builds) == 1
+    wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
+    assert len(builds) == 2
+    # Equal heights in another object are another height field.
+    wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
+    assert len(builds) == 3
+
+
+def test_few_tables_are_kept(rough, builds):
+    hf = wd.HeightField(rough.heights_um, rough.pitch_um)
+    plan = wd.plan(hf)
+    numbers = range(plan.terms - tables._KEPT, plan.terms + 1)
+    for terms in numbers:
+        wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=terms))
+    assert len(tables._cache[hf]) == tables._KEPT
+    assert len(builds) == len(numbers)
+    # The oldest went.
+    wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=numbers[-1]))
+    assert len(builds) == len(numbers)
+    wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=numbers[0]))
+    assert len(builds) == len(numbers) + 1
+
+
+def test_tables_die_with_their_height_field(rough, builds):
+    hf = wd.HeightField(rough.heights_um, rough.pitch_um)
+    wd.reflectance(hf, UP, UP)
+    before = len(tables._cache)
+    del hf
+    gc.collect()
+    assert builds[0]() is None
+    assert len(tables._cache) == before - 1

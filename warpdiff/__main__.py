@@ -1,0 +1,7 @@
+"""``python -m warpdiff``."""
+
+import sys
+
+from warpdiff.cli import main
+
+sys.exit(main())

@@ -1,0 +1,213 @@
+"""The demonstration: a snake-like tube, a disc, BRDF maps, and, where the real inputs are present, the scan."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff import checks, gratings, meshes
+from warpdiff.evaluate import brdf_map
+from warpdiff.heightfield import HeightField
+from warpdiff.light import DirectionalLight
+from warpdiff.render import shade
+from warpdiff.view import View
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import trimesh
+
+    from warpdiff.image import Image
+
+# The scan does not record its vertical range; the published preprocessing takes 0 to 255 as 0 to 0.375 µm.
+SCAN = "elaphe_65um.png"
+SCAN_EXTENT_UM = 65.0
+SCAN_HEIGHT_RANGE_UM = 0.375
+MESH = "fuze.obj"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of the demonstration.
+
+    Attributes:
+        name: Its file's name without suffix.
+        what: What it shows.
+        make: Computes it; takes a progress callback.
+        exposure: Factor on the automatic exposure: orders are a thousand times weaker than the mirror direction.
+    """
+
+    name: str
+    what: str
+    make: Callable[..., Image]
+    exposure: float = 1.0
+
+
+def data_folder(given: str | os.PathLike[str] | None = None) -> Path | None:
+    """The folder with the real inputs: given, or in ``WARPDIFF_DATA``, or ``../shared/data`` beside a checkout."""
+    named = given or os.environ.get("WARPDIFF_DATA")
+    if named:
+        folder = Path(named)
+        if not folder.is_dir():
+            raise FileNotFoundError(f"the data folder {folder} does not exist; check --data or WARPDIFF_DATA")
+        return folder
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return beside if beside.is_dir() else None
+
+
+def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
+    """The scan of a snake's skin without its waviness, its dust and its mismatched edges."""
+    scan = HeightField.load(path, extent_um=SCAN_EXTENT_UM, height_range_um=SCAN_HEIGHT_RANGE_UM)
+    return scan.levelled(order=2).despiked().periodic()
+
+
+def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
+    """The pictures that can be made with these inputs, at ``scale`` times their size."""
+
+    def pixels(count: int) -> int:
+        return max(2, round(count * scale))
+
+    fingers = gratings.fingers(size_um=64.0, pitch_um=0.08)
+    cd = gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
+    snake_view = View((0.0, 2.4, 4.6), (0.0, 0.0, 0.05), fov_y_deg=15.0, width=pixels(600), height=pixels(260))
+    snake_lights = [DirectionalLight((x, 1.2, z), power=0.5) for x, z in ((-0.8, 0.9), (0.6, 0.9))]
+    disc_view = View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=pixels(640), height=pixels(440))
+    disc_lights = [DirectionalLight((x, y, 1.0), power=0.5) for x, y in ((-0.7, 0.5), (0.15, 0.9), (0.8, 0.1))]
+    size = pixels(400)
+
+    def snake(hf: HeightField, tangent: str) -> Callable[..., Image]:
+        return lambda progress: shade(
+            snake_body(tangent),
+            hf,
+            snake_lights,
+            snake_view,
+            samples_per_pixel=4,
+            tolerance=3e-2,
+            pigment=0.1,
+            progress=progress,
+        )
+
+    def over_hemisphere(
+        hf: HeightField, to_light: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    ) -> Callable[..., Image]:
+        return lambda progress: brdf_map(hf, to_light, size=size, progress=progress)
+
+    made = [
+        Picture("tube_fingers", "synthetic nano-fingers across a snake-like tube", snake(fingers, "along"), 8.0),
+        Picture(
+            "disc_cd",
+            "a compact disc, 1.6 µm tracks with pits",
+            lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, samples_per_pixel=2, progress=progress),
+            6.0,
+        ),
+        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3))),
+        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25))),
+        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), 3.0),
+        Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers), 3.0),
+    ]
+    if data is not None and (data / SCAN).is_file():
+        scan = cleaned_scan(data / SCAN)
+        made += [
+            Picture(
+                "tube_elaphe",
+                "the scan of Elaphe guttata on the tube, its fingers along the body",
+                snake(scan, "around"),
+                6.0,
+            ),
+            Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), 3.0),
+        ]
+        if (data / MESH).is_file():
+            made.append(
+                Picture(
+                    "fuze_elaphe",
+                    "the scan on a textured bottle",
+                    lambda progress: shade(
+                        data / MESH,
+                        scan,
+                        [DirectionalLight((1.0, 1.0, 0.8)), DirectionalLight((0.2, 1.0, 0.3))],
+                        View(
+                            (0.2, 0.42, 0.2),
+                            (0.0, 0.0, 0.11),
+                            up=(0, 0, 1),
+                            fov_y_deg=27.0,
+                            width=pixels(360),
+                            height=pixels(480),
+                        ),
+                        pigment=0.25,
+                        samples_per_pixel=2,
+                        tolerance=3e-2,
+                        progress=progress,
+                    ),
+                    2.5,
+                )
+            )
+    return made
+
+
+def snake_body(tangent: str) -> trimesh.Trimesh:
+    """The tube with the pattern of a corn snake in dark colours, saddles on the back over a lighter belly.
+
+    A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
+    """
+    import PIL.Image
+    import trimesh
+
+    body = meshes.tube(radius=0.2, bend_deg=24.0, waves=1.25, tangent=tangent)
+    around, along = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(1024) + 0.5) / 1024)
+    back = np.cos(2.0 * np.pi * (around - 0.5))
+    saddle = np.cos(2.0 * np.pi * 11.0 * along) + 0.9 * back - 0.7
+    rim = np.clip(1.0 - np.abs(saddle) / 0.22, 0.0, 1.0)[..., None]
+    inside = np.clip(0.5 + saddle / 0.1, 0.0, 1.0)[..., None]
+    belly = np.clip(0.5 - (back + 0.45) / 0.2, 0.0, 1.0)[..., None]
+    colour = (1.0 - inside) * np.array([0.28, 0.17, 0.10]) + inside * np.array([0.20, 0.06, 0.04])
+    colour = (1.0 - rim) * colour + rim * np.array([0.04, 0.03, 0.03])
+    colour = (1.0 - belly) * colour + belly * np.array([0.35, 0.30, 0.25])
+    if tangent == "along":
+        # The texture's u follows the tangent: from head to tail in place of around the body.
+        colour = colour.transpose(1, 0, 2)
+    image = PIL.Image.fromarray(np.round(255.0 * colour).astype(np.uint8))
+    body.visual = trimesh.visual.TextureVisuals(
+        uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(image=image)
+    )
+    return body
+
+
+def run(
+    output: str | os.PathLike[str],
+    *,
+    data: str | os.PathLike[str] | None = None,
+    scale: float = 1.0,
+    say: Callable[[str], None] = lambda _line: None,
+    progress: Callable[[str], Callable[[float], None] | None] = lambda _name: None,
+) -> list[Path]:
+    """Render the demonstration into a folder, which is made if need be.
+
+    Args:
+        output: The folder.
+        data: Folder with the real inputs; None looks in ``WARPDIFF_DATA``, then ``../shared/data``.
+        scale: Factor on the pictures' sizes.
+        say: Called with a line a picture.
+        progress: Called with a picture's name, returns its progress callback.
+
+    Returns:
+        The files written.
+    """
+    folder = Path(output)
+    checks.positive(scale, "scale")
+    inputs = data_folder(data)
+    folder.mkdir(parents=True, exist_ok=True)
+    if inputs is None or not (inputs / SCAN).is_file():
+        say(f"{SCAN} not found: synthetic gratings only; --data or WARPDIFF_DATA names the folder with the scan")
+    written = []
+    for picture in pictures(inputs, scale=scale):
+        started = time.perf_counter()
+        image = picture.make(progress(picture.name))
+        path = image.save(folder / f"{picture.name}.png", exposure=picture.exposure * image.auto_exposure)
+        written.append(path)
+        say(f"{path}  {picture.what}  ({time.perf_counter() - started:.1f} s)")
+    return written
