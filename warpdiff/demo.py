@@ -98,7 +98,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
         return lambda progress: brdf_map(hf, to_light, size=size, progress=progress)
 
     made = [
-        Picture("tube_fingers", "synthetic nano-fingers across a snake-like tube", snake(fingers, "along"), 8.0),
+        Picture("tube_fingers", "synthetic nano-fingers along a snake-like tube", snake(fingers, "around"), 6.0),
         Picture(
             "disc_cd",
             "a compact disc, 1.6 µm tracks with pits",
@@ -119,6 +119,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                 snake(scan, "around"),
                 6.0,
             ),
+            Picture("tube_elaphe_across", "the same with its fingers across the body", snake(scan, "along"), 6.0),
             Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), 3.0),
         ]
         if (data / MESH).is_file():
@@ -143,7 +144,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                         tolerance=3e-2,
                         progress=progress,
                     ),
-                    2.5,
+                    1.5,
                 )
             )
     return made
