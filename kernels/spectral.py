@@ -2,7 +2,8 @@
 
 One thread is one direction. At each wavelength the coefficient nearest to q = (u, v)/λ is found by rounding, and with
 its neighbours weighted by the Gaussian of the coherence window: powers in the averaged form, amplitudes in the centred
-one. A coefficient is the scalar product of a basis in κ = w/λ, the same for all coefficients, with its row of a table.
+one. A coefficient is the scalar product of a basis in κ = w/λ, the same for all coefficients, with its row of a table;
+the basis is interpolated from a table of its own, so that the kernels serve any series.
 """
 
 import functools
@@ -30,7 +31,8 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
     @wp.struct
     class Table:
         rows: wp.array(dtype=row_t)  # (my·mx·2): real and imaginary part of each coefficient's terms
-        basis_scale: row_t  # 1/n, so that basis[n] = basis[n − 1]·x·(1/n)
+        basis: wp.array(dtype=row_t)  # the series' basis at x = 0, −1, −2, … steps, one step before and two behind
+        basis_steps: wp.float64  # steps per unit of wavenumber and |w|
         count_y: wp.int32
         count_x: wp.int32
         origin_y: wp.int32
@@ -41,7 +43,8 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
         length_x: wp.float64
         falloff_y: wp.float32  # exponent per squared distance in coefficients
         falloff_x: wp.float32
-        height_scale: wp.float64  # half of the height range [µm]
+        shrink_y: wp.float32  # exp(−2 falloff)
+        shrink_x: wp.float32
 
     @wp.func
     def power(table: Table, deflection: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
@@ -53,39 +56,51 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
         ix = wp.int32(wp.rint(qx))
         fy = wp.float32(qy - wp.float64(iy))
         fx = wp.float32(qx - wp.float64(ix))
-        x = wp.float32(wp.float64(6.283185307179586) * deflection[2] * wavenumber * table.height_scale)
 
-        basis = row_t()
-        term = wp.float32(1.0)
-        basis[0] = term
-        for n in range(1, lanes):
-            term = term * x * table.basis_scale[n]
-            basis[n] = term
+        # The cubic through four entries of the basis' table, the first of which lies one step before x = 0.
+        steps = -deflection[2] * wavenumber * table.basis_steps
+        entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
+        t = wp.float32(steps - wp.float64(entry))
+        before = t + 1.0
+        after = 1.0 - t
+        beyond = 2.0 - t
+        basis = (
+            (-t * after * beyond / 6.0) * table.basis[entry]
+            + (0.5 * before * after * beyond) * table.basis[entry + 1]
+            + (0.5 * before * t * beyond) * table.basis[entry + 2]
+            - (before * t * after / 6.0) * table.basis[entry + 3]
+        )
 
         # The Gaussian along an axis, by two multiplications a step outwards from the nearest coefficient.
-        shrink_y = wp.exp(-2.0 * table.falloff_y)
-        shrink_x = wp.exp(-2.0 * table.falloff_x)
         start_y = wp.exp(-table.falloff_y * fy * fy)
         start_x = wp.exp(-table.falloff_x * fx * fx)
-        up_x = wp.exp(-table.falloff_x * (1.0 - 2.0 * fx))
-        down_x = wp.exp(-table.falloff_x * (1.0 + 2.0 * fx))
+        up_x = wp.float32(0.0)
+        down_x = wp.float32(0.0)
+        up_y = wp.float32(0.0)
+        down_y = wp.float32(0.0)
+        if table.reach_x > 0:
+            up_x = wp.exp(-table.falloff_x * (1.0 - 2.0 * fx))
+            down_x = wp.exp(-table.falloff_x * (1.0 + 2.0 * fx))
+        if table.reach_y > 0:
+            up_y = wp.exp(-table.falloff_y * (1.0 - 2.0 * fy))
+            down_y = wp.exp(-table.falloff_y * (1.0 + 2.0 * fy))
 
         total = wp.float32(0.0)
         total_re = wp.float32(0.0)
         total_im = wp.float32(0.0)
         gy = start_y
-        step_y = wp.exp(-table.falloff_y * (1.0 - 2.0 * fy))
+        step_y = up_y
         dy = wp.int32(0)
         sign_y = wp.int32(1)
         for j in range(2 * table.reach_y + 1):
             if j == table.reach_y + 1:
                 gy = start_y
-                step_y = wp.exp(-table.falloff_y * (1.0 + 2.0 * fy))
+                step_y = down_y
                 dy = wp.int32(0)
                 sign_y = wp.int32(-1)
             if j > 0:
                 gy = gy * step_y
-                step_y = step_y * shrink_y
+                step_y = step_y * table.shrink_y
                 dy = dy + sign_y
             y = (iy + dy + table.origin_y) % table.count_y
             if y < 0:
@@ -102,7 +117,7 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
                     sign_x = wp.int32(-1)
                 if i > 0:
                     gx = gx * step_x
-                    step_x = step_x * shrink_x
+                    step_x = step_x * table.shrink_x
                     dx = dx + sign_x
                 column = (ix + dx + table.origin_x) % table.count_x
                 if column < 0:

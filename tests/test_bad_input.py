@@ -188,13 +188,17 @@ SINGLE = [
     (lambda _: shade(view="front"), TypeError, "view must be a warpdiff.View, got str"),
     # Plans
     (lambda _: dataclasses.replace(PLAN, terms=0), ValueError, "terms must be an integer >= 1, got 0"),
-    (lambda _: dataclasses.replace(PLAN, terms=65), ValueError, "terms must be 1 to 64, got 65"),
+    (lambda _: dataclasses.replace(PLAN, terms=129), ValueError, "terms must be 1 to 128, got 129"),
     (lambda _: dataclasses.replace(PLAN, terms=9.0), TypeError, "terms must be an integer, got float"),
     (lambda _: dataclasses.replace(PLAN, reach=3), ValueError, r"reach must be a pair \(y, x\), got 3"),
     (lambda _: dataclasses.replace(PLAN, reach=(3,)), ValueError, r"reach must be a pair \(y, x\), got \(3,\)"),
     (lambda _: dataclasses.replace(PLAN, reach=(3, -1)), ValueError, r"reach\[1\] must be an integer >= 0, got -1"),
     (lambda _: dataclasses.replace(PLAN, wavelengths=1), ValueError, "wavelengths must be an integer >= 2, got 1"),
-    (lambda _: dataclasses.replace(PLAN, method="auto"), ValueError, "method must be one of 'taylor', 'direct'"),
+    (
+        lambda _: dataclasses.replace(PLAN, method="auto"),
+        ValueError,
+        "method must be one of 'taylor', 'taylor-uncentred', 'jacobi-anger', 'direct'",
+    ),
     (lambda _: dataclasses.replace(PLAN, coherence=None), TypeError, "coherence must be a warpdiff.Coherence"),
     (lambda _: dataclasses.replace(PLAN, tolerance=2.0), ValueError, "tolerance must be a finite number"),
     (

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff import fourier
+from warpdiff import expansions, fourier
+from warpdiff.expansions import EXPANSIONS
 
 PERIOD_UM = 2.5
 KAPPAS = np.array([-0.4, -1.7, -2.63, -3.9])
@@ -50,16 +51,17 @@ PROFILES = {
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("n", [64, 200])
-def test_coefficients_float64(name, n):
+@pytest.mark.parametrize("method", EXPANSIONS)
+def test_coefficients_float64(name, n, method):
+    expansion = EXPANSIONS[method]
     make, closed = PROFILES[name]
     hf = make(n)
     block = fourier.Block.covering(hf, 100.0, (0, 0))
-    argument = 2.0 * np.pi * np.abs(KAPPAS).max() * hf.height_range_um / 2.0
-    terms = fourier.taylor_term_count(argument, 1e-14)
-    series = fourier.taylor_coefficients(hf, terms, block)
-    _, half_range = fourier.height_middle_and_half_range(hf)
+    _, scale = expansion.offset_and_scale(hf)
+    terms = expansion.term_count(2.0 * np.pi * np.abs(KAPPAS).max() * scale, 1e-13)
+    series = fourier.series_coefficients(hf, expansion, terms, block)
     _, r = block.orders()
-    basis = fourier.taylor_basis(2.0 * np.pi * KAPPAS * half_range, terms)
+    basis = expansion.basis(2.0 * np.pi * KAPPAS * scale, terms)
     powers = np.abs(np.einsum("yxn,kn->kyx", series, basis)) ** 2
     np.testing.assert_allclose(powers.sum(axis=(1, 2)), 1.0, atol=1e-10)
     for k, kappa in enumerate(KAPPAS):
@@ -69,7 +71,8 @@ def test_coefficients_float64(name, n):
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
-def test_coefficients_through_the_kernel(name, kind, device):
+@pytest.mark.parametrize("method", ["auto", "taylor"])
+def test_coefficients_through_the_kernel(name, kind, method, device):
     make, closed = PROFILES[name]
     hf = make(128)
     light = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
@@ -85,7 +88,7 @@ def test_coefficients_through_the_kernel(name, kind, device):
             gain = overlap**2 / (total**2 * view[2])
             rho = wd.spectral_reflectance(
                 hf, light, view, [1e3 * wavelength], coherence=wd.Coherence(kind), ior=math.inf, masking=False,
-                tolerance=1e-5, strict=False, device=device,
+                tolerance=1e-5, method=method, device=device,
             )  # fmt: skip
             assert rho[0] / gain == pytest.approx(closed(128, -total / wavelength, order), abs=1e-5)
             seen += 1
@@ -95,25 +98,27 @@ def test_coefficients_through_the_kernel(name, kind, device):
 def test_parseval_on_two_dimensions():
     hf = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=3)
     block = fourier.Block.covering(hf, 1e3, (0, 0))
-    _, half_range = fourier.height_middle_and_half_range(hf)
-    terms = fourier.taylor_term_count(2.0 * np.pi * 5.26 * half_range, 1e-14)
-    series = fourier.taylor_coefficients(hf, terms, block, threads=2)
-    for kappa in (-0.5, -2.6, -5.26):
-        powers = np.abs(series @ fourier.taylor_basis(2.0 * np.pi * kappa * half_range, terms)) ** 2
-        assert powers.sum() == pytest.approx(1.0, abs=1e-10)
+    for expansion in EXPANSIONS.values():
+        _, scale = expansion.offset_and_scale(hf)
+        terms = expansion.term_count(2.0 * np.pi * 5.26 * scale, 1e-13)
+        series = fourier.series_coefficients(hf, expansion, terms, block, threads=2)
+        for kappa in (-0.5, -2.6, -5.26):
+            powers = np.abs(series @ expansion.basis(2.0 * np.pi * kappa * scale, terms)) ** 2
+            assert powers.sum() == pytest.approx(1.0, abs=1e-10)
 
 
 @pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0, 40.0])
-def test_block_holds_the_transform(frequency, rng):
+@pytest.mark.parametrize("method", EXPANSIONS)
+def test_block_holds_the_transform(frequency, method, rng):
     hf = wd.HeightField(rng.uniform(0.0, 0.2, (15, 24)), (0.11, 0.07))
     block = fourier.Block.covering(hf, frequency, (1, 2))
-    _, half_range = fourier.height_middle_and_half_range(hf)
-    middle, _ = fourier.height_middle_and_half_range(hf)
+    expansion = EXPANSIONS[method]
+    offset, scale = expansion.offset_and_scale(hf)
     kappa = -3.3
-    terms = fourier.taylor_term_count(2.0 * np.pi * abs(kappa) * half_range, 1e-15)
-    series = fourier.taylor_coefficients(hf, terms, block)
-    found = series @ fourier.taylor_basis(2.0 * np.pi * kappa * half_range, terms)
-    found = found * np.exp(2j * np.pi * kappa * middle)
+    terms = expansion.term_count(2.0 * np.pi * abs(kappa) * scale, 1e-14)
+    series = fourier.series_coefficients(hf, expansion, terms, block)
+    found = series @ expansion.basis(2.0 * np.pi * kappa * scale, terms)
+    found = found * np.exp(2j * np.pi * kappa * offset)
     whole = np.fft.ifft2(np.exp(2j * np.pi * kappa * hf.heights_um))
     s, r = block.orders()
     np.testing.assert_allclose(found, whole[s[:, None], r[None, :]], atol=1e-13)
@@ -122,11 +127,51 @@ def test_block_holds_the_transform(frequency, rng):
         assert set(range(-n, n + 1)) <= set(index) or len(set(index)) in hf.shape
 
 
+@pytest.mark.parametrize("method", EXPANSIONS)
 @pytest.mark.parametrize("argument", [0.0, 0.3, 2.0, 6.0, 12.0])
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-9])
-def test_terms_from_the_remainder_bound(argument, tolerance):
-    terms = fourier.taylor_term_count(argument, tolerance)
-    x = np.linspace(-argument, argument, 401)
-    basis = fourier.taylor_basis(x, terms) * 1j ** np.arange(terms)
-    assert np.abs(basis.sum(axis=1) - np.exp(1j * x)).max() <= tolerance * (1.0 + 1e-6)
-    assert terms == 1 or fourier.taylor_remainder(argument, terms - 1) > tolerance
+def test_terms_from_the_remainder_bound(method, argument, tolerance):
+    expansion = EXPANSIONS[method]
+    terms = expansion.term_count(argument, tolerance)
+    x = np.linspace(-argument, argument, 201)[:, None, None]
+    g = np.linspace(-1.0, 1.0, 101)
+    polynomials = np.stack([1j**n * expansion.polynomial(n, g) for n in range(terms)], axis=-1)
+    error = np.abs(np.sum(expansion.basis(x[:, :, 0], terms) * polynomials, axis=-1) - np.exp(1j * x[:, :, 0] * g))
+    assert error.max() <= tolerance * (1.0 + 1e-6)
+    assert terms == 1 or expansion.remainder(argument, terms - 1) > tolerance
+
+
+def test_bessel_functions_are_the_tabulated_ones():
+    """Abramowitz and Stegun, tables 9.1 and 9.4."""
+    known = {
+        (0, 1.0): 0.7651976865579666,
+        (1, 1.0): 0.4400505857449335,
+        (5, 10.0): -0.2340615281867936,
+        (10, 20.0): 0.1864825580239450,
+        (30, 5.0): 2.671177278e-21,
+        (100, 100.0): 0.09636667329586,
+    }
+    for (order, argument), value in known.items():
+        assert expansions.bessel_j(argument, order + 1)[order] == pytest.approx(value, abs=2e-14)
+        assert expansions.bessel_j(-argument, order + 1)[order] == pytest.approx((-1) ** order * value, abs=2e-14)
+
+
+@pytest.mark.parametrize("height_range_um", [0.05, 0.3, 1.0, 5.0])
+def test_jacobi_anger_is_stable_in_float32(height_range_um):
+    """Float32 throughout, given float32 κ: within 1e-5 of exp(2πiκh) over all heights, where Taylor is noise."""
+    series = EXPANSIONS["jacobi-anger"]
+    h = np.linspace(0.0, height_range_um, 2001)
+    g = (h - height_range_um / 2.0) / (height_range_um / 2.0)
+    kappa = np.float32(-2.0 / 0.38) * np.linspace(0.05, 1.0, 37, dtype=np.float32)
+    x = 2.0 * np.pi * kappa.astype(np.float64) * height_range_um / 2.0
+    terms = series.term_count(float(np.abs(x).max()), 1e-6)
+    assert terms < expansions.MAX_TERMS
+    basis = series.basis(x, terms).astype(np.float32)
+    polynomials = np.stack([series.polynomial(n, g) for n in range(terms)]).astype(np.float32)
+    even, odd = np.arange(0, terms, 2), np.arange(1, terms, 2)
+    sign_even, sign_odd = ((-1.0) ** (even // 2)).astype(np.float32), ((-1.0) ** (odd // 2)).astype(np.float32)
+    real = (basis[:, even] * sign_even) @ polynomials[even]
+    imaginary = (basis[:, odd] * sign_odd) @ polynomials[odd]
+    assert real.dtype == np.float32
+    error = np.abs(real + 1j * imaginary - np.exp(1j * x[:, None] * g))
+    assert error.max() <= 1e-5

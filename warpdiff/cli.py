@@ -216,7 +216,9 @@ def _evaluation_options() -> argparse.ArgumentParser:
     group = group_parser.add_argument_group("evaluation")
     _add_tolerance(group)
     group.add_argument(
-        "--method", default="auto", help="auto, taylor, or direct, which is slow and certain (default: auto)"
+        "--method",
+        default="auto",
+        help="auto, jacobi-anger, taylor, taylor-uncentred, or direct, which is slow and certain (default: auto)",
     )
     group.add_argument("--coherence", default="averaged", help="averaged or centred (default: averaged)")
     group.add_argument("--sigma-um", type=float, default=16.25, help="the coherence window's σ (default: 16.25)")

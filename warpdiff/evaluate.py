@@ -54,7 +54,8 @@ def spectral_reflectance(
         to_view: Directions to the viewer, the same; one and many broadcast.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         tolerance: Largest |Δρ| against max(ρ, 1e-3 · 99th percentile of the call).
-        method: ``"auto"``, ``"taylor"``, or ``"direct"`` (float64, slow and certain).
+        method: ``"auto"``, a series (``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``), or ``"direct"``
+            (float64, slow and certain).
         coherence: The window; None is averaged with σ = 16.25 µm.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
@@ -118,7 +119,8 @@ def reflectance(
         to_view: Directions to the viewer, the same; one and many broadcast.
         illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
         tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the call's directions.
-        method: ``"auto"``, ``"taylor"``, or ``"direct"`` (float64, slow and certain).
+        method: ``"auto"``, a series (``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``), or ``"direct"``
+            (float64, slow and certain).
         coherence: The window; None is averaged with σ = 16.25 µm.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
@@ -405,8 +407,8 @@ def _run(
 
     from warpdiff.kernels import directions as kernels
 
-    max_uv, _ = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
-    table = table_for(hf, plan, max_uv * float(wavenumbers.max()), device=target, threads=workers)
+    max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
+    table = table_for(hf, plan, max_uv, max_w, float(wavenumbers.max()), device=target, threads=workers)
     count = len(lights)
     reflection = kernels.Reflection()
     reflection.normal_reflectance = normal

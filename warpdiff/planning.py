@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, fourier
+from warpdiff import checks
 from warpdiff.coherence import Coherence
 from warpdiff.errors import WarpdiffWarning
+from warpdiff.expansions import EXPANSIONS, MAX_TERMS, check_cycles
 from warpdiff.heightfield import HeightField
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-METHODS = ("auto", "taylor", "direct")
+METHODS = ("auto", *EXPANSIONS, "direct")
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
 # mirror by as much again: what is left out of an amplitude must be smaller by this factor, ...
@@ -45,10 +46,10 @@ class Plan:
     """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
 
     Attributes:
-        method: ``"taylor"`` or ``"direct"``.
+        method: A series, a key of ``expansions.EXPANSIONS``, or ``"direct"``.
         coherence: The window.
         tolerance: What was asked for.
-        terms: Taylor terms, n = 0 … terms − 1.
+        terms: Terms of the series, n = 0 … terms − 1.
         reach: Coefficients (y, x) on either side of the nearest one; the neighbourhood is 2·reach + 1 wide.
         wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ; 0 where the caller gives wavelengths.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
@@ -80,8 +81,8 @@ class Plan:
         checks.choice(self.method, "method", METHODS[1:])
         checks.instance(self.coherence, Coherence, "coherence")
         check_tolerance(self.tolerance)
-        if not 1 <= checks.count(self.terms, "terms") <= fourier.MAX_TERMS:
-            raise ValueError(f"terms must be 1 to {fourier.MAX_TERMS}, got {self.terms}")
+        if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
+            raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
         if not isinstance(self.reach, Sequence) or len(self.reach) != 2:
             raise ValueError(f"reach must be a pair (y, x), got {self.reach!r}")
         for axis, value in enumerate(self.reach):
@@ -96,7 +97,7 @@ class Plan:
             return f"Direct sum over the height samples in float64, {window}: no approximation but the integral over λ."
         rows, columns = (2 * n + 1 for n in self.reach)
         text = (
-            f"Taylor series, {window}, tolerance {self.tolerance:g}, {scope}: "
+            f"{EXPANSIONS[self.method].label} series, {window}, tolerance {self.tolerance:g}, {scope}: "
             f"{self.terms} terms leave out {self.truncation:.1e} of exp(2πiκh), and float32 rounds it by up to "
             f"{self.rounding:.1e}; {rows} × {columns} coefficients leave out neighbours of weight "
             f"{self.neighbourhood:.1e}; "
@@ -123,7 +124,7 @@ def plan(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         to_view: Directions to the viewer; None is the whole hemisphere.
         tolerance: Error of XYZ that is asked for, in 1e-5 to 0.5.
-        method: ``"auto"``, ``"taylor"`` or ``"direct"``.
+        method: ``"auto"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"`` or ``"direct"``.
         coherence: The window; the default is averaged with σ = 16.25 µm.
         strict: Raise a ``ValueError`` where the tolerance cannot be met; otherwise warn.
 
@@ -199,15 +200,16 @@ def plan_for_range(
     """
     tolerance = check_tolerance(tolerance)
     lambda_min_nm = float(LAMBDA_MIN_NM if wavelengths_nm is None else wavelengths_nm.min())
+    check_cycles(hf, max_w / (lambda_min_nm * 1e-3))
     _warn_of_aliasing(hf, max_uv, lambda_min_nm)
-    _, half_range = fourier.height_middle_and_half_range(hf)
-    argument = 2.0 * math.pi * max_w / (lambda_min_nm * 1e-3) * half_range
-
-    terms = fourier.taylor_term_count(argument, tolerance * _AMPLITUDE_MARGIN, most=fourier.MAX_TERMS)
-    rounding = _FLOAT32_ROUNDING * math.exp(min(argument, 700.0))
-    truncation = fourier.taylor_remainder(argument, terms)
+    series = "jacobi-anger" if method in ("auto", "direct") else method
+    expansion = EXPANSIONS[series]
+    argument = 2.0 * math.pi * max_w / (lambda_min_nm * 1e-3) * expansion.offset_and_scale(hf)[1]
+    terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
+    rounding = _FLOAT32_ROUNDING * expansion.growth(argument)
+    truncation = expansion.remainder(argument, terms)
     if method != "direct":
-        _check_taylor(hf, argument, truncation, rounding, tolerance, strict=strict)
+        _check_series(hf, expansion.label, argument, truncation, rounding, tolerance, strict=strict)
 
     leave_out = tolerance * (_POWER_MARGIN if coherence.kind == "averaged" else _AMPLITUDE_MARGIN)
     cut_um = math.sqrt(math.log(1.0 / leave_out) / coherence.falloff_um2)
@@ -229,12 +231,12 @@ def plan_for_range(
         quadrature = tolerance / 4.0
         separation_um = 2.0 * coherence.sigma_um * math.sqrt(math.log(2.0 / quadrature))
         colour = _COLOUR_BANDWIDTH_UM * (1e-2 / tolerance) ** 0.25
-        bandwidth = max_uv * separation_um + max_w * 2.0 * half_range + colour
+        bandwidth = max_uv * separation_um + max_w * hf.height_range_um + colour
         span = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
         wavelengths = math.ceil(span * bandwidth) + 1
 
     return Plan(
-        method="direct" if method == "direct" else "taylor",
+        method="direct" if method == "direct" else series,
         coherence=coherence,
         tolerance=tolerance,
         terms=terms,
@@ -251,19 +253,22 @@ def plan_for_range(
     )
 
 
-def _check_taylor(
-    hf: HeightField, argument: float, truncation: float, rounding: float, tolerance: float, *, strict: bool
+def _check_series(
+    hf: HeightField, label: str, argument: float, truncation: float, rounding: float, tolerance: float, *, strict: bool
 ) -> None:
     """Refuse, or warn of, a series that cannot reach the tolerance in float32."""
     # The bound on rounding adds all terms up in the worst way and at one height; what a coefficient sees of it is
     # smaller by more than the margin that an amplitude needs.
     if rounding <= tolerance and truncation <= tolerance * _AMPLITUDE_MARGIN:
         return
+    if rounding > tolerance:
+        why = f"its terms grow with e^{argument:.1f} and cancel, leaving an error of up to {rounding:.1e}"
+    else:
+        why = f"{MAX_TERMS} terms, the most there are, leave out {truncation:.1e}"
     message = (
-        f"the Taylor series cannot reach tolerance={tolerance:g} in float32 for a height range of "
-        f"{hf.height_range_um:.3g} µm: its terms grow to e^{argument:.1f} and cancel, leaving an error of up to "
-        f"{max(truncation, rounding):.1e}; "
-        "reduce the range with levelled(), despiked() or cropped(), ask for a larger tolerance, or use method='direct'"
+        f"the {label} series cannot reach tolerance={tolerance:g} in float32 for a height range of "
+        f"{hf.height_range_um:.3g} µm: {why}; reduce the range with levelled(), despiked() or cropped(), ask for a "
+        "larger tolerance, or use method='auto' or 'direct'"
     )
     if strict:
         raise ValueError(message + "; strict=False computes it all the same")

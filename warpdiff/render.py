@@ -63,7 +63,8 @@ def shade(
         light: One light, or several.
         view: The camera.
         tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the lit pixels.
-        method: ``"auto"``, ``"taylor"``, or ``"direct"`` (float64, slow and certain).
+        method: ``"auto"``, a series (``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``), or ``"direct"``
+            (float64, slow and certain).
         coherence: The window; None is averaged with σ = 16.25 µm.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
@@ -120,7 +121,7 @@ def shade(
 
     if plan.method != "direct":
         wavelengths = spectrum.wavelengths_uniform_in_wavenumber(plan.wavelengths)
-        table = table_for(hf, plan, max_uv * 1e3 / spectrum.LAMBDA_MIN_NM, device=target, threads=workers)
+        table = table_for(hf, plan, max_uv, max_w, 1e3 / spectrum.LAMBDA_MIN_NM, device=target, threads=workers)
     passes = samples * len(lights)
     for sample in range(samples):
         if samples > 1:
