@@ -90,7 +90,7 @@ def test_kernel_against_direct_on_fingers(kind, rng, device):
 @pytest.mark.parametrize("sigma_um", [0.8, 3.0])
 def test_wide_neighbourhoods(kind, sigma_um, rng):
     """Short windows reach over more coefficients than the patch has: the look-up is periodic."""
-    hf = wd.HeightField(rng.uniform(0.0, 0.1, (24, 40)), 0.09)
+    hf = wd.HeightField(rng.uniform(0.0, 0.1, (24, 40)), (0.09, 0.07))
     lights, views = hemisphere(rng, 16), hemisphere(rng, 16)
     options = {"coherence": wd.Coherence(kind, sigma_um), "tolerance": 1e-4}
     exact = wd.spectral_reflectance(hf, lights, views, [420.0, 650.0], method="direct", **options)
