@@ -19,6 +19,21 @@ OPTIONS = {
 }
 
 
+@wp.struct
+class Quadrature:
+    """Wavelengths and their colour weights, in sets of which each has 1/√2 of the samples of the one before.
+
+    A direction takes the set for its bandwidth, as a share of the largest one: per_uv |(u, v)| + per_w |w| + constant.
+    """
+
+    wavenumbers: wp.array(dtype=wp.float64)  # 1/λ [1/µm], set after set
+    weights: wp.array(dtype=wp.vec3f)
+    firsts: wp.array(dtype=wp.int32)  # where each set begins, and where the last one ends
+    per_uv: wp.float32
+    per_w: wp.float32
+    constant: wp.float32
+
+
 @functools.cache
 def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
     """The struct and the kernels for rows of ``lanes`` terms, in the averaged or the centred form.
@@ -142,8 +157,7 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
         table: Table,
         deflections: wp.array(dtype=wp.vec3d),
         gains: wp.array(dtype=wp.float32),
-        wavenumbers: wp.array(dtype=wp.float64),
-        weights: wp.array(dtype=wp.vec3f),
+        quadrature: Quadrature,
         first: wp.int32,
         # Out:
         xyz_out: wp.array(dtype=wp.vec3f),
@@ -152,9 +166,14 @@ def kernels(lanes: int, centred: bool) -> types.SimpleNamespace:
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
+            deflection = deflections[i]
+            uv = wp.float32(wp.sqrt(deflection[0] * deflection[0] + deflection[1] * deflection[1]))
+            share = quadrature.per_uv * uv + quadrature.per_w * wp.float32(-deflection[2]) + quadrature.constant
+            fewest = quadrature.firsts.shape[0] - 2
+            chosen = wp.clamp(wp.int32(wp.floor(-2.0 * wp.log2(share))), 0, fewest)
             colour = wp.vec3f()
-            for k in range(wavenumbers.shape[0]):
-                colour += weights[k] * power(table, deflections[i], wavenumbers[k])
+            for k in range(quadrature.firsts[chosen], quadrature.firsts[chosen + 1]):
+                colour += quadrature.weights[k] * power(table, deflection, quadrature.wavenumbers[k])
             xyz_out[i] = xyz_out[i] + gain * colour
 
     @wp.kernel(module="unique", module_options=OPTIONS)

@@ -89,7 +89,7 @@ def test_a_plan_reads_as_a_paragraph(rough):
     text = str(plan)
     assert "\n" not in text
     assert text.startswith("Jacobi-Anger series")
-    assert text.endswith("a direction.")
+    assert text.endswith("a direction at most.")
     rows, columns = (2 * n + 1 for n in plan.reach)
     for part in (
         "averaged window with σ = 6.5 µm",
@@ -278,3 +278,25 @@ def test_tables_die_with_their_height_field(rough, builds):
     gc.collect()
     assert builds[0]() is None
     assert len(tables._cache) == before - 1
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
+def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
+    """Directions of small |(u, v)| take fewer wavelengths, and lose nothing by it."""
+    lights = hemisphere(rng, 200)
+    views = lights * [-1.0, -1.0, 1.0] + rng.normal(scale=0.3, size=(200, 3)) * rng.uniform(size=(200, 1))
+    views[:, 2] = np.abs(views[:, 2])
+    plan = wd.plan(rough, lights, views, tolerance=tolerance)
+    assert plan.adaptive
+    finest = dataclasses.replace(plan, adaptive=False, wavelengths=8 * plan.wavelengths)
+    found, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+    assert np.percentile(error, 99.0) <= tolerance
+    quadrature = tables.quadrature_for(rough, plan, "D65", device="cpu")
+    firsts = quadrature.firsts.numpy()
+    assert firsts[1] == plan.wavelengths
+    assert len(firsts) >= 3
+    assert np.all(np.diff(np.diff(firsts)) < 0)
+    fixed = tables.quadrature_for(rough, dataclasses.replace(plan, adaptive=False), "D65", device="cpu")
+    assert fixed.firsts.numpy().tolist() == [0, plan.wavelengths]

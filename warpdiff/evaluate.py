@@ -12,7 +12,7 @@ from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.image import Image
 from warpdiff.planning import Plan, broadcast_directions, check_request, deflection_range, plan_for_range
-from warpdiff.tables import table_for
+from warpdiff.tables import quadrature_for, table_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,7 +88,7 @@ def spectral_reflectance(
         result[lit] = gains[lit, None] * power
     else:
         result = _run(
-            hf, lights, views, normal, masking, used, 1e3 / wavelengths, None,
+            hf, lights, views, normal, masking, used, 1e3 / wavelengths,
             device=device, threads=threads, progress=progress,
         )  # fmt: skip
     return result[0] if single else result
@@ -344,10 +344,8 @@ def _reflectance(
     if used.method == "direct":
         gains = optics.gain(lights, views, normal=normal, masking=masking)
         return direct_colour(hf, -lights - views, gains, used, illuminant, progress=progress), used
-    wavelengths = spectrum.wavelengths_uniform_in_wavenumber(used.wavelengths)
-    weights = spectrum.quadrature_weights(wavelengths, illuminant)
     result = _run(
-        hf, lights, views, normal, masking, used, 1e3 / wavelengths, weights,
+        hf, lights, views, normal, masking, used, illuminant,
         device=device, threads=threads, progress=progress,
     )  # fmt: skip
     return result, used
@@ -393,14 +391,13 @@ def _run(
     normal: float,
     masking: bool,
     plan: Plan,
-    wavenumbers: NDArray[np.float64],
-    weights: NDArray[np.float64] | None,
+    what: NDArray[np.float64] | str,
     *,
     device: Any,
     threads: int | None,
     progress: Callable[[float], None] | None,
 ) -> NDArray[np.float32]:
-    """Evaluate on a device: XYZ with ``weights``, else ρ at each wavenumber."""
+    """Evaluate on a device: ρ at each of ``what``, wavenumbers [1/µm], or XYZ under ``what``, an illuminant."""
     target = resolve_device(device)
     workers = resolve_threads(threads)
     import warp as wp
@@ -408,7 +405,8 @@ def _run(
     from warpdiff.kernels import directions as kernels
 
     max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
-    table = table_for(hf, plan, max_uv, max_w, float(wavenumbers.max()), device=target, threads=workers)
+    largest = 1e3 / spectrum.LAMBDA_MIN_NM if isinstance(what, str) else float(what.max())
+    table = table_for(hf, plan, max_uv, max_w, largest, device=target, threads=workers)
     count = len(lights)
     reflection = kernels.Reflection()
     reflection.normal_reflectance = normal
@@ -420,14 +418,14 @@ def _run(
         [wp.array(lights, dtype=wp.vec3d, device=target), wp.array(views, dtype=wp.vec3d, device=target), reflection],
         [deflections, gains], device=target, threads=workers,
     )  # fmt: skip
-    nodes = wp.array(wavenumbers, dtype=wp.float64, device=target)
-    inputs = [table.arguments, deflections, gains, nodes]
-    if weights is None:
-        result = wp.empty((count, len(wavenumbers)), dtype=wp.float32, device=target)
-        kernel = table.sample
-    else:
-        result = wp.zeros(count, dtype=wp.vec3f, device=target)
-        inputs.append(wp.array(weights.astype(np.float32), dtype=wp.vec3f, device=target))
+    if isinstance(what, str):
         kernel = table.integrate
+        samples = quadrature_for(hf, plan, what, device=target)
+        result = wp.zeros(count, dtype=wp.vec3f, device=target)
+    else:
+        kernel = table.sample
+        samples = wp.array(what, dtype=wp.float64, device=target)
+        result = wp.empty((count, len(what)), dtype=wp.float32, device=target)
+    inputs = [table.arguments, deflections, gains, samples]
     launch(kernel, count, inputs, [result], device=target, threads=workers, progress=progress)
     return np.asarray(result.numpy())

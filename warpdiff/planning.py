@@ -34,6 +34,8 @@ _POWER_MARGIN = 1e-4
 # A colour changes as fast as the colour curves and the illuminant do: their share of the samples, at a tolerance of
 # 1e-2, in samples per unit of 1/λ [µm]; cubic interpolation between samples errs as the fourth power of their distance.
 _COLOUR_BANDWIDTH_UM = 48.0
+# The integral's share of the tolerance.
+_QUADRATURE_SHARE = 0.25
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
 _PATCH_IN_SIGMAS = 20.0
@@ -52,6 +54,7 @@ class Plan:
         terms: Terms of the series, n = 0 … terms − 1.
         reach: Coefficients (y, x) on either side of the nearest one; the neighbourhood is 2·reach + 1 wide.
         wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ; 0 where the caller gives wavelengths.
+        adaptive: Whether directions with less than the largest |(u, v)| and |w| take fewer of them.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_w: Largest |w| of these.
         lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
@@ -59,7 +62,7 @@ class Plan:
         neighbourhood: Weight of the nearest coefficient that is left out.
         quadrature: Predicted relative error of the integral over λ; 0 without one.
         rounding: Bound of the error of exp(2πiκh) from float32 arithmetic.
-        multiply_adds: Predicted cost of a direction.
+        multiply_adds: Predicted cost of the dearest direction.
     """
 
     method: str
@@ -68,6 +71,7 @@ class Plan:
     terms: int
     reach: tuple[int, int]
     wavelengths: int
+    adaptive: bool
     max_uv: float
     max_w: float
     lambda_min_nm: float
@@ -87,6 +91,7 @@ class Plan:
             raise ValueError(f"reach must be a pair (y, x), got {self.reach!r}")
         for axis, value in enumerate(self.reach):
             checks.count(value, f"reach[{axis}]", least=0)
+        checks.flag(self.adaptive, "adaptive")
         if self.wavelengths != 0:
             checks.count(self.wavelengths, "wavelengths", least=2)
 
@@ -103,8 +108,10 @@ class Plan:
             f"{self.neighbourhood:.1e}; "
         )
         if self.wavelengths:
-            text += f"{self.wavelengths} wavelengths equally spaced in 1/λ integrate to about {self.quadrature:.1e}; "
-        return text + f"some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction."
+            fewer = ", fewer where |(u, v)| is smaller," if self.adaptive else ""
+            text += f"{self.wavelengths} wavelengths equally spaced in 1/λ{fewer} "
+            text += f"integrate to about {self.quadrature:.1e}; "
+        return text + f"some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction at most."
 
 
 def plan(
@@ -224,16 +231,11 @@ def plan_for_range(
     nearest = min((n + 0.5) / length for n, length in zip((reach_y, reach_x), hf.size_um, strict=True))
     neighbourhood = math.exp(-min(coherence.falloff_um2 * nearest**2, 700.0))
 
-    wavelengths, quadrature = 0, 0.0
+    wavelengths = 0
     if wavelengths_nm is None:
-        # A trapezoidal sum in τ = 1/λ sees what oscillates slower than its samples: products of two points of the
-        # surface oscillate as w(h − h') + (u, v)·(x − x'), and exp(−|x − x'|²/4σ²) weighs their distance.
-        quadrature = tolerance / 4.0
-        separation_um = 2.0 * coherence.sigma_um * math.sqrt(math.log(2.0 / quadrature))
-        colour = _COLOUR_BANDWIDTH_UM * (1e-2 / tolerance) ** 0.25
-        bandwidth = max_uv * separation_um + max_w * hf.height_range_um + colour
+        per_uv, per_w, constant = bandwidth_um(hf, coherence, tolerance)
         span = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-        wavelengths = math.ceil(span * bandwidth) + 1
+        wavelengths = math.ceil(span * (per_uv * max_uv + per_w * max_w + constant)) + 1
 
     return Plan(
         method="direct" if method == "direct" else series,
@@ -242,15 +244,27 @@ def plan_for_range(
         terms=terms,
         reach=(reach_y, reach_x),
         wavelengths=wavelengths,
+        adaptive=True,
         max_uv=max_uv,
         max_w=max_w,
         lambda_min_nm=lambda_min_nm,
         truncation=truncation,
         neighbourhood=neighbourhood,
-        quadrature=quadrature,
+        quadrature=tolerance * _QUADRATURE_SHARE if wavelengths else 0.0,
         rounding=rounding,
         multiply_adds=2 * terms * neighbours * max(wavelengths, 1),
     )
+
+
+def bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
+    """Samples per unit of 1/λ that a direction takes, as a, b, c [µm] of a·|(u, v)| + b·|w| + c.
+
+    A trapezoidal sum in 1/λ sees what oscillates slower than its samples. Products of two points of the surface
+    oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their distance, and the colour curves add a
+    constant.
+    """
+    separation_um = 2.0 * coherence.sigma_um * math.sqrt(math.log(2.0 / (tolerance * _QUADRATURE_SHARE)))
+    return separation_um, hf.height_range_um, _COLOUR_BANDWIDTH_UM * (1e-2 / tolerance) ** 0.25
 
 
 def _check_series(

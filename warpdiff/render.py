@@ -15,7 +15,7 @@ from warpdiff.image import Image
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import Plan, deflection_range, plan_for_range
 from warpdiff.surface import prepare_surface
-from warpdiff.tables import table_for
+from warpdiff.tables import quadrature_for, table_for
 from warpdiff.view import View
 
 if TYPE_CHECKING:
@@ -120,7 +120,6 @@ def shade(
         plan = plan_for_range(hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=window, strict=strict)
 
     if plan.method != "direct":
-        wavelengths = spectrum.wavelengths_uniform_in_wavenumber(plan.wavelengths)
         table = table_for(hf, plan, max_uv, max_w, 1e3 / spectrum.LAMBDA_MIN_NM, device=target, threads=workers)
     passes = samples * len(lights)
     for sample in range(samples):
@@ -134,8 +133,7 @@ def shade(
                 gains = np.where(lit, frame.gains.numpy().astype(np.float64), 0.0)
                 frame.add(direct_colour(hf, deflections, gains, plan, each.illuminant, progress=share))
             else:
-                weights = spectrum.quadrature_weights(wavelengths, each.illuminant)
-                frame.integrate(table, 1e3 / wavelengths, weights, progress=share)
+                frame.integrate(table, quadrature_for(hf, plan, each.illuminant, device=target), progress=share)
     return frame.image(plan)
 
 
@@ -241,14 +239,11 @@ class _Frame:
         )
         return self._deflections.numpy(), self.gains.numpy() > 0.0
 
-    def integrate(self, table: Any, wavenumbers: np.ndarray, weights: np.ndarray, **options: Any) -> None:
+    def integrate(self, table: Any, quadrature: Any, **options: Any) -> None:
         """Add the diffraction colours of the last deflections."""
-        import warp as wp
-
-        nodes = wp.array(wavenumbers, dtype=wp.float64, device=self._device)
-        colours = wp.array(weights.astype(np.float32), dtype=wp.vec3f, device=self._device)
-        inputs = [table.arguments, self._deflections, self.gains, nodes, colours]
-        self._launch(table.integrate, inputs, [self._xyz], **options)
+        self._launch(
+            table.integrate, [table.arguments, self._deflections, self.gains, quadrature], [self._xyz], **options
+        )
 
     def add(self, xyz: np.ndarray) -> None:
         """Add colours that were computed on the host."""

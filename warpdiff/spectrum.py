@@ -139,6 +139,13 @@ def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
     return 1.0 / np.linspace(1.0 / LAMBDA_MIN_NM, 1.0 / LAMBDA_MAX_NM, count)
 
 
+@functools.lru_cache(maxsize=256)
+def uniform_quadrature(count: int, illuminant: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``count`` wavenumbers [1/µm] equally spaced over the visible range, shape (m,), and weights, shape (m, 3)."""
+    wavelengths = wavelengths_uniform_in_wavenumber(count)
+    return 1e3 / wavelengths, quadrature_weights(wavelengths, illuminant)
+
+
 def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:
     """Return wavelengths [nm] as a float64 array of shape (m,), each within 100 to 10,000 nm.
 

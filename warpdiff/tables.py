@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import fourier
+from warpdiff import fourier, spectrum
 from warpdiff.expansions import EXPANSIONS, check_cycles
-from warpdiff.spectrum import LAMBDA_MIN_NM
+from warpdiff.planning import bandwidth_um
 
 if TYPE_CHECKING:
     import warp as wp
@@ -25,6 +25,7 @@ _LANES = 8
 _BASIS_STEP = 1.0 / 32.0
 # A Taylor basis far beyond its range, which is computed on request only, stays within float32.
 _LARGEST = 1e30
+_FEWEST_WAVELENGTHS = 16
 # Tables that a height field keeps: a light or a view that moves asks for the same one again.
 _KEPT = 4
 _cache: weakref.WeakKeyDictionary[HeightField, dict[Any, Table]] = weakref.WeakKeyDictionary()
@@ -60,7 +61,7 @@ def table_for(
         threads: Transforms to run side by side.
     """
     # Rounded up, so that the small changes of a moving light or view, and all visible wavelengths, meet the same table.
-    max_wavenumber = max(max_wavenumber, 1e3 / LAMBDA_MIN_NM)
+    max_wavenumber = max(max_wavenumber, 1e3 / spectrum.LAMBDA_MIN_NM)
     frequency = math.ceil(2.0 * max_uv * max_wavenumber + 0.1) / 2.0
     kappa = math.ceil(2.0 * max_w * max_wavenumber + 0.1) / 2.0
     check_cycles(hf, kappa)
@@ -74,6 +75,32 @@ def table_for(
         while len(kept) > _KEPT:
             kept.pop(next(iter(kept)))
     return kept[key]
+
+
+def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.Device) -> Any:
+    """The struct ``Quadrature`` of the spectral kernels, for a plan and an illuminant."""
+    import warp as wp
+
+    from warpdiff.kernels import spectral
+
+    parts = bandwidth_um(hf, plan.coherence, plan.tolerance)
+    largest = parts[0] * plan.max_uv + parts[1] * plan.max_w + parts[2]
+    counts = [plan.wavelengths]
+    # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
+    levels = math.floor(2.0 * math.log2(largest / parts[2])) if plan.adaptive else 0
+    for level in range(1, levels + 1):
+        fewer = math.ceil(plan.wavelengths * 2.0 ** (-level / 2.0))
+        if fewer < _FEWEST_WAVELENGTHS:
+            break
+        counts.append(fewer)
+    sets = [spectrum.uniform_quadrature(count, illuminant) for count in counts]
+    result = spectral.Quadrature()
+    result.wavenumbers = wp.array(np.concatenate([nodes for nodes, _ in sets]), dtype=wp.float64, device=device)
+    weights = np.concatenate([each for _, each in sets]).astype(np.float32)
+    result.weights = wp.array(weights, dtype=wp.vec3f, device=device)
+    result.firsts = wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device=device)
+    result.per_uv, result.per_w, result.constant = (part / largest for part in parts)
+    return result
 
 
 def _build(
