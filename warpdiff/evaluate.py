@@ -260,7 +260,7 @@ def brdf(
     lights, _, single = broadcast_directions(to_light, to_view)
     sigma = (plan.coherence if plan is not None else coherence or Coherence()).sigma_um
     wavelengths_um = spectrum.check_wavelengths(wavelengths_nm) * 1e-3
-    cos_i = np.where(lights[:, 2] > 0.0, lights[:, 2], 1.0)
+    cos_i = np.where(lights[:, 2] > optics.HORIZON, lights[:, 2], 1.0)
     scale = optics.normal_reflectance(ior) * 4.0 * math.pi * sigma**2 / (cos_i[:, None] * wavelengths_um**2)
     return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))
 
