@@ -20,7 +20,11 @@ VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
 PLAN = wd.plan(HF)
 IMAGE = wd.Image(
-    xyz=np.ones((3, 4, 3), np.float32), mask=np.ones((3, 4), bool), coverage=np.ones((3, 4), np.float32), plan=PLAN
+    xyz=np.ones((3, 4, 3), np.float32),
+    mask=np.ones((3, 4), bool),
+    lit=np.ones((3, 4), bool),
+    coverage=np.ones((3, 4), np.float32),
+    plan=PLAN,
 )
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 

@@ -29,7 +29,7 @@ def image(plan, rng) -> wd.Image:
     rgb = rng.uniform(0.0, 2.0, (HEIGHT, WIDTH, 3))
     rgb[3, 3] = (-0.25, 0.5, 0.125)
     xyz = (spectrum.rgb_to_xyz(rgb) * COVERAGE[..., None]).astype(np.float32)
-    return wd.Image(xyz=xyz, mask=COVERAGE > 0.0, coverage=COVERAGE, plan=plan)
+    return wd.Image(xyz=xyz, mask=COVERAGE > 0.0, lit=COVERAGE > 0.0, coverage=COVERAGE, plan=plan)
 
 
 def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
@@ -103,14 +103,16 @@ def test_automatic_exposure_maps_the_99th_percentile_of_lit_pixels_to_1(plan, rn
     dark = mask & (rng.random((40, 50)) < 0.2)
     luminance[~mask | dark] = 0.0
     xyz = np.repeat(luminance[..., None], 3, axis=2).astype(np.float32)
-    image = wd.Image(xyz=xyz, mask=mask, coverage=mask.astype(np.float32), plan=plan)
+    image = wd.Image(xyz=xyz, mask=mask, lit=mask & ~dark, coverage=mask.astype(np.float32), plan=plan)
     lit = luminance[mask & ~dark]
     assert np.percentile(lit * image.auto_exposure, 99.0) == pytest.approx(1.0, rel=1e-6)
 
 
 def test_a_black_picture_is_saved_as_one(plan, tmp_path):
     nothing = np.zeros((2, 3), np.float32)
-    image = wd.Image(xyz=np.zeros((2, 3, 3), np.float32), mask=nothing > 0.0, coverage=nothing, plan=plan)
+    image = wd.Image(
+        xyz=np.zeros((2, 3, 3), np.float32), mask=nothing > 0.0, lit=nothing > 0.0, coverage=nothing, plan=plan
+    )
     assert image.auto_exposure == 1.0
     for name in ("a.png", "a.exr"):
         assert not read(image.save(tmp_path / name))[1].any()

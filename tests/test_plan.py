@@ -169,7 +169,7 @@ def test_plans_are_values(rough):
 
 def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_the_same():
     views = hemisphere(np.random.default_rng(2), 20)
-    for height, method in ((3.0, "taylor"), (3.0, "taylor-uncentred"), (12.0, "taylor"), (12.0, "auto")):
+    for height, method in ((3.0, "taylor"), (3.0, "taylor-uncentred"), (8.0, "taylor"), (8.0, "auto")):
         hf = deep(height)
         for call in (wd.plan, lambda *a, **o: wd.reflectance(a[0], UP, views, **o)):
             with pytest.raises(ValueError, match=rf"tolerance=0\.01 .* of {height:g} µm.*levelled\(\).*strict=False"):
@@ -196,15 +196,41 @@ def test_heights_in_another_unit_are_refused(rough):
         for method in ("auto", "taylor", "direct"):
             with pytest.raises(ValueError, match="heights are in µm"):
                 wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
-        with pytest.raises(ValueError, match="heights are in µm"):
+        with pytest.raises(ValueError, match="heights are in µm"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
             wd.reflectance(deep(height_um), UP, UP, plan=wd.plan(rough))
 
 
-def test_an_explicit_plan_is_not_argued_with(rough):
+def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
+    narrow = wd.plan(rough, UP, at_angle(5.0))
+    calls = {
+        "height range": lambda: wd.reflectance(deep(3.0), UP, UP, plan=narrow, strict=True),
+        "up to 0.643, planned 0.0872": lambda: wd.reflectance(rough, UP, at_angle(40.0), plan=narrow),
+        "1/λ": lambda: wd.spectral_reflectance(rough, UP, UP, 200.0, plan=narrow),
+    }
+    for what, call in calls.items():
+        with pytest.warns(wd.WarpdiffWarning, match=f"beyond what it holds for: .*{what}"):
+            found = call()
+        assert np.all(np.isfinite(found))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = wd.reflectance(deep(3.0), UP, UP, plan=wd.plan(rough), strict=True)
-    assert np.all(np.isfinite(found))
+        wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
+        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=wd.plan(rough))
+
+
+def test_windows_too_long_for_a_colour_are_refused(rough):
+    with pytest.raises(ValueError, match=r"sigma_um=20000 .* wavelengths"):
+        wd.plan(rough, coherence=wd.Coherence(sigma_um=2e4))
+
+
+def test_one_row_is_constant_along_y():
+    """However coarse its pitch: no order leaves the plane, and none is said to alias."""
+    row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
+    coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
+    views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
+    for method in ("auto", "direct"):
+        thin, thick = (wd.spectral_reflectance(hf, UP, views, [400.0], method=method) for hf in (row, coarse))
+        np.testing.assert_allclose(thick, thin, rtol=1e-4, atol=1e-30)
+        assert thick[0] < 1e-30
 
 
 def test_a_coarse_pitch_is_said_to_alias(rough):

@@ -57,6 +57,9 @@ def window_power(
             qx, qy = u / wavelength, v / wavelength
             r = np.arange(math.ceil((qx - cut) * length_x), math.floor((qx + cut) * length_x) + 1)
             s = np.arange(math.ceil((qy - cut) * length_y), math.floor((qy + cut) * length_y) + 1)
+            # An axis of one sample is constant: it has no order but 0.
+            r = r if nx > 1 else r[r == 0]
+            s = s if ny > 1 else s[s == 0]
             if r.size == 0 or s.size == 0:
                 continue
             field = np.exp(2j * math.pi * (w / wavelength) * hf.heights_um)

@@ -11,7 +11,7 @@ from warpdiff import checks, direct, optics, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.image import Image
-from warpdiff.planning import Plan, broadcast_directions, check_request, deflection_range, plan_for_range
+from warpdiff.planning import Plan, broadcast_directions, check_request, deflection_range, plan_for_range, warn_outside
 from warpdiff.tables import quadrature_for, table_for
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def spectral_reflectance(
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Threads on the CPU; None is one a core.
-        progress: Called with the share that is done, 0 to 1.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
 
     Returns:
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
@@ -128,7 +128,7 @@ def reflectance(
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Threads on the CPU; None is one a core.
-        progress: Called with the share that is done, 0 to 1.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
 
     Returns:
         CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
@@ -210,7 +210,7 @@ def brdf_map(
     )  # fmt: skip
     xyz = np.zeros((size, size, 3), dtype=np.float32)
     xyz[mask] = values
-    return Image(xyz=xyz, mask=mask, coverage=mask.astype(np.float32), plan=used)
+    return Image(xyz=xyz, mask=mask, lit=mask, coverage=mask.astype(np.float32), plan=used)
 
 
 def brdf(
@@ -278,9 +278,12 @@ def _plan(
     wavelengths_nm: NDArray[np.float64] | None,
 ) -> Plan:
     """The given plan, or one for these directions."""
-    if plan is not None:
-        return check_plan(plan, coherence, colour=wavelengths_nm is None)
     max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
+    if plan is not None:
+        check_plan(plan, coherence, colour=wavelengths_nm is None)
+        lambda_min_nm = spectrum.LAMBDA_MIN_NM if wavelengths_nm is None else float(wavelengths_nm.min())
+        warn_outside(plan, hf, max_uv, max_w, lambda_min_nm)
+        return plan
     return plan_for_range(
         hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=coherence or Coherence(), strict=strict,
         wavelengths_nm=wavelengths_nm,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MAX_TERMS = 128
 # 128 terms serve some 30 cycles of phase.
-_MOST_CYCLES = 1000.0
+_MOST_CYCLES = 100.0
 # Where the bounds of a Taylor series would overflow.
 _LARGEST_EXPONENT = 700.0
 

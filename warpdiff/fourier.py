@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
 
 
+_CONSTANT_AXIS_UM = 0.01
+
+
 @dataclass(frozen=True)
 class Block:
     """The coefficients that are kept: a rectangle around r = s = 0, or all of them.
@@ -60,6 +63,15 @@ class Block:
             order = np.arange(count, dtype=np.int64) - origin
             found.append((order + samples // 2) % samples - samples // 2)
         return found[0], found[1]
+
+
+def axis_lengths_um(hf: HeightField) -> tuple[float, float]:
+    """The patch's (Ly, Lx) [µm] as the look-up of coefficients takes them.
+
+    An axis of one sample is constant and has the order 0 alone: a length far below the wavelength keeps it the nearest
+    one, and the Gaussian over it what it is, for every direction.
+    """
+    return tuple(_CONSTANT_AXIS_UM if n == 1 else length for n, length in zip(hf.shape, hf.size_um, strict=True))  # type: ignore[return-value]
 
 
 def series_coefficients(

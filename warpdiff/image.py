@@ -25,14 +25,17 @@ class Image:
     """What an evaluation of a picture returns.
 
     Attributes:
-        xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 on top; 0 in the background.
+        xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 on top; 0 in the background, and multiplied by
+            ``coverage`` where a pixel's samples hit in part.
         mask: Whether anything was hit, shape (height, width).
+        lit: Whether it was hit and an unshadowed light stands above its horizon, shape (height, width).
         coverage: Share of the pixel's samples that hit something, 0 to 1, float32; alpha in files.
         plan: What was computed and why.
     """
 
     xyz: NDArray[np.float32]
     mask: NDArray[np.bool_]
+    lit: NDArray[np.bool_]
     coverage: NDArray[np.float32]
     plan: Plan
 
@@ -44,16 +47,19 @@ class Image:
     @property
     def auto_exposure(self) -> float:
         """The factor that maps the 99th percentile of the lit pixels' luminance to 1; 1 for a black picture."""
-        luminance = self.xyz[..., 1][self.mask]
-        lit = luminance[luminance > 0.0]
-        return 1.0 / float(np.percentile(lit, 99.0)) if lit.size else 1.0
+        luminance = self.xyz[..., 1][self.lit]
+        if not luminance.size:
+            return 1.0
+        # Of orders so sharp that a hundredth of the pixels sees none, the brightest one stands for them.
+        bright = float(np.percentile(luminance, 99.0)) or float(luminance.max())
+        return 1.0 / bright if bright > 0.0 else 1.0
 
     def save(self, path: str | os.PathLike[str], *, exposure: float | None = None, bits: int = 8) -> Path:
         """Write the picture; an existing file is replaced only once the new one is complete.
 
         Args:
             path: ``.exr`` holds linear float32 channels R, G, B, A and XYZ.X, XYZ.Y, XYZ.Z, unscaled unless
-                ``exposure`` is given. ``.png`` is sRGB with alpha.
+                ``exposure`` is given, multiplied by alpha. ``.png`` is sRGB with alpha, not multiplied.
             exposure: Linear factor; None is 1 for EXR and :attr:`auto_exposure` for PNG.
             bits: 8 or 16, for PNG.
 

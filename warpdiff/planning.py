@@ -17,6 +17,7 @@ from warpdiff import checks
 from warpdiff.coherence import Coherence
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS, check_cycles
+from warpdiff.fourier import axis_lengths_um
 from warpdiff.heightfield import HeightField
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
@@ -39,6 +40,7 @@ _QUADRATURE_SHARE = 0.25
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
 _PATCH_IN_SIGMAS = 20.0
+_MOST_WAVELENGTHS = 20_000
 # Float32 rounds each term of the series to half a unit in the last place.
 _FLOAT32_ROUNDING = 2.0**-24
 
@@ -58,6 +60,7 @@ class Plan:
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_w: Largest |w| of these.
         lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
+        height_range_um: Largest height range that the numbers hold for [µm].
         truncation: Bound of the error of exp(2πiκh) from the terms left out.
         neighbourhood: Weight of the nearest coefficient that is left out.
         quadrature: Predicted relative error of the integral over λ; 0 without one.
@@ -75,6 +78,7 @@ class Plan:
     max_uv: float
     max_w: float
     lambda_min_nm: float
+    height_range_um: float
     truncation: float
     neighbourhood: float
     quadrature: float
@@ -89,6 +93,9 @@ class Plan:
             raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
         if not isinstance(self.reach, Sequence) or len(self.reach) != 2:
             raise ValueError(f"reach must be a pair (y, x), got {self.reach!r}")
+        object.__setattr__(self, "reach", tuple(self.reach))
+        for name in ("max_uv", "max_w", "lambda_min_nm", "height_range_um"):
+            checks.number(getattr(self, name), name, least=0.0)
         for axis, value in enumerate(self.reach):
             checks.count(value, f"reach[{axis}]", least=0)
         checks.flag(self.adaptive, "adaptive")
@@ -216,11 +223,12 @@ def plan_for_range(
     rounding = _FLOAT32_ROUNDING * expansion.growth(argument)
     truncation = expansion.remainder(argument, terms)
     if method != "direct":
-        _check_series(hf, expansion.label, argument, truncation, rounding, tolerance, strict=strict)
+        _check_series(hf, expansion.label, truncation, rounding, tolerance, strict=strict)
 
     leave_out = tolerance * (_POWER_MARGIN if coherence.kind == "averaged" else _AMPLITUDE_MARGIN)
     cut_um = math.sqrt(math.log(1.0 / leave_out) / coherence.falloff_um2)
-    reach_y, reach_x = (max(0, math.ceil(cut_um * length - 0.5)) for length in hf.size_um)
+    lengths = axis_lengths_um(hf)
+    reach_y, reach_x = (max(0, math.ceil(cut_um * length - 0.5)) for length in lengths)
     neighbours = (2 * reach_y + 1) * (2 * reach_x + 1)
     if method != "direct" and neighbours > _MOST_NEIGHBOURS:
         raise ValueError(
@@ -228,7 +236,7 @@ def plan_for_range(
             f"{2 * reach_y + 1} × {2 * reach_x + 1} coefficients lie in its window's reach; crop the height field to "
             f"some {_PATCH_IN_SIGMAS * coherence.sigma_um:.3g} µm, which the window cannot tell from the whole"
         )
-    nearest = min((n + 0.5) / length for n, length in zip((reach_y, reach_x), hf.size_um, strict=True))
+    nearest = min((n + 0.5) / length for n, length in zip((reach_y, reach_x), lengths, strict=True))
     neighbourhood = math.exp(-min(coherence.falloff_um2 * nearest**2, 700.0))
 
     wavelengths = 0
@@ -236,6 +244,12 @@ def plan_for_range(
         per_uv, per_w, constant = bandwidth_um(hf, coherence, tolerance)
         span = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
         wavelengths = math.ceil(span * (per_uv * max_uv + per_w * max_w + constant)) + 1
+        if wavelengths > _MOST_WAVELENGTHS:
+            raise ValueError(
+                f"sigma_um={coherence.sigma_um:g} and a height range of {hf.height_range_um:.3g} µm make spectra so "
+                f"fine that a colour takes {wavelengths} wavelengths; the most are {_MOST_WAVELENGTHS}: take a smaller "
+                "sigma_um or a larger tolerance, or spectral_reflectance at wavelengths of your own"
+            )
 
     return Plan(
         method="direct" if method == "direct" else series,
@@ -248,12 +262,34 @@ def plan_for_range(
         max_uv=max_uv,
         max_w=max_w,
         lambda_min_nm=lambda_min_nm,
+        height_range_um=hf.height_range_um,
         truncation=truncation,
         neighbourhood=neighbourhood,
         quadrature=tolerance * _QUADRATURE_SHARE if wavelengths else 0.0,
         rounding=rounding,
         multiply_adds=2 * terms * neighbours * max(wavelengths, 1),
     )
+
+
+def warn_outside(plan: Plan, hf: HeightField, max_uv: float, max_w: float, lambda_min_nm: float) -> None:
+    """Warn where a call with an explicit plan goes beyond what the plan's numbers hold for."""
+    beyond = [
+        f"{name} {value:.3g}, planned {planned:.3g}"
+        for name, value, planned in (
+            ("|(u, v)| up to", max_uv, plan.max_uv),
+            ("|w| up to", max_w, plan.max_w),
+            ("1/λ [1/µm] up to", 1e3 / lambda_min_nm, 1e3 / plan.lambda_min_nm),
+            ("a height range [µm] of", hf.height_range_um, plan.height_range_um),
+        )
+        if value > planned * (1.0 + 1e-6) + 1e-9
+    ]
+    if beyond and plan.method != "direct":
+        warnings.warn(
+            f"plan= is used beyond what it holds for: {'; '.join(beyond)}; make one for these directions and this "
+            "height field with warpdiff.plan()",
+            WarpdiffWarning,
+            stacklevel=4,
+        )
 
 
 def bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
@@ -268,7 +304,7 @@ def bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tup
 
 
 def _check_series(
-    hf: HeightField, label: str, argument: float, truncation: float, rounding: float, tolerance: float, *, strict: bool
+    hf: HeightField, label: str, truncation: float, rounding: float, tolerance: float, *, strict: bool
 ) -> None:
     """Refuse, or warn of, a series that cannot reach the tolerance in float32."""
     # The bound on rounding adds all terms up in the worst way and at one height; what a coefficient sees of it is
@@ -276,13 +312,17 @@ def _check_series(
     if rounding <= tolerance and truncation <= tolerance * _AMPLITUDE_MARGIN:
         return
     if rounding > tolerance:
-        why = f"its terms grow with e^{argument:.1f} and cancel, leaving an error of up to {rounding:.1e}"
+        why = (
+            f"its terms grow to {rounding / _FLOAT32_ROUNDING:.1e} and cancel, leaving an error of up to {rounding:.1e}"
+        )
+        if rounding >= 1.0:
+            why += ", so that no digit need be right"
     else:
         why = f"{MAX_TERMS} terms, the most there are, leave out {truncation:.1e}"
     message = (
         f"the {label} series cannot reach tolerance={tolerance:g} in float32 for a height range of "
         f"{hf.height_range_um:.3g} µm: {why}; reduce the range with levelled(), despiked() or cropped(), ask for a "
-        "larger tolerance, or use method='auto' or 'direct'"
+        "larger tolerance, or use method='direct', or 'auto' in place of a Taylor series"
     )
     if strict:
         raise ValueError(message + "; strict=False computes it all the same")
@@ -291,7 +331,10 @@ def _check_series(
 
 def _warn_of_aliasing(hf: HeightField, max_uv: float, lambda_min_nm: float) -> None:
     """Warn where the directions ask for frequencies beyond what the pitch can carry."""
-    coarsest = max(hf.pitch_um)
+    # An axis of one sample is constant, not sampled.
+    coarsest = max((pitch for n, pitch in zip(hf.shape, hf.pitch_um, strict=True) if n > 1), default=0.0)
+    if coarsest == 0.0:
+        return
     supported = lambda_min_nm * 1e-3 / (2.0 * coarsest)
     if max_uv > supported * (1.0 + 1e-9):
         warnings.warn(

@@ -13,7 +13,7 @@ from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.light import DirectionalLight
-from warpdiff.planning import Plan, deflection_range, plan_for_range
+from warpdiff.planning import Plan, deflection_range, plan_for_range, warn_outside
 from warpdiff.surface import prepare_surface
 from warpdiff.tables import quadrature_for, table_for
 from warpdiff.view import View
@@ -78,7 +78,7 @@ def shade(
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Threads on the CPU; None is one a core. The picture does not depend on it.
-        progress: Called with the share that is done, 0 to 1.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
 
     Returns:
         The picture; ``image.plan`` says what was computed and why.
@@ -116,7 +116,9 @@ def shade(
             uv, w = deflection_range(*frame.deflections(argument, reflection))
             max_uv, max_w = max(max_uv, uv), max(max_w, w)
     frame.clear()
-    if plan is None:
+    if plan is not None:
+        warn_outside(plan, hf, max_uv, max_w, spectrum.LAMBDA_MIN_NM)
+    else:
         plan = plan_for_range(hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=window, strict=strict)
 
     if plan.method != "direct":
@@ -128,6 +130,7 @@ def shade(
         frame.count_hits()
         for index, (each, argument) in enumerate(zip(lights, arguments, strict=True)):
             deflections, lit = frame.deflections(argument, reflection)
+            frame.lit |= lit
             share = _share(progress, sample * len(lights) + index, passes)
             if plan.method == "direct":
                 gains = np.where(lit, frame.gains.numpy().astype(np.float64), 0.0)
@@ -170,6 +173,7 @@ class _Frame:
         self.gains = empty(wp.float32)
         self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
         self._hits = np.zeros(size, dtype=np.int64)
+        self.lit = np.zeros(size, dtype=np.bool_)
 
     def light_arguments(self, light: DirectionalLight, window: Coherence, *, pigment: float, shadows: bool) -> Any:
         """The struct of one light."""
@@ -257,7 +261,13 @@ class _Frame:
         """The finished picture."""
         shape = (self._view.height, self._view.width)
         coverage = (self._hits / self._samples).astype(np.float32).reshape(shape)
-        return Image(xyz=self._xyz.numpy().reshape(*shape, 3).copy(), mask=coverage > 0.0, coverage=coverage, plan=plan)
+        return Image(
+            xyz=self._xyz.numpy().reshape(*shape, 3).copy(),
+            mask=coverage > 0.0,
+            lit=self.lit.reshape(shape),
+            coverage=coverage,
+            plan=plan,
+        )
 
 
 def _check_lights(light: Any) -> list[DirectionalLight]:

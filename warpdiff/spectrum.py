@@ -143,7 +143,10 @@ def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
 def uniform_quadrature(count: int, illuminant: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``count`` wavenumbers [1/µm] equally spaced over the visible range, shape (m,), and weights, shape (m, 3)."""
     wavelengths = wavelengths_uniform_in_wavenumber(count)
-    return 1e3 / wavelengths, quadrature_weights(wavelengths, illuminant)
+    wavenumbers, weights = 1e3 / wavelengths, quadrature_weights(wavelengths, illuminant)
+    wavenumbers.setflags(write=False)
+    weights.setflags(write=False)
+    return wavenumbers, weights
 
 
 def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:

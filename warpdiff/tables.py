@@ -132,8 +132,8 @@ def _build(
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin
     table.reach_y, table.reach_x = plan.reach
-    table.length_y, table.length_x = hf.size_um
-    table.falloff_y, table.falloff_x = falloff = [coherence.falloff_um2 / length**2 for length in hf.size_um]
+    table.length_y, table.length_x = lengths = fourier.axis_lengths_um(hf)
+    table.falloff_y, table.falloff_x = falloff = [coherence.falloff_um2 / length**2 for length in lengths]
     table.shrink_y, table.shrink_x = (math.exp(-2.0 * each) for each in falloff)
     return Table(kernels.integrate, kernels.sample, table)
 
