@@ -105,8 +105,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
             lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, samples_per_pixel=2, progress=progress),
             6.0,
         ),
-        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3))),
-        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25))),
+        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), 0.04),
+        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), 0.04),
         Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), 3.0),
         Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers), 3.0),
     ]
