@@ -30,8 +30,8 @@ lint: $(LINT_STAMP) ## check style and types
 	$(BIN)/python -m ruff format --check
 	$(BIN)/python -m mypy
 
-bench: $(DEMO_STAMP) ## measure the speed of shading
-	$(BIN)/python bench/shade_speed.py
+bench: $(DEMO_STAMP) ## measure speed against accuracy
+	$(BIN)/python bench/reflectance_speed.py
 
 clean: ## remove the environment, caches, builds and the demonstration's pictures
 	rm -rf $(VENV) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

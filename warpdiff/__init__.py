@@ -4,13 +4,15 @@ The map of the package, in the order in which data flows:
 
 - ``heightfield``, ``gratings``: a measured or synthetic surface, and its cleaning
 - ``coherence``, ``planning``: the window of the Fourier sum; from a tolerance to terms, neighbours and wavelengths
-- ``fourier``, ``tables``: the transforms of the powers of the heights, in NumPy; the same on a device
+- ``expansions``: series of exp(2πiκh) that separate the wavelength from the heights
+- ``fourier``, ``tables``: the transforms of a series' polynomials of the heights, in NumPy; the same on a device
 - ``meshes``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
 - ``kernels``: Warp kernels: ray casting, directions, spectral integration
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
 - ``render``: ``shade``, a picture of a mesh; ``evaluate``: the reflectance at arrays of directions; ``direct``: the
   same by a sum that approximates nothing
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
+- ``device``, ``checks``, ``errors``: launches over threads; validation of arguments; the warning category
 """
 
 from importlib.metadata import version

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import checks
+from warpdiff.spectrum import LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
     import os
 
     from numpy.typing import ArrayLike, NDArray
-
-SHORTEST_WAVELENGTH_UM = 0.38
-"""Blue end of the visible range [µm]; it decides which directions a pitch supports."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class HeightFieldSummary:
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
                 f"rms slope         {self.rms_slope:.3g} ({math.degrees(math.atan(self.rms_slope)):.1f}°)",
                 f"dominant periods  {periods}",
-                f"supports          {supported} at {1e3 * SHORTEST_WAVELENGTH_UM:.0f} nm",
+                f"supports          {supported} at {LAMBDA_MIN_NM} nm",
             ]
         )
 
@@ -412,7 +410,7 @@ class HeightField:
             rms_um=self.rms_um,
             rms_slope=self.rms_slope,
             dominant_periods_um=self.dominant_periods_um(),
-            max_uv=SHORTEST_WAVELENGTH_UM / (2.0 * max(sampled)) if sampled else math.inf,
+            max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * max(sampled)) if sampled else math.inf,
         )
 
     def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:

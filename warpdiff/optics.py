@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 # Directions closer to the horizon than this (0.00006°) count as below it: the gain grows without bound there.
 HORIZON = 1e-6
-# 4π²: with λ² it is the solid angle's share of a frequency cell in the pigment's unit (DESIGN "Pigment").
-_FOUR_PI_SQUARED = 4.0 * math.pi**2
 
 
 def normal_reflectance(ior: Any) -> float:
@@ -74,4 +72,4 @@ def gain(
 
 def pigment_solid_angle(wavelengths_um: NDArray[np.float64], sigma_um: float) -> NDArray[np.float64]:
     """G = λ²/(4π²σ²): what relates a Lambertian reflectance to the relative one of a Gaussian window."""
-    return np.asarray(wavelengths_um**2 / (_FOUR_PI_SQUARED * sigma_um**2))
+    return np.asarray(wavelengths_um**2 / (2.0 * math.pi * sigma_um) ** 2)

@@ -123,6 +123,7 @@ def shade(
 
     if plan.method != "direct":
         table = table_for(hf, plan, max_uv, max_w, 1e3 / spectrum.LAMBDA_MIN_NM, device=target, threads=workers)
+        quadratures = [quadrature_for(hf, plan, each.illuminant, device=target) for each in lights]
     passes = samples * len(lights)
     for sample in range(samples):
         if samples > 1:
@@ -136,7 +137,7 @@ def shade(
                 gains = np.where(lit, frame.gains.numpy().astype(np.float64), 0.0)
                 frame.add(direct_colour(hf, deflections, gains, plan, each.illuminant, progress=share))
             else:
-                frame.integrate(table, quadrature_for(hf, plan, each.illuminant, device=target), progress=share)
+                frame.integrate(table, quadratures[index], progress=share)
     return frame.image(plan)
 
 
