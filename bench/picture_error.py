@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
     parser.add_argument("--width", type=int, default=320, help="width of the picture; 4:3 (320)")
     parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 1e-2, 1e-3], metavar="TOLERANCE")
-    parser.add_argument("--kinds", nargs="+", default=["averaged", "centred"], metavar="KIND")
+    parser.add_argument("--kinds", nargs="+", default=["averaged", "centred", "source"], metavar="KIND")
     parser.add_argument("--sigma-um", type=float, default=16.25, help="standard deviation of the window (16.25)")
     options = parser.parse_args()
     data = options.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
@@ -59,7 +59,7 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for name, hf in height_fields(data).items():
         for kind in options.kinds:
-            coherence = wd.Coherence(kind, options.sigma_um)
+            coherence = wd.Coherence(kind, options.sigma_um if kind in ("averaged", "centred") else None)
             truth = chosen = None
             for tolerance in options.tolerances:
                 image = wd.shade(mesh, hf, LIGHT, view, tolerance=tolerance, coherence=coherence)
@@ -70,7 +70,7 @@ def main() -> None:
                 if truth is None:
                     chosen = reference.stratified(image.mask, options.pixels)
                     truth = reference.reference_picture(
-                        body, hf, [LIGHT], view, chosen, kind, options.sigma_um, tolerance=min(options.tolerances)
+                        body, hf, [LIGHT], view, chosen, coherence, tolerance=min(options.tolerances)
                     )
                 error = reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth)
                 lit = np.count_nonzero(image.mask) * error.lit / len(chosen)

@@ -14,6 +14,7 @@ class Reflection:
 
     normal_reflectance: wp.float64
     masking: wp.bool
+    per_light_cosine: wp.bool  # for a light of a size
 
 
 @wp.struct
@@ -42,6 +43,15 @@ class Pixels:
     base_colour: wp.array(dtype=wp.vec3f)
 
 
+@wp.func
+def reflected(to_light: wp.vec3d, to_view: wp.vec3d, reflection: Reflection) -> wp.float64:
+    """The gain of one pair of directions."""
+    result = gain(to_light, to_view, reflection.normal_reflectance, reflection.masking)
+    if reflection.per_light_cosine and result > wp.float64(0.0):
+        result = result / to_light[2]
+    return result
+
+
 @wp.kernel
 def deflect_directions(
     # In:
@@ -51,12 +61,14 @@ def deflect_directions(
     first: wp.int32,
     # Out:
     deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
 ):
-    """Deflection and gain of pairs of unit vectors in the local frame."""
+    """Deflection, direction to the light and gain of pairs of unit vectors in the local frame."""
     i = first + wp.tid()
     deflections_out[i] = -to_lights[i] - to_views[i]
-    gains_out[i] = wp.float32(gain(to_lights[i], to_views[i], reflection.normal_reflectance, reflection.masking))
+    to_lights_out[i] = wp.vec3f(to_lights[i])
+    gains_out[i] = wp.float32(reflected(to_lights[i], to_views[i], reflection))
 
 
 @wp.kernel
@@ -69,12 +81,14 @@ def deflect_pixels(
     first: wp.int32,
     # Out:
     deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
-    """Deflection and gain of pixels under one light; its pigment is added to ``xyz_out``."""
+    """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``."""
     i = first + wp.tid()
     deflections_out[i] = wp.vec3d()
+    to_lights_out[i] = wp.vec3f()
     gains_out[i] = wp.float32(0.0)
     if pixels.hit[i] == 0:
         return
@@ -95,7 +109,8 @@ def deflect_pixels(
     scale = weight * light.power
     normal = reflection.normal_reflectance
     deflections_out[i] = -to_light - to_view
-    gains_out[i] = wp.float32(scale * gain(to_light, to_view, normal, reflection.masking))
+    to_lights_out[i] = wp.vec3f(to_light)
+    gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
     if light.pigment > zero:
         under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
         base = wp.vec3d(pixels.base_colour[i])

@@ -1,8 +1,10 @@
 """The second tier of truth: colours of directions and of pixels in NumPy and float64; shares no code with the library.
 
-Coefficients H_rs(κ) come from FFTs of exp(2πiκh) at Chebyshev nodes in κ and are interpolated between them to
-rounding; all of them within eight widths of a direction count, and the integral over λ is refined until it settles.
-What a test proves against ``method="direct"`` is fast enough to judge whole pictures.
+Under a window or a source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ and is interpolated between
+them to rounding; all coefficients within nine widths of a direction count. Of whole copies, the sum over one patch is
+explicit at Chebyshev nodes in 1/λ and interpolated between them to rounding, which its length and height allow, and
+what the copies make of it is in closed form. The integral over λ is refined until it settles. What a test proves
+against ``direct`` is fast enough to judge whole pictures and sweeps.
 """
 
 from __future__ import annotations
@@ -14,81 +16,257 @@ from typing import NamedTuple
 import numpy as np
 from brute_force import intersect, pixel_rays, shading_frame
 
-WIDTHS = 8.0
-# Gauss and Legendre's three points on (0, 1).
-POINTS = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-POINT_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
-MOST_PAIRS = 200_000
-# A mirror has Y = 1. What lies eight widths from everything ends in a step that no quadrature resolves.
+WIDTHS = 9.0
+# A Gaussian exp(−WIDTHS²/2) is what is left out.
+DEPTH = WIDTHS**2 / 2.0
+# Wavenumbers 1/λ [1/µm] of the visible range, over which every integral goes.
+REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
+# Nodes of Gauss and Legendre in a cell of the quadrature; a cell resolves so many standard deviations of a Gaussian
+# and so many periods of an oscillation at first, before it is halved to see whether that was enough.
+POINTS = 8
+WIDTHS_PER_CELL = 6.0
+PERIODS_PER_CELL = 1.2
+FEWEST_CELLS = 8
+MOST_CELLS = 1 << 19
+# Coefficients are looked up for so many nodes at a time: few enough that these lie near each other.
+BLOCK = 128
+# Copies are evaluated at so many nodes at a time, and samples of a patch summed so many at a time: that saves memory.
+MOST_NODES = 1 << 16
+MOST_SAMPLES = 1 << 14
+# A mirror has Y = 1. What lies nine widths from everything ends in a step that no quadrature resolves.
 LEAST = 1e-10
 # IEC 61966-2-1.
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 
-class Coefficients:
-    """H_rs(κ) of a height field for κ between two bounds [1/µm] and |q_rs| up to a frequency [1/µm]."""
+class Step(NamedTuple):
+    """What keeps the light in step: the same attributes as a ``wd.Coherence``, which may stand in its place."""
 
-    def __init__(self, hf, kind, sigma, kappas, frequency, centre=None):
-        self.kind, self.lengths = kind, tuple(float(n) * float(d) for n, d in zip(hf.shape, hf.pitch_um, strict=True))
-        self.falloff = (4.0 if kind == "averaged" else 2.0) * (math.pi * sigma) ** 2
-        self.cut = WIDTHS / math.sqrt(2.0 * self.falloff)
-        self.low, high = min(kappas), max(kappas)
-        self.half = max((high - self.low) / 2.0, 1e-9)
+    kind: str = "averaged"
+    sigma_um: float | None = None
+    spread: float = 0.0
+    copies: tuple[int, int] | None = None
+    centre_um: tuple[float, float] | None = None
+
+
+def step_of(coherence, sigma, centre):
+    """The kind by name with σ [µm] and centre (y, x) [µm], or an object that has it all."""
+    return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
+
+
+def sum_for(hf, step, deflections, shortest, longest):
+    """What evaluates ⟨|P|²⟩ of these deflections (n, 3) between two wavelengths [µm]."""
+    return Copies(hf, step) if step.kind == "replicas" else Coefficients(hf, step, deflections, shortest, longest)
+
+
+def chebyshev_nodes(count):
+    """Chebyshev's nodes of the first kind on (−1, 1)."""
+    return np.cos(math.pi * (np.arange(count) + 0.5) / count)
+
+
+def chebyshev_cardinals(position, count):
+    """The polynomials that are 1 at one Chebyshev node and 0 at the others, at positions (m,): shape (m, count)."""
+    order = np.arange(count)
+    transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
+    transform[0] /= 2.0
+    return np.cos(np.arccos(np.clip(position, -1.0, 1.0))[:, None] * order) @ transform
+
+
+def chebyshev_terms(argument):
+    """Terms that hold exp(ix) for |x| up to the argument to rounding."""
+    return math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 10.0)
+
+
+class Coefficients:
+    """H_rs(κ) of a height field, under a window or a source."""
+
+    def __init__(self, hf, step, deflections, shortest, longest):
+        self.step = step
+        self.shape, pitch = hf.shape, tuple(float(d) for d in hf.pitch_um)
+        self.lengths = tuple(n * d for n, d in zip(self.shape, pitch, strict=True))
+        kappas = np.outer([deflections[:, 2].min(), deflections[:, 2].max()], [1.0 / shortest, 1.0 / longest])
+        self.low = kappas.min()
+        self.half = max(np.ptp(kappas) / 2.0, 1e-9)
         heights = np.asarray(hf.heights_um, dtype=np.float64)
         # Mid-range, whose phase is common to all coefficients, off: the argument in κ is then the least.
         heights = heights - (heights.max() + heights.min()) / 2.0
-        argument = 2.0 * math.pi * self.half * np.abs(heights).max()
-        self.terms = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 10.0)
-
-        self.most = [math.ceil((frequency + self.cut) * length) + 1 for length in self.lengths]
-        s, r = (np.arange(-most, most + 1) for most in self.most)
-        index = np.ix_(s % hf.shape[0], r % hf.shape[1])
-        angles = math.pi * (np.arange(self.terms) + 0.5) / self.terms
-        rows = np.zeros((s.size, r.size, 2, self.terms))
-        for angle in angles:
-            kappa = self.low + self.half * (1.0 + math.cos(angle))
-            sampled = np.fft.ifft2(np.exp(2j * math.pi * kappa * heights))[index]
-            share = np.cos(np.arange(self.terms) * angle) * (2.0 / self.terms)
-            share[0] /= 2.0
-            rows[:, :, 0] += sampled.real[:, :, None] * share
-            rows[:, :, 1] += sampled.imag[:, :, None] * share
-        self.rows = rows.reshape(-1, 2, self.terms)
+        self.height = np.abs(heights).max()
+        self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
+        # Only coefficients that any direction comes near are kept, and where each of them is.
+        reach = math.sqrt(DEPTH / self.rate(1.0 / shortest))
+        kept, self.places = [], []
+        for n, length, across in zip(self.shape, self.lengths, (deflections[:, 1], deflections[:, 0]), strict=True):
+            most = math.ceil((np.abs(across).max() / shortest + reach) * length) + 1
+            kept.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
+            self.places.append(np.zeros(n, dtype=np.int64))
+            self.places[-1][kept[-1]] = np.arange(len(kept[-1]))
+        # Rows are coefficients; in each the real parts at all nodes, then the imaginary ones.
+        self.rows = np.empty((len(kept[0]), len(kept[1]), 2, self.terms))
+        for node, at in enumerate(chebyshev_nodes(self.terms)):
+            sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[np.ix_(*kept)]
+            self.rows[:, :, 0, node], self.rows[:, :, 1, node] = sampled.real, sampled.imag
+        centre = step.centre_um
         if centre is None:
-            centre = tuple((n // 2) * d for n, d in zip(hf.shape, hf.pitch_um, strict=True))
-        turns = s[:, None] * centre[0] / self.lengths[0] + r[None, :] * centre[1] / self.lengths[1]
-        self.phase = np.exp(-2j * math.pi * (turns % 1.0)).ravel()
-        reach = [math.ceil(self.cut * length + 0.5) for length in self.lengths]
-        grid = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
-        self.offsets = np.stack([g.ravel() for g in grid])
+            centre = tuple((n // 2) * d for n, d in zip(self.shape, pitch, strict=True))
+        self.centre = centre
 
-    def power(self, deflection, tau):
+    def metric(self, to_light):
+        """The matrix A of the exponent a(τ) · (q − q_rs)ᵀ A (q − q_rs)."""
+        if self.step.kind != "source":
+            return np.eye(2)
+        # A disc in the sky is an ellipse on the surface, cos θi as long towards the light.
+        across = to_light[:2]
+        return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
+
+    def rate(self, tau):
+        """The factor a(τ) of the exponent [µm²]."""
+        if self.step.kind == "source":
+            return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
+        falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
+        return np.full(np.shape(tau), falloff)
+
+    def resolution(self, deflection, to_light):
+        """The largest cell in τ that resolves all coefficients on a direction's way, and the least size that counts."""
+        across = deflection[:2]
+        length = math.sqrt(across @ self.metric(to_light) @ across)
+        if self.step.kind == "source":
+            # The width in λ is in proportion to λ; the nearest coefficients may lie a few widths beyond the direction.
+            width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
+        else:
+            # Of centred windows too: the power of a sum of Gaussians holds products of two.
+            width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
+        turns = 2.0 * abs(deflection[2]) * self.height
+        return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
+
+    def power(self, deflection, to_light, tau):
         """⟨|P|²⟩ of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
-        step = max(1, MOST_PAIRS // self.offsets.shape[1])
-        return np.concatenate([self._power(deflection, tau[k : k + step]) for k in range(0, len(tau), step)])
+        order = np.argsort(tau)
+        result = np.empty(len(tau))
+        for start in range(0, len(tau), BLOCK):
+            block = order[start : start + BLOCK]
+            result[block] = self._power(deflection, self.metric(to_light), tau[block])
+        return result
 
-    def _power(self, deflection, tau):
-        u, v, w = deflection
-        position = np.clip((w * tau - self.low) / self.half - 1.0, -1.0, 1.0)
-        basis = np.cos(np.arccos(position)[:, None] * np.arange(self.terms))
-        distance2 = 0.0
-        orders = []
-        for frequency, length, offsets in zip((v * tau, u * tau), self.lengths, self.offsets, strict=True):
-            orders.append(np.rint(frequency * length).astype(np.int64)[:, None] + offsets)
-            distance2 = distance2 + (frequency[:, None] - orders[-1] / length) ** 2
-        node, which = np.nonzero(distance2 <= self.cut**2)
-        s, r = (order[node, which] for order in orders)
-        at = (s + self.most[0]) * (2 * self.most[1] + 1) + r + self.most[1]
-        gaussian = np.exp(-self.falloff * distance2[node, which])
-        value = np.einsum("pck,pk->pc", self.rows[at], basis[node])
-        if self.kind == "averaged":
-            return np.bincount(node, gaussian * np.sum(value**2, axis=1), len(tau))
-        amplitude = (value[:, 0] + 1j * value[:, 1]) * self.phase[at] * gaussian
-        re, im = np.bincount(node, amplitude.real, len(tau)), np.bincount(node, amplitude.imag, len(tau))
-        return re**2 + im**2
+    def _power(self, deflection, metric, tau):
+        """The same for few τ in ascending order: every coefficient near any of them, for all of them."""
+        across = deflection[:2]
+        reach = math.sqrt(DEPTH / self.rate(tau).min())
+        along_axis = np.sqrt(np.diag(np.linalg.inv(metric)))
+        ends = np.outer([tau[0], tau[-1]], across)
+        bounds = []
+        for axis in (0, 1):
+            length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
+            first = math.ceil((low - reach * along_axis[axis]) * length)
+            last = math.floor((high + reach * along_axis[axis]) * length)
+            # An axis of one sample is constant: it has no order but 0.
+            bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
+        r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
+        q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
+        # The distance of a coefficient from the way, in the metric of the exponent.
+        square = across @ metric @ across
+        nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
+        away = q - nearest[:, None] * across
+        near = np.einsum("ki,ij,kj->k", away, metric, away) <= reach**2
+        if not near.any():
+            return np.zeros(len(tau))
+        r, s, q = r[near], s[near], q[near]
+        # (τU − q)ᵀ A (τU − q), as a square about the nearest point and what is left across.
+        foot = q @ metric @ across / max(square, 1e-30)
+        away = q - foot[:, None] * across
+        left = np.einsum("ki,ij,kj->k", away, metric, away)
+        gaussian = np.exp(-self.rate(tau) * (left[:, None] + square * (tau - foot[:, None]) ** 2))
+        basis = chebyshev_cardinals((deflection[2] * tau - self.low) / self.half - 1.0, self.terms)
+        rows = self.rows[self.places[0][s % self.shape[0]], self.places[1][r % self.shape[1]]].reshape(-1, self.terms)
+        value = (rows @ basis.T).reshape(len(r), 2, len(tau))
+        if self.step.kind != "centred":
+            return np.einsum("ckm,ckm,cm->m", value, value, gaussian)
+        turns = s * self.centre[0] / self.lengths[0] + r * self.centre[1] / self.lengths[1]
+        phase = np.exp(-2j * math.pi * (turns % 1.0))
+        amplitude = np.sum((value[:, 0] + 1j * value[:, 1]) * phase[:, None] * gaussian, axis=0)
+        return np.abs(amplitude) ** 2
 
 
-def gain(to_light, to_view, *, ior=1.5, masking=True):
-    """C·M of unit vectors (n, 3) in the local frame; 0 where one is not above the surface."""
+class Copies:
+    """A number of whole copies of a height field in step with each other."""
+
+    def __init__(self, hf, step):
+        (ny, nx), (dy, dx) = hf.shape, (float(d) for d in hf.pitch_um)
+        heights = np.asarray(hf.heights_um, dtype=np.float64)
+        # The origin in the middle: that is a phase common to all samples, and the arguments are then the least.
+        x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
+        y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
+        z = heights - (heights.max() + heights.min()) / 2.0
+        self.samples = np.stack([x.ravel(), y.ravel(), z.ravel()])
+        self.reach = np.abs(self.samples).max(axis=1)
+        self.lengths, self.copies = (nx * dx, ny * dy), (step.copies[1], step.copies[0])
+        self.latest = None, None
+
+    def resolution(self, deflection, to_light):  # noqa: ARG002
+        """The largest cell in τ that resolves the lobes of the copies, and the least size that counts."""
+        turns = 2.0 * abs(deflection[2]) * self.reach[2]
+        turns += sum(
+            abs(u) * n * length for u, n, length in zip(deflection[:2], self.copies, self.lengths, strict=True)
+        )
+        return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.copies) ** 2
+
+    def power(self, deflection, to_light, tau):  # noqa: ARG002
+        """|P|² of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        low, high = tau.min(), tau.max()
+        span = max(high - low, 1e-9)
+        key = (*deflection, low, high)
+        if key != self.latest[0]:
+            self.latest = key, self._panels(deflection, low, span)
+        parts = np.array_split((tau - low) / span, math.ceil(len(tau) / MOST_NODES))
+        result = np.abs(np.concatenate([self._patch(part) for part in parts])) ** 2
+        for u, n, length in zip(deflection[:2], self.copies, self.lengths, strict=True):
+            turns = u * length * tau
+            part = math.pi * (turns - np.rint(turns))
+            whole = np.abs(part) < 1e-12
+            safe = np.where(whole, 1.0, part)
+            result *= np.where(whole, 1.0, np.sin(n * safe) / (n * np.sin(safe))) ** 2
+        return result
+
+    def _patch(self, position):
+        """The mean of exp(2πiτ(ux + vy + wh)) over the patch, but for a common phase, at positions 0 to 1 in τ."""
+        at_nodes = self.latest[1]
+        panels, terms = at_nodes.shape
+        panel = np.clip((position * panels).astype(np.int64), 0, panels - 1)
+        basis = chebyshev_cardinals(2.0 * (position * panels - panel) - 1.0, terms)
+        return np.einsum("mk,mk->m", basis, at_nodes[panel])
+
+    def _panels(self, deflection, low, span):
+        """The mean over the patch at Chebyshev's nodes in panels of equal length from low on, shape (panels, nodes)."""
+        argument = math.pi * span * (np.abs(deflection) @ self.reach)
+        panels = max(1, math.ceil(argument / 5.0))
+        terms = chebyshev_terms(argument / panels)
+        step = span / panels
+        offsets = chebyshev_nodes(terms)[: (terms + 1) // 2] * step / 2.0
+        at_nodes = np.zeros((panels, terms), dtype=complex)
+        turns = deflection @ self.samples
+        for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
+            # All nodes are sums of a panel's middle and an offset, all exponentials products: of the middles, each
+            # of which is one step further, and of the offsets, whose second half is the first one's negative.
+            to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
+            middles = np.empty((panels, len(part)), dtype=complex)
+            for panel in range(panels):
+                middles[panel] = to_middles
+                to_middles = to_middles * to_next
+            first = exp_i(2.0 * math.pi * np.outer(offsets, part))
+            both = np.concatenate([first, first[: terms // 2][::-1].conj()])
+            at_nodes += middles @ both.T
+        return at_nodes / len(turns)
+
+
+def exp_i(phase):
+    """exp(i·phase), faster than NumPy's complex exponential."""
+    result = np.empty(phase.shape, dtype=complex)
+    np.cos(phase, out=result.real)
+    np.sin(phase, out=result.imag)
+    return result
+
+
+def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
+    """C·M of unit vectors (n, 3) in the local frame, over cos θi for a source; 0 where one is not above the surface."""
     lit = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
     result = np.zeros(len(lit))
     i, r = to_light[lit], to_view[lit]
@@ -99,6 +277,8 @@ def gain(to_light, to_view, *, ior=1.5, masking=True):
     if masking:
         shadowing = 2.0 * half[:, 2] * np.minimum(r[:, 2], i[:, 2]) / cos_d
         result[lit] *= np.minimum(1.0, shadowing)
+    if source:
+        result[lit] /= i[:, 2]
     return result
 
 
@@ -119,36 +299,54 @@ def products(illuminant):
     return values / values[:, 1].sum()
 
 
-def quadrature(cell_nm, illuminant):
-    """Wavelengths [µm] and weights (m, 3): three points a cell of the linear interpolant, end points at full weight."""
-    edges = np.linspace(380.0, 780.0, round(400.0 / cell_nm) + 1)
-    nodes = np.concatenate([(edges[:-1, None] + np.diff(edges)[:, None] * POINTS).ravel(), [380.0, 780.0]])
-    measure = np.concatenate([(np.diff(edges)[:, None] * POINT_WEIGHTS).ravel(), [0.5, 0.5]])
+@functools.lru_cache(maxsize=24)
+def quadrature(cells, illuminant):
+    """Wavenumbers τ [1/µm] and weights (m, 3) of cells of equal length in τ, and of the end points at full weight.
+
+    In each cell it integrates the polynomial in τ through its nodes, times the linear interpolant of the products, over
+    λ: the interpolant's kinks need no nodes of their own.
+    """
+    x, _ = np.polynomial.legendre.leggauss(POINTS)
+    edges = np.linspace(REDDEST, BLUEST, cells + 1)
+    half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
+    # Between neighbouring edges and kinks everything is smooth.
+    pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
+    middle = (pieces[:-1] + pieces[1:]) / 2.0
+    cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)
+    to_cardinals = np.linalg.inv(np.polynomial.legendre.legvander(x, POINTS - 1))
     table = products(illuminant)
-    curves = [np.interp(nodes, np.arange(380, 781), table[:, c]) for c in range(3)]
-    return nodes * 1e-3, measure[:, None] * np.stack(curves, axis=1)
-
-
-def coefficients_for(hf, deflections, kind, sigma, shortest, longest, centre=None):
-    """The coefficients that deflections (n, 3) reach between two wavelengths [µm]."""
-    w = deflections[:, 2]
-    kappas = np.array([w.min() / shortest, w.max() / shortest, w.min() / longest, w.max() / longest])
-    frequency = np.hypot(deflections[:, 0], deflections[:, 1]).max() / shortest
-    return Coefficients(hf, kind, sigma, kappas, frequency, centre)
+    weights = np.zeros((3, cells, POINTS))
+    for at, share in zip(*np.polynomial.legendre.leggauss(6), strict=True):
+        places = middle + at * np.diff(pieces) / 2.0
+        measure = share * np.diff(pieces) / 2.0
+        cardinals = np.polynomial.legendre.legvander((1e3 / places - middles[cell]) / half, POINTS - 1) @ to_cardinals
+        for c in range(3):
+            curve = np.interp(places, np.arange(380, 781), table[:, c]) * measure
+            for point in range(POINTS):
+                weights[c, :, point] += np.bincount(cell, curve * cardinals[:, point], cells)
+    nodes = (middles[:, None] + half * x).ravel()
+    return np.append(nodes, [BLUEST, REDDEST]), np.concatenate([weights.reshape(3, -1).T, table[[0, -1]] / 2.0])
 
 
 def reference_spectral(
-    hf, to_light, to_view, wavelengths_um, kind="averaged", sigma=16.25, *, ior=1.5, masking=True, centre=None
+    hf, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, masking=True, centre=None
 ):
-    """ρ of unit vectors (n, 3) in the local frame, shape (n, m)."""
+    """ρ of unit vectors (n, 3) in the local frame, shape (n, m); the coherence by name with sigma, or an object."""
+    step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
+    gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
+    result = np.zeros((len(gains), len(wavelengths)))
+    lit = np.flatnonzero(gains)
+    if lit.size == 0:
+        return result
     deflections = -to_light - to_view
-    table = coefficients_for(hf, deflections, kind, sigma, wavelengths.min(), wavelengths.max(), centre)
-    power = np.stack([table.power(each, 1.0 / wavelengths) for each in deflections])
-    return gain(to_light, to_view, ior=ior, masking=masking)[:, None] * power
+    sums = sum_for(hf, step, deflections[lit], wavelengths.min(), wavelengths.max())
+    for i in lit:
+        result[i] = gains[i] * sums.power(deflections[i], to_light[i], 1.0 / wavelengths)
+    return result
 
 
-def colours(hf, deflections, kind, sigma, *, tolerance, illuminant="D65", centre=None):
+def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65"):
     """∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ of deflections (n, 3), shape (n, 3).
 
     The step is halved until XYZ moves by less than a twentieth of the tolerance.
@@ -156,38 +354,37 @@ def colours(hf, deflections, kind, sigma, *, tolerance, illuminant="D65", centre
     result = np.zeros((len(deflections), 3))
     if len(deflections) == 0:
         return result
-    table = coefficients_for(hf, deflections, kind, sigma, 0.38, 0.78, centre)
-    # Nodes at first no further apart than two of the narrowest widths in 1/λ, so that no order falls between them.
-    narrowest = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * 2.0)
-    first_cell = min(4.0, 3.0 * 2.0 * narrowest * 0.38**2 * 1e3)
-    for index, deflection in enumerate(deflections):
-        before, cell = None, 400.0 / math.ceil(400.0 / first_cell)
+    sums = sum_for(hf, step, deflections, 0.38, 0.78)
+    for index, (deflection, light) in enumerate(zip(deflections, to_light, strict=True)):
+        # Cells that resolve everything from the start, so that nothing narrow falls between their nodes unseen; their
+        # number is a power of 2, so that few quadratures are ever made.
+        largest, least = sums.resolution(deflection, light)
+        cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)))
+        before = None
         while True:
-            wavelengths, weights = quadrature_cached(cell, illuminant)
-            now = table.power(deflection, 1.0 / wavelengths) @ weights
-            size = max(np.linalg.norm(now), LEAST)
+            if cells > MOST_CELLS:
+                why = "settle" if before is not None else f"fit in {MOST_CELLS} cells"
+                raise AssertionError(f"the integral over λ does not {why} for {deflection}, to light {light}")
+            tau, weights = quadrature(cells, illuminant)
+            now = sums.power(deflection, light, tau) @ weights
+            size = max(np.linalg.norm(now), least)
             if before is not None and np.linalg.norm(now - before) <= tolerance / 20.0 * size:
                 break
-            before, cell = now, cell / 2.0
-            if cell < 1e-3:
-                raise AssertionError(f"the integral over λ does not settle for {deflection}")
+            before, cells = now, 2 * cells
         result[index] = now
     return result
 
 
-quadrature_cached = functools.cache(quadrature)
-
-
 def reference_reflectance(
-    hf, to_light, to_view, kind="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5, masking=True,
-    centre=None,
+    hf, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
+    masking=True, centre=None,
 ):  # fmt: skip
-    """XYZ of unit vectors (n, 3) in the local frame, shape (n, 3)."""
-    gains = gain(to_light, to_view, ior=ior, masking=masking)
+    """XYZ of unit vectors (n, 3) in the local frame, shape (n, 3); the coherence by name with sigma, or an object."""
+    step = step_of(coherence, sigma, centre)
+    gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
     result = np.zeros((len(gains), 3))
     lit = gains > 0.0
-    deflections = -(to_light + to_view)[lit]
-    found = colours(hf, deflections, kind, sigma, tolerance=tolerance, illuminant=illuminant, centre=centre)
+    found = colours(hf, -(to_light + to_view)[lit], to_light[lit], step, tolerance=tolerance, illuminant=illuminant)
     result[lit] = gains[lit, None] * found
     return result
 
@@ -236,17 +433,24 @@ def bilinear(texture, uv):
     return total
 
 
-def pigment_colour(base, to_light, to_view, sigma, illuminant, ior):
+def pigment_colour(base, to_light, to_view, hf, step, illuminant, ior):
     """XYZ of linear base colours (k, 3) under the diffraction layer."""
     grid = np.arange(380, 781) * 1e-3
-    white = (grid**2 / (4.0 * math.pi**2 * sigma**2)) @ products(illuminant)
+    if step.kind == "source":
+        weight = np.full(len(grid), 2.0 * step.spread**2)
+    elif step.kind == "replicas":
+        patch = math.prod(hf.shape) * float(hf.pitch_um[0]) * float(hf.pitch_um[1])
+        weight = grid**2 / (math.pi * patch * math.prod(step.copies))
+    else:
+        weight = grid**2 / (4.0 * math.pi**2 * step.sigma_um**2)
+    white = weight @ products(illuminant)
     xyz = (base * (XYZ_TO_RGB @ white)) @ np.linalg.inv(XYZ_TO_RGB).T
     under = (1.0 - fresnel(to_light[:, 2], ior)) * (1.0 - fresnel(to_view[:, 2], ior)) * to_light[:, 2]
     return (under / fresnel(1.0, ior))[:, None] * xyz
 
 
 def reference_picture(
-    body, hf, lights, view, pixels, kind="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5, masking=True,
+    body, hf, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5, masking=True,
     pigment=1.0, shadows=True, smooth=True, chunk=64,
 ):  # fmt: skip
     """The given pixels of a picture, by index along rows from the top left.
@@ -257,8 +461,8 @@ def reference_picture(
         lights: Objects with ``to_light``, ``illuminant`` and ``power``.
         view: The camera.
         pixels: Indices, shape (k,).
-        kind: Of the coherence.
-        sigma: Of the coherence [µm].
+        coherence: Its kind by name, or an object with all of it.
+        sigma: Of the coherence [µm], where it is given by name.
         tolerance: The integral over λ settles to a twentieth of it.
         ior: Index of refraction.
         masking: Whether to mask.
@@ -267,6 +471,7 @@ def reference_picture(
         smooth: Whether to interpolate normals.
         chunk: Rays that meet all faces at a time.
     """
+    step = step_of(coherence, sigma, None)
     fov = None if view.extent_y else view.fov_y_deg
     size = {"width": view.width, "height": view.height, "fov_y_deg": fov, "extent_y": view.extent_y}
     origins, directions = (a[pixels] for a in pixel_rays(view.eye, view.target, view.up, **size))
@@ -307,12 +512,12 @@ def reference_picture(
             lit[lit] = ~np.isfinite(occluded)
         contribution = np.zeros((len(face), 3))
         contribution[lit] = reference_reflectance(
-            hf, to_light[lit], to_view[lit], kind, sigma, tolerance=tolerance, illuminant=light.illuminant, ior=ior,
+            hf, to_light[lit], to_view[lit], step, tolerance=tolerance, illuminant=light.illuminant, ior=ior,
             masking=masking,
         )  # fmt: skip
         if pigment > 0.0 and body.texture is not None:
             base = bilinear(body.texture, np.einsum("kc,kcd->kd", bary, body.uvs[corners])[lit])
-            under = pigment_colour(base, to_light[lit], to_view[lit], sigma, light.illuminant, ior)
+            under = pigment_colour(base, to_light[lit], to_view[lit], hf, step, light.illuminant, ior)
             contribution[lit] += pigment * under
         xyz[hit] += light.power * contribution
         any_lit[hit] |= lit

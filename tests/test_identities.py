@@ -48,12 +48,18 @@ def kernel_gain(lights, views, normal, masking, device):
     reflection.normal_reflectance, reflection.masking = normal, masking
     gains = wp.empty(len(lights), dtype=wp.float32, device=device)
     deflections = wp.empty(len(lights), dtype=wp.vec3d, device=device)
+    to_lights = wp.empty(len(lights), dtype=wp.vec3f, device=device)
     inputs = [wp.array(array, dtype=wp.vec3d, device=device) for array in (lights, views)]
     wp.launch(
-        directions.deflect_directions, dim=len(lights), inputs=[*inputs, reflection, 0], outputs=[deflections, gains],
-        device=device,
+        directions.deflect_directions, dim=len(lights), inputs=[*inputs, reflection, 0],
+        outputs=[deflections, to_lights, gains], device=device,
     )  # fmt: skip
     return gains.numpy()
+
+
+def power_width(coherence):
+    """Standard deviation in frequency [1/µm] of the Gaussian that a coefficient's power is spread over."""
+    return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
 @pytest.mark.parametrize("masking", [True, False])
@@ -150,7 +156,7 @@ def mirror_power(sigma_um, theta_deg, ior):
     flat = wd.HeightField(np.zeros((1, 1)), 0.05)
     wavelength = 0.55
     coherence = wd.Coherence(sigma_um=sigma_um)
-    views, measure = projected_disc(math.sin(math.radians(theta_deg)), 6.0 * wavelength * coherence.power_width, 400)
+    views, measure = projected_disc(math.sin(math.radians(theta_deg)), 6.0 * wavelength * power_width(coherence), 400)
     values = wd.brdf(flat, at_angle(-theta_deg), views, 1e3 * wavelength, coherence=coherence, ior=ior)[:, 0]
     return values @ measure
 
@@ -168,7 +174,7 @@ def test_excess_energy_of_a_shallow_sine(period_um):
     total = 0.0
     for order in (-1, 0, 1):
         centre = abs(order) * wavelength / period_um
-        views, measure = projected_disc(centre, 7.0 * wavelength * coherence.power_width, 64)
+        views, measure = projected_disc(centre, 7.0 * wavelength * power_width(coherence), 64)
         views = views * [order or 1, 1.0, 1.0]
         values = wd.brdf(hf, (0, 0, 1), views, 1e3 * wavelength, coherence=coherence, ior=math.inf, method="direct")
         total += float(values[:, 0] @ measure)

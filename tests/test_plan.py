@@ -10,10 +10,11 @@ import weakref
 
 import numpy as np
 import pytest
+import reference
 from conftest import at_angle, hemisphere
 
 import warpdiff as wd
-from warpdiff import fourier, optics, tables
+from warpdiff import coefficients, fourier, optics, tables
 from warpdiff.expansions import EXPANSIONS
 
 UP = [0.0, 0.0, 1.0]
@@ -63,53 +64,108 @@ def test_the_whole_hemisphere_holds_for_any_direction(rough, rng):
     whole = wd.plan(rough)
     for light, view in zip(hemisphere(rng, 20), hemisphere(rng, 20), strict=True):
         one, half = wd.plan(rough, light, view), wd.plan(rough, light)
-        for name in ("max_uv", "max_w", "terms", "wavelengths", "multiply_adds"):
+        for name in ("max_uv", "max_lateral", "max_w"):
             assert getattr(one, name) <= getattr(half, name) <= getattr(whole, name)
+        assert one.min_w >= half.min_w >= whole.min_w
+        assert one.scope.joined(half.scope) == half.scope
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
-    plans = [wd.plan(rough, tolerance=t, coherence=wd.Coherence(kind, 6.5)) for t in (0.5, 0.1, 1e-2, 1e-3, 1e-4)]
-    for name in ("terms", "wavelengths", "multiply_adds"):
-        values = [getattr(plan, name) for plan in plans]
-        assert values == sorted(values)
-        assert values[0] < values[-1]
-    reaches = [plan.reach for plan in plans]
-    assert reaches == sorted(reaches)
-    for name in ("truncation", "neighbourhood", "quadrature"):
-        values = [getattr(plan, name) for plan in plans]
-        assert values == sorted(values, reverse=True)
-    for plan in plans:
-        assert plan.truncation <= plan.tolerance
-        assert plan.neighbourhood <= plan.tolerance
+    coherence = wd.Coherence(kind, 6.5)
+    tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
+    for plans in (
+        [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
+        [wd.plan(rough, tolerance=t, coherence=coherence) for t in tolerances],
+    ):
+        for name in ("terms", "wavelengths", "multiply_adds"):
+            values = [getattr(plan, name) for plan in plans]
+            assert values == sorted(values)
+            assert values[0] < values[-1]
+        for name in ("least_weight", "quadrature", "neighbourhood", "error"):
+            values = [getattr(plan, name) for plan in plans]
+            assert values == sorted(values, reverse=True)
+        for plan in plans:
+            assert plan.searched == (len(set(plan.scope.kappas)) > 1 and plan.min_w == 0.0)
+            assert plan.error <= plan.tolerance
+
+
+@pytest.mark.parametrize(
+    "coherence",
+    [
+        wd.Coherence(sigma_um=6.5),
+        wd.Coherence("centred", 6.5),
+        wd.Coherence("source", angular_diameter_deg=0.53),
+        wd.Coherence("replicas", copies=(2, 3)),
+    ],
+    ids=lambda each: each.kind,
+)
+def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
+    """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
+    lights, views = hemisphere(rng, 256), hemisphere(rng, 256)
+    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence)
+    plan = wd.plan(rough, lights[:128], views[:128], coherence=coherence)
+    assert plan.searched
+    assert not few.searched
+    samples = dataclasses.replace(few, max_uv=plan.max_uv, max_lateral=plan.max_lateral)
+    assert plan.multiply_adds < samples.multiply_adds
+    for part in (slice(0, 128), slice(128, 256)):
+        exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = wd.reflectance(rough, lights[part], views[part], plan=plan)
+        floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+        error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        measured = np.percentile(error, 99.0)
+        assert measured <= plan.tolerance
+        if part.start == 0:
+            assert measured <= plan.error <= 10.0 * measured
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
+def test_the_plan_does_not_depend_on_threads(rough, kind):
+    coherence = wd.Coherence(kind, copies=(2, 2) if kind == "replicas" else None)
+    light = at_angle(40.0)
+    assert wd.plan(rough, light, coherence=coherence, threads=1) == wd.plan(
+        rough, light, coherence=coherence, threads=2
+    )
 
 
 def test_a_plan_reads_as_a_paragraph(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=6.5))
     text = str(plan)
     assert "\n" not in text
-    assert text.startswith("Jacobi-Anger series")
-    assert text.endswith("a direction at most.")
-    rows, columns = (2 * n + 1 for n in plan.reach)
+    assert text.startswith("Low-rank basis")
+    assert text.endswith("multiply-adds a direction.")
     for part in (
         "averaged window with σ = 6.5 µm",
         "tolerance 0.003",
         f"|(u, v)| up to {plan.max_uv:.3g}",
-        f"|w| up to {plan.max_w:.3g}",
+        f"|w| {plan.min_w:.3g} to {plan.max_w:.3g}",
+        f"Predicted error {plan.error:.1e}, measured on a sample",
         f"{plan.terms} terms",
-        f"{rows} × {columns} coefficients",
-        f"{plan.wavelengths} wavelengths",
+        f"weight below {plan.least_weight:.1e}",
+        f"{plan.wavelengths} wavelengths equally spaced in 1/λ (fewer where",
+        f"The pitch folds back {plan.aliasing:.1e}",
     ):
         assert part in text
+    assert "bounded for all directions" in str(wd.plan(rough, UP, UP))
     assert "Direct sum" in str(wd.plan(rough, method="direct"))
     assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
+    source = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("source")))
+    assert "source of 0.53° in diameter" in source
+    assert "equally spaced in log λ" in source
+    copies = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("replicas", copies=(1, 200))))
+    assert "1 × 200 copies in step" in copies
+    assert "for the copies' factor" in copies
+    assert "neighbours" not in copies
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 def test_the_number_of_terms_is_obeyed(rough, kind):
     light, view, wavelength_um = at_angle(25.0), at_angle(-5.0), 0.5
     coherence = wd.Coherence(kind, 3.25)
-    full = wd.plan(rough, light, view, coherence=coherence)
+    full = wd.plan(rough, light, view, coherence=coherence, method="jacobi-anger")
     plan = dataclasses.replace(full, terms=5)
     u, v, w = -(light + view)
 
@@ -120,7 +176,7 @@ def test_the_number_of_terms_is_obeyed(rough, kind):
     half_range = expansion.offset_and_scale(rough)[1]
     basis = expansion.basis(2.0 * math.pi * w / wavelength_um * half_range, plan.terms)
     s, r = block.orders()
-    (length_y, length_x), a = rough.size_um, coherence.falloff_um2
+    (length_y, length_x), a = rough.size_um, tables.falloff_um2(coherence)
     gaussian = np.exp(-a * (v / wavelength_um - s / length_y) ** 2)[:, None]
     gaussian = gaussian * np.exp(-a * (u / wavelength_um - r / length_x) ** 2)
     if kind == "averaged":
@@ -136,14 +192,22 @@ def test_the_number_of_terms_is_obeyed(rough, kind):
     assert found != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
 
 
-def test_reach_and_wavelengths_are_obeyed(rough):
+@pytest.mark.parametrize("kind", ["averaged", "source", "replicas"])
+def test_numbers_are_obeyed(rough, kind):
     light, view = at_angle(25.0), at_angle(-5.0)
-    full = wd.plan(rough, light, view, coherence=wd.Coherence(sigma_um=3.25))
+    coherence = {
+        "averaged": wd.Coherence(sigma_um=3.25),
+        "source": wd.Coherence("source", angular_diameter_deg=2.0),
+        "replicas": wd.Coherence("replicas", copies=(1, 40)),
+    }[kind]
+    full = wd.plan(rough, light, view, coherence=coherence)
     expected = wd.reflectance(rough, light, view, plan=full)
-    for changed in ({"reach": (0, 0)}, {"wavelengths": 3}, {"terms": 4}):
+    changes = [{"wavelengths": 3}, {"terms": 1}]
+    changes.append({"subdivisions": 1, "wavelengths": 64} if kind == "replicas" else {"least_weight": 0.5})
+    for changed in changes:
         found = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
         assert np.linalg.norm(found - expected) > 1e-2 * np.linalg.norm(expected)
-    more = dataclasses.replace(full, terms=full.terms + 8, reach=(6, 6), wavelengths=4 * full.wavelengths)
+    more = dataclasses.replace(full, terms=full.terms + 8, least_weight=1e-13, wavelengths=4 * full.wavelengths)
     found = wd.reflectance(rough, light, view, plan=more)
     assert np.linalg.norm(found - expected) < full.tolerance * np.linalg.norm(expected)
 
@@ -172,7 +236,7 @@ def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_th
     for height, method in ((3.0, "taylor"), (3.0, "taylor-uncentred"), (8.0, "taylor"), (8.0, "auto")):
         hf = deep(height)
         for call in (wd.plan, lambda *a, **o: wd.reflectance(a[0], UP, views, **o)):
-            with pytest.raises(ValueError, match=rf"tolerance=0\.01 .* of {height:g} µm.*levelled\(\).*strict=False"):
+            with pytest.raises(ValueError, match=rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"):
                 call(hf, method=method)
             with pytest.warns(wd.WarpdiffWarning, match="cannot reach tolerance=0.01"):
                 result = call(hf, method=method, strict=False)
@@ -251,48 +315,47 @@ def test_a_coarse_pitch_is_said_to_alias(rough):
 
 @pytest.fixture
 def builds(monkeypatch):
-    """The height fields whose tables were built."""
+    """The height fields whose coefficients were fitted."""
     built = []
-    build = tables._build
+    fitted = coefficients.fitted
 
     def counted(hf, *args, **options):
         built.append(weakref.ref(hf))
-        return build(hf, *args, **options)
+        return fitted(hf, *args, **options)
 
-    monkeypatch.setattr(tables, "_build", counted)
+    monkeypatch.setattr(coefficients, "fitted", counted)
     return built
 
 
 def test_tables_are_kept_for_the_next_call(rough, builds):
     hf = wd.HeightField(rough.heights_um, rough.pitch_um)
     plan = wd.plan(hf)
+    assert len(builds) == 1
     first = wd.reflectance(hf, UP, UP, plan=plan)
-    assert len(builds) == 1
     np.testing.assert_array_equal(wd.reflectance(hf, UP, UP, plan=plan), first)
-    # A light that moves a little, another index and other wavelengths need no new table.
-    wd.reflectance(hf, at_angle(0.1), UP, plan=plan, ior=2.0)
+    # A light that moves, another index, other wavelengths, terms and windows need no new coefficients.
+    wd.reflectance(hf, at_angle(10.0), UP, plan=plan, ior=2.0)
     wd.spectral_reflectance(hf, UP, UP, [500.0, 600.0], plan=plan)
-    assert len(builds) == 1
     wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
-    assert len(builds) == 2
+    assert len(builds) == 1
     # Equal heights in another object are another height field.
     wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
-    assert len(builds) == 3
+    assert len(builds) == 2
 
 
 def test_few_tables_are_kept(rough, builds):
     hf = wd.HeightField(rough.heights_um, rough.pitch_um)
     plan = wd.plan(hf)
-    numbers = range(plan.terms - tables._KEPT, plan.terms + 1)
-    for terms in numbers:
-        wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=terms))
-    assert len(tables._cache[hf]) == tables._KEPT
-    assert len(builds) == len(numbers)
+    scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
+    for each in scopes:
+        wd.reflectance(hf, UP, UP, plan=each)
+    assert len(tables._cache[hf].coefficients) == tables._KEPT
+    assert len(builds) == 1 + len(scopes)
     # The oldest went.
-    wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=numbers[-1]))
-    assert len(builds) == len(numbers)
-    wd.reflectance(hf, UP, UP, plan=dataclasses.replace(plan, terms=numbers[0]))
-    assert len(builds) == len(numbers) + 1
+    wd.reflectance(hf, UP, UP, plan=scopes[-1])
+    assert len(builds) == 1 + len(scopes)
+    wd.reflectance(hf, UP, UP, plan=scopes[0])
+    assert len(builds) == 2 + len(scopes)
 
 
 def test_tables_die_with_their_height_field(rough, builds):
@@ -306,13 +369,27 @@ def test_tables_die_with_their_height_field(rough, builds):
     assert len(tables._cache) == before - 1
 
 
+def test_a_pinned_plan_computes_the_same_in_any_company(rough, rng):
+    """A fitted basis depends on the range of its plan, not on the other directions of a call."""
+    lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
+    plan = wd.plan(rough, lights, views)
+    together = wd.reflectance(rough, lights, views, plan=plan)
+    alone = [wd.reflectance(rough, light, view, plan=plan) for light, view in zip(lights[:9], views[:9], strict=True)]
+    np.testing.assert_array_equal(together[:9], alone)
+
+
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
 def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
     """Directions of small |(u, v)| take fewer wavelengths, and lose nothing by it."""
     lights = hemisphere(rng, 200)
     views = lights * [-1.0, -1.0, 1.0] + rng.normal(scale=0.3, size=(200, 3)) * rng.uniform(size=(200, 1))
     views[:, 2] = np.abs(views[:, 2])
-    plan = wd.plan(rough, lights, views, tolerance=tolerance)
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    total = lights + views
+    ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
+    # Too few for a search: the bounds themselves.
+    plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
+    assert not plan.searched
     assert plan.adaptive
     finest = dataclasses.replace(plan, adaptive=False, wavelengths=8 * plan.wavelengths)
     found, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
@@ -320,9 +397,9 @@ def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
     error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
     assert np.percentile(error, 99.0) <= tolerance
     quadrature = tables.quadrature_for(rough, plan, "D65", device="cpu")
-    firsts = quadrature.firsts.numpy()
-    assert firsts[1] == plan.wavelengths
-    assert len(firsts) >= 3
-    assert np.all(np.diff(np.diff(firsts)) < 0)
+    sizes = np.diff(quadrature.firsts.numpy())
+    assert sizes[0] == plan.wavelengths
+    assert len(sizes) >= 3
+    assert np.all(np.diff(sizes) < 0)
     fixed = tables.quadrature_for(rough, dataclasses.replace(plan, adaptive=False), "D65", device="cpu")
     assert fixed.firsts.numpy().tolist() == [0, plan.wavelengths]

@@ -3,9 +3,13 @@
 The map of the package, in the order in which data flows:
 
 - ``heightfield``, ``gratings``: a measured or synthetic surface, and its cleaning
-- ``coherence``, ``planning``: the window of the Fourier sum; from a tolerance to terms, neighbours and wavelengths
-- ``expansions``: series of exp(2πiκh) that separate the wavelength from the heights
-- ``fourier``, ``tables``: the transforms of a series' polynomials of the heights, in NumPy; the same on a device
+- ``coherence``: the window, source or copies that limit the coherent part of the surface
+- ``planning``, ``search``, ``scope``: from a tolerance to numbers: by bounds, by trying them, and for which directions;
+  ``aliasing``: what the pitch cannot carry
+- ``expansions``, ``fourier``: series of exp(2πiκh) that separate the wavelength from the heights; their transforms, in
+  NumPy
+- ``coefficients``, ``interpolation``, ``tables``: Fourier coefficients as functions of κ, in a basis fitted to them;
+  between the orders; on a device
 - ``meshes``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
 - ``kernels``: Warp kernels: ray casting, directions, spectral integration
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking

@@ -218,10 +218,17 @@ def _evaluation_options() -> argparse.ArgumentParser:
     group.add_argument(
         "--method",
         default="auto",
-        help="auto, jacobi-anger, taylor, taylor-uncentred, or direct, which is slow and certain (default: auto)",
+        help="auto, low-rank, power, jacobi-anger, taylor, taylor-uncentred, or direct, which is slow and certain "
+        "(default: auto)",
     )
-    group.add_argument("--coherence", default="averaged", help="averaged or centred (default: averaged)")
-    group.add_argument("--sigma-um", type=float, default=16.25, help="the coherence window's σ (default: 16.25)")
+    group.add_argument(
+        "--coherence", default="averaged", help="averaged, centred, source or replicas (default: averaged)"
+    )
+    group.add_argument("--sigma-um", type=float, help="σ of a window, averaged or centred (default: 16.25)")
+    group.add_argument(
+        "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
+    )
+    group.add_argument("--copies", type=int, nargs=2, metavar=("NY", "NX"), help="copies of the patch, for replicas")
     group.add_argument(
         "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
     )
@@ -271,7 +278,12 @@ def _shared(options: argparse.Namespace) -> dict[str, Any]:
     return {
         "tolerance": options.tolerance,
         "method": options.method,
-        "coherence": wd.Coherence(options.coherence, options.sigma_um),
+        "coherence": wd.Coherence(
+            options.coherence,
+            options.sigma_um,
+            angular_diameter_deg=options.angular_diameter_deg,
+            copies=options.copies and tuple(options.copies),
+        ),
         "ior": options.ior,
         "masking": not options.no_masking,
         "device": options.device,

@@ -46,12 +46,13 @@ def launch(
     *,
     device: wp.Device,
     threads: int,
+    slice_size: int = _SLICE,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Launch a kernel whose last input is ``first``, the index of its first thread.
 
     A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads;
-    every index is computed by itself, and the result does not depend on their number.
+    every index is computed by itself, and the result depends neither on their number nor on the slices' size.
     """
     import warp as wp
 
@@ -65,13 +66,13 @@ def launch(
         return
     # Compiling is not safe to race for.
     kernel.module.load(device)
-    firsts = range(0, size, _SLICE)
+    firsts = range(0, size, slice_size)
     lock = threading.Lock()
     done = 0
 
     def run(first: int) -> None:
         nonlocal done
-        wp.launch(kernel, dim=min(_SLICE, size - first), inputs=[*inputs, first], outputs=outputs, device=device)
+        wp.launch(kernel, dim=min(slice_size, size - first), inputs=[*inputs, first], outputs=outputs, device=device)
         with lock:
             done += 1
             if progress is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from warpdiff import checks, direct, optics, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.errors import WarpdiffWarning
 from warpdiff.image import Image
-from warpdiff.planning import Plan, broadcast_directions, check_request, deflection_range, plan_for_range, warn_outside
+from warpdiff.planning import Plan, broadcast_directions, check_request, plan_for, warn_outside
+from warpdiff.scope import Pilots, Scope
 from warpdiff.tables import quadrature_for, table_for
 
 if TYPE_CHECKING:
@@ -54,9 +56,9 @@ def spectral_reflectance(
         to_view: Directions to the viewer, the same; one and many broadcast.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         tolerance: Largest |Δρ| against max(ρ, 1e-3 · 99th percentile of the call).
-        method: ``"auto"``, a series (``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``), or ``"direct"``
-            (float64, slow and certain).
-        coherence: The window; None is averaged with σ = 16.25 µm.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
@@ -74,24 +76,11 @@ def spectral_reflectance(
         threads=threads, progress=progress,
     )  # fmt: skip
     wavelengths = spectrum.check_wavelengths(wavelengths_nm)
-    lights, views, single = broadcast_directions(to_light, to_view)
-    normal = optics.normal_reflectance(ior)
-    used = _plan(
-        hf, lights, views, tolerance=tolerance, method=method, coherence=coherence, plan=plan, strict=strict,
-        wavelengths_nm=wavelengths,
+    call = _Call(
+        hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+        plan=plan, strict=strict, device=device, threads=threads, wavelengths_nm=wavelengths,
     )  # fmt: skip
-    if used.method == "direct":
-        gains = optics.gain(lights, views, normal=normal, masking=masking)
-        result: NDArray[Any] = np.zeros((len(lights), len(wavelengths)))
-        lit = gains > 0.0
-        power = direct.window_power(hf, used.coherence, -(lights + views)[lit], wavelengths * 1e-3, progress=progress)
-        result[lit] = gains[lit, None] * power
-    else:
-        result = _run(
-            hf, lights, views, normal, masking, used, 1e3 / wavelengths,
-            device=device, threads=threads, progress=progress,
-        )  # fmt: skip
-    return result[0] if single else result
+    return call.single(call.spectra(wavelengths, progress=progress))
 
 
 def reflectance(
@@ -119,9 +108,9 @@ def reflectance(
         to_view: Directions to the viewer, the same; one and many broadcast.
         illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
         tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the call's directions.
-        method: ``"auto"``, a series (``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``), or ``"direct"``
-            (float64, slow and certain).
-        coherence: The window; None is averaged with σ = 16.25 µm.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
@@ -139,12 +128,11 @@ def reflectance(
         threads=threads, progress=progress,
     )  # fmt: skip
     spectrum.check_illuminant(illuminant)
-    lights, views, single = broadcast_directions(to_light, to_view)
-    result, _ = _reflectance(
-        hf, lights, views, illuminant=illuminant, tolerance=tolerance, method=method, coherence=coherence, ior=ior,
-        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+    call = _Call(
+        hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+        plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
     )  # fmt: skip
-    return result[0] if single else result
+    return call.single(call.colours(illuminant, progress=progress))
 
 
 def brdf_map(
@@ -203,14 +191,13 @@ def brdf_map(
     radius2 = x * x + y * y
     mask = radius2 < 1.0
     views = np.stack([x[mask], y[mask], np.sqrt(1.0 - radius2[mask])], axis=1)
-    values, used = _reflectance(
-        hf, np.broadcast_to(light, views.shape), views, illuminant=illuminant, tolerance=tolerance, method=method,
-        coherence=coherence, ior=ior, masking=masking, plan=plan, strict=strict, device=device, threads=threads,
-        progress=progress,
+    call = _Call(
+        hf, light, views, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
+        strict=strict, device=device, threads=threads, illuminant=illuminant,
     )  # fmt: skip
     xyz = np.zeros((size, size, 3), dtype=np.float32)
-    xyz[mask] = values
-    return Image(xyz=xyz, mask=mask, lit=mask, coverage=mask.astype(np.float32), plan=used)
+    xyz[mask] = call.colours(illuminant, progress=progress)
+    return Image(xyz=xyz, mask=mask, lit=mask, coverage=mask.astype(np.float32), plan=call.plan)
 
 
 def brdf(
@@ -231,9 +218,11 @@ def brdf(
 ) -> NDArray[Any]:
     """Absolute BRDF [1/sr] (Stam 1999), never masked.
 
-    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr λ² w²) · 4πσ² ⟨|P|²⟩, where 4πσ² ⟨|P|²⟩ is |∫ g e^{ik(wh + ux + vy)}|² / ∫ g².
-    It is reciprocal. Scalar diffraction does not conserve energy exactly: the sum over the orders exceeds R a little
-    for shallow profiles, and a lot for short periods at grazing angles.
+    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times what the coherence makes of it: for a window 4πσ²/λ², the
+    whole then being |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²); for a source of covariance Σs 1/(2π √det Σs); for copies
+    of a patch of area A it is A N1 N2/λ². It is reciprocal, except for a source, which only the light has. Scalar
+    diffraction does not conserve energy exactly: the sum over the orders exceeds R a little for shallow profiles, and a
+    lot for short periods at grazing angles.
 
     Args:
         hf: The height field.
@@ -258,36 +247,12 @@ def brdf(
         masking=False, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
     )  # fmt: skip
     lights, _, single = broadcast_directions(to_light, to_view)
-    sigma = (plan.coherence if plan is not None else coherence or Coherence()).sigma_um
+    used = plan.coherence if plan is not None else coherence or Coherence()
     wavelengths_um = spectrum.check_wavelengths(wavelengths_nm) * 1e-3
-    cos_i = np.where(lights[:, 2] > optics.HORIZON, lights[:, 2], 1.0)
-    scale = optics.normal_reflectance(ior) * 4.0 * math.pi * sigma**2 / (cos_i[:, None] * wavelengths_um**2)
+    cos_light = np.where(lights[:, 2] > optics.HORIZON, lights[:, 2], 1.0)
+    scale = optics.brdf_scale(cos_light, wavelengths_um, used, hf.size_um[0] * hf.size_um[1])
+    scale *= optics.normal_reflectance(ior)
     return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))
-
-
-def _plan(
-    hf: HeightField,
-    lights: NDArray[np.float64],
-    views: NDArray[np.float64],
-    *,
-    tolerance: float,
-    method: str,
-    coherence: Coherence | None,
-    plan: Plan | None,
-    strict: bool,
-    wavelengths_nm: NDArray[np.float64] | None,
-) -> Plan:
-    """The given plan, or one for these directions."""
-    max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
-    if plan is not None:
-        check_plan(plan, coherence, colour=wavelengths_nm is None)
-        lambda_min_nm = spectrum.LAMBDA_MIN_NM if wavelengths_nm is None else float(wavelengths_nm.min())
-        warn_outside(plan, hf, max_uv, max_w, lambda_min_nm)
-        return plan
-    return plan_for_range(
-        hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=coherence or Coherence(), strict=strict,
-        wavelengths_nm=wavelengths_nm,
-    )  # fmt: skip
 
 
 def check_call(
@@ -321,114 +286,162 @@ def check_plan(plan: Plan, coherence: Coherence | None, *, colour: bool) -> Plan
     return plan
 
 
-def _reflectance(
-    hf: HeightField,
-    lights: NDArray[np.float64],
-    views: NDArray[np.float64],
-    *,
-    illuminant: str,
-    tolerance: float,
-    method: str,
-    coherence: Coherence | None,
-    ior: float,
-    masking: bool,
-    plan: Plan | None,
-    strict: bool,
-    device: Any,
-    threads: int | None,
-    progress: Callable[[float], None] | None,
-) -> tuple[NDArray[Any], Plan]:
-    """XYZ of broadcast unit directions, shape (n, 3), and the plan."""
-    normal = optics.normal_reflectance(ior)
-    used = _plan(
-        hf, lights, views, tolerance=tolerance, method=method, coherence=coherence, plan=plan, strict=strict,
-        wavelengths_nm=None,
-    )  # fmt: skip
-    if used.method == "direct":
-        gains = optics.gain(lights, views, normal=normal, masking=masking)
-        return direct_colour(hf, -lights - views, gains, used, illuminant, progress=progress), used
-    result = _run(
-        hf, lights, views, normal, masking, used, illuminant,
-        device=device, threads=threads, progress=progress,
-    )  # fmt: skip
-    return result, used
+class _Call:
+    """Pairs of directions with the plan for them."""
+
+    def __init__(
+        self,
+        hf: HeightField,
+        to_light: ArrayLike,
+        to_view: ArrayLike,
+        *,
+        tolerance: float,
+        method: str,
+        coherence: Coherence | None,
+        ior: float,
+        masking: bool,
+        plan: Plan | None,
+        strict: bool,
+        device: Any,
+        threads: int | None,
+        illuminant: str = "D65",
+        wavelengths_nm: NDArray[np.float64] | None = None,
+    ) -> None:
+        self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
+        self._hf, self._normal, self._masking = hf, optics.normal_reflectance(ior), masking
+        self._device, self._threads = resolve_device(device), resolve_threads(threads)
+        if plan is not None:
+            check_plan(plan, coherence, colour=wavelengths_nm is None)
+        window = plan.coherence if plan is not None else coherence or Coherence()
+        self._deflections = -self._lights - self._views
+        self._gains = optics.gain(
+            self._lights, self._views, normal=self._normal, masking=masking, per_light_cosine=window.kind == "source"
+        )
+        lit = self._gains > 0.0
+        self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
+        if plan is None:
+            plan = plan_for(
+                hf, self._scope, Pilots.among(self._deflections, self._lights, self._gains), tolerance=tolerance,
+                method=method, coherence=window, strict=strict, illuminants=(illuminant,),
+                wavelengths_nm=wavelengths_nm, device=self._device, threads=self._threads,
+            )  # fmt: skip
+        else:
+            warn_outside(plan, hf, self._scope)
+        self.plan = plan
+
+    def single(self, values: NDArray[Any]) -> NDArray[Any]:
+        """The values of a pair of single directions without the axis of directions."""
+        return np.asarray(values[0]) if self._is_single else values
+
+    def spectra(self, wavelengths_nm: NDArray[np.float64], *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+        """ρ, shape (n, m)."""
+        if self.plan.method == "direct":
+            result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
+            lit = self._gains > 0.0
+            power = direct.window_power(
+                self._hf, self.plan.coherence, self._deflections[lit], wavelengths_nm * 1e-3,
+                to_lights=self._lights[lit], progress=progress,
+            )  # fmt: skip
+            result[lit] = self._gains[lit, None] * power
+            return result
+        import warp as wp
+
+        table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
+        wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._device)
+        values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._device)
+        return self._launch(table.sample, table, wavenumbers, values, progress)
+
+    def colours(self, illuminant: str, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+        """XYZ, shape (n, 3)."""
+        if self.plan.method == "direct":
+            return direct_colour(
+                self._hf, self._deflections, self._lights, self._gains, self.plan, illuminant, progress=progress
+            )
+        import warp as wp
+
+        table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
+        quadrature = quadrature_for(self._hf, self.plan, illuminant, device=self._device)
+        xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._device)
+        return self._launch(table.integrate, table, quadrature, xyz, progress)
+
+    def _launch(
+        self, kernel: Any, table: Any, what: Any, result: Any, progress: Callable[[float], None] | None
+    ) -> NDArray[np.float32]:
+        import warp as wp
+
+        from warpdiff.kernels import directions as kernels
+
+        count = len(self._lights)
+        reflection = kernels.Reflection()
+        reflection.normal_reflectance = self._normal
+        reflection.masking = self._masking
+        reflection.per_light_cosine = self.plan.coherence.kind == "source"
+        lights = wp.array(self._lights, dtype=wp.vec3d, device=self._device)
+        views = wp.array(self._views, dtype=wp.vec3d, device=self._device)
+        deflections = wp.empty(count, dtype=wp.vec3d, device=self._device)
+        to_lights = wp.empty(count, dtype=wp.vec3f, device=self._device)
+        gains = wp.empty(count, dtype=wp.float32, device=self._device)
+        launch(
+            kernels.deflect_directions, count, [lights, views, reflection], [deflections, to_lights, gains],
+            device=self._device, threads=self._threads,
+        )  # fmt: skip
+        launch(
+            kernel, count, [table.arguments, deflections, to_lights, gains, what], [result],
+            device=self._device, threads=self._threads, progress=progress,
+        )  # fmt: skip
+        return np.asarray(result.numpy())
 
 
 def direct_colour(
     hf: HeightField,
     deflections: NDArray[np.float64],
+    to_lights: NDArray[np.float64],
     gains: NDArray[np.float64],
     plan: Plan,
     illuminant: str,
     *,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:
-    """XYZ by the direct sum: the step in 1/λ is halved until XYZ settles to a twentieth of the tolerance."""
+    """XYZ by the direct sum: the step in 1/λ is halved until XYZ settles to a twentieth of the tolerance.
+
+    The first step is the one of the plan's bounds, which no order slips through.
+    """
     result = np.zeros((len(gains), 3))
     lit = np.flatnonzero(gains > 0.0)
-    for done, i in enumerate(lit):
-        count = plan.wavelengths
+    unsettled = 0
+
+    def powers(index: int, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        one = slice(index, index + 1)
+        found = direct.window_power(
+            hf, plan.coherence, deflections[one], wavelengths_nm * 1e-3, to_lights=to_lights[one]
+        )
+        return np.asarray(found[0])
+
+    for done, i in enumerate(lit.tolist()):
+        count = plan.wavelengths * plan.subdivisions
         wavelengths = spectrum.wavelengths_uniform_in_wavenumber(count)
-        values = direct.window_power(hf, plan.coherence, deflections[i : i + 1], wavelengths * 1e-3)[0]
+        values = powers(i, wavelengths)
         colour = values @ spectrum.quadrature_weights(wavelengths, illuminant)
-        while 2 * count < _DIRECT_MOST_WAVELENGTHS:
+        settled = False
+        while not settled and 2 * count < _DIRECT_MOST_WAVELENGTHS:
             count = 2 * count - 1
             finer = spectrum.wavelengths_uniform_in_wavenumber(count)
             refined = np.empty(count)
             refined[::2] = values
-            refined[1::2] = direct.window_power(hf, plan.coherence, deflections[i : i + 1], finer[1::2] * 1e-3)[0]
+            refined[1::2] = powers(i, finer[1::2])
             values, before = refined, colour
             colour = values @ spectrum.quadrature_weights(finer, illuminant)
-            if np.linalg.norm(colour - before) <= _DIRECT_SETTLED * plan.tolerance * np.linalg.norm(colour):
-                break
+            change = float(np.linalg.norm(colour - before))
+            settled = change <= _DIRECT_SETTLED * plan.tolerance * float(np.linalg.norm(colour))
+        unsettled += not settled
         result[i] = gains[i] * colour
         if progress is not None:
             progress((done + 1) / len(lit))
+    if unsettled:
+        warnings.warn(
+            f"the direct sum of {unsettled} of {len(lit)} directions has not settled at {_DIRECT_MOST_WAVELENGTHS} "
+            "wavelengths, the most it takes: ask for a larger tolerance, or for spectral_reflectance",
+            WarpdiffWarning,
+            stacklevel=4,
+        )
     return result
-
-
-def _run(
-    hf: HeightField,
-    lights: NDArray[np.float64],
-    views: NDArray[np.float64],
-    normal: float,
-    masking: bool,
-    plan: Plan,
-    what: NDArray[np.float64] | str,
-    *,
-    device: Any,
-    threads: int | None,
-    progress: Callable[[float], None] | None,
-) -> NDArray[np.float32]:
-    """Evaluate on a device: ρ at each of ``what``, wavenumbers [1/µm], or XYZ under ``what``, an illuminant."""
-    target = resolve_device(device)
-    workers = resolve_threads(threads)
-    import warp as wp
-
-    from warpdiff.kernels import directions as kernels
-
-    max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
-    largest = 1e3 / spectrum.LAMBDA_MIN_NM if isinstance(what, str) else float(what.max())
-    table = table_for(hf, plan, max_uv, max_w, largest, device=target, threads=workers)
-    count = len(lights)
-    reflection = kernels.Reflection()
-    reflection.normal_reflectance = normal
-    reflection.masking = masking
-    deflections = wp.empty(count, dtype=wp.vec3d, device=target)
-    gains = wp.empty(count, dtype=wp.float32, device=target)
-    launch(
-        kernels.deflect_directions, count,
-        [wp.array(lights, dtype=wp.vec3d, device=target), wp.array(views, dtype=wp.vec3d, device=target), reflection],
-        [deflections, gains], device=target, threads=workers,
-    )  # fmt: skip
-    if isinstance(what, str):
-        kernel = table.integrate
-        samples = quadrature_for(hf, plan, what, device=target)
-        result = wp.zeros(count, dtype=wp.vec3f, device=target)
-    else:
-        kernel = table.sample
-        samples = wp.array(what, dtype=wp.float64, device=target)
-        result = wp.empty((count, len(what)), dtype=wp.float32, device=target)
-    inputs = [table.arguments, deflections, gains, samples]
-    launch(kernel, count, inputs, [result], device=target, threads=workers, progress=progress)
-    return np.asarray(result.numpy())

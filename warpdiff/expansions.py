@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -47,7 +47,7 @@ class Expansion:
         label: Its name in a sentence.
         centred: Whether c is the middle of the height range and a half of it; otherwise c is the lowest height and a
             the whole range. The phase e^{2πiκc} that this leaves out is common to all coefficients.
-        polynomial: p_n(g): takes n and an array g, in −1 … 1 or 0 … 1.
+        polynomials: p_0(g), p_1(g), … without end: takes an array g, in −1 … 1 or 0 … 1.
         basis: b_n(x): takes an array x and the number of terms, returns shape (..., terms), float64.
         remainder: Bound of the series' error for |x| up to the first argument with the second's number of terms.
         growth: Bound of Σ |b_n(x)| for |x| up to the argument: what float32 rounding is multiplied with.
@@ -55,7 +55,7 @@ class Expansion:
 
     label: str
     centred: bool
-    polynomial: Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
+    polynomials: Callable[[NDArray[np.float64]], Iterator[NDArray[np.float64]]]
     basis: Callable[[ArrayLike, int], NDArray[np.float64]]
     remainder: Callable[[float, int], float]
     growth: Callable[[float], float]
@@ -125,17 +125,26 @@ def _jacobi_anger_growth(argument: float) -> float:
     return math.sqrt(1.0 + 2.0 * (argument + 4.0 * argument ** (1.0 / 3.0) + 4.0))
 
 
+def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """1, g, g², … without end."""
+    value = np.ones_like(g)
+    while True:
+        yield value
+        value = value * g
+
+
+def _chebyshev(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """T_0(g), T_1(g), … without end; within −1 … 1 the recurrence loses nothing."""
+    now, after = np.ones_like(g), g
+    while True:
+        yield now
+        now, after = after, 2.0 * g * after - now
+
+
 EXPANSIONS: dict[str, Expansion] = {
-    "taylor": Expansion("Taylor", True, lambda n, g: g**n, _taylor_basis, _taylor_remainder, _taylor_growth),
-    "taylor-uncentred": Expansion(
-        "uncentred Taylor", False, lambda n, g: g**n, _taylor_basis, _taylor_remainder, _taylor_growth
-    ),
+    "taylor": Expansion("Taylor", True, _powers, _taylor_basis, _taylor_remainder, _taylor_growth),
+    "taylor-uncentred": Expansion("uncentred Taylor", False, _powers, _taylor_basis, _taylor_remainder, _taylor_growth),
     "jacobi-anger": Expansion(
-        "Jacobi-Anger",
-        True,
-        lambda n, g: np.cos(n * np.arccos(np.clip(g, -1.0, 1.0))),
-        _jacobi_anger_basis,
-        _jacobi_anger_remainder,
-        _jacobi_anger_growth,
+        "Jacobi-Anger", True, _chebyshev, _jacobi_anger_basis, _jacobi_anger_remainder, _jacobi_anger_growth
     ),
 }

@@ -1,124 +1,210 @@
-"""The plan: from a height field, a window, a range of directions and a tolerance to the numbers the kernels get.
+"""The plan: from a height field, a coherence, a range of directions and a tolerance to the numbers the kernels get.
 
-Every number follows from a bound that holds for all directions of the range, so a plan errs on the side of accuracy.
+Bounds that hold for all directions of the range come first and err on the side of accuracy; ``search`` then finds on a
+sample of the directions how much of them is needed.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import aliasing, checks, optics, search, spectrum, tables
+from warpdiff.coefficients import METHODS as EXPANDED
+from warpdiff.coefficients import POWER_METHODS
 from warpdiff.coherence import Coherence
+from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS, check_cycles
-from warpdiff.fourier import axis_lengths_um
 from warpdiff.heightfield import HeightField
+from warpdiff.scope import CROWD, Pilots, Scope, hemisphere_pairs
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
+    import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
-METHODS = ("auto", *EXPANSIONS, "direct")
+METHODS = ("auto", *EXPANDED, "direct")
+AUTOMATIC = "low-rank"
+LABELS = {
+    "low-rank": "Low-rank basis",
+    "power": "Chebyshev series of the powers",
+    **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
+}
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
-# mirror by as much again: what is left out of an amplitude must be smaller by this factor, ...
+# mirror by as much again: what a series leaves out of an amplitude must be smaller by this factor.
 _AMPLITUDE_MARGIN = 1e-3
-# ... and what is left out of a power by this one. On the scan, 3 × 3, 5 × 5 and 7 × 7 coefficients err by 3.7 %, 2e-4
-# and 6e-8 in the median; the margin asks for the second at a tolerance of 1e-2 and for the third at 1e-4.
-_POWER_MARGIN = 1e-4
+# The mirror's coefficient is the brightest by far, and a frame need not show it, but its Gaussian's tail: weights, on
+# powers or on amplitudes, are negligible below this share of the tolerance.
+_WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
+# What a fitted basis may leave out of a coefficient's largest value, as a share of the tolerance: where κ is small, the
+# coefficient is, too.
+_BASIS_SHARE = 1e-2
 # A colour changes as fast as the colour curves and the illuminant do: their share of the samples, at a tolerance of
 # 1e-2, in samples per unit of 1/λ [µm]; cubic interpolation between samples errs as the fourth power of their distance.
 _COLOUR_BANDWIDTH_UM = 48.0
 # The integral's share of the tolerance.
 _QUADRATURE_SHARE = 0.25
+# Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the same cubics.
+_SAMPLES_PER_ORDER = 10.0
+# Samples of the copies' factor for each of its lobes.
+_SAMPLES_PER_LOBE = 2.0
+_REACHED_WEIGHT = 1e-14
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
 _PATCH_IN_SIGMAS = 20.0
 _MOST_WAVELENGTHS = 20_000
-# Float32 rounds each term of the series to half a unit in the last place.
+_MOST_SAMPLES = 2_000_000
+# Of a source that grazes the surface: foreshortened fifty times and more.
+_MOST_GRAZING = 8192
+_LESS_COHERENT = {
+    "averaged": "a smaller sigma_um",
+    "centred": "a smaller sigma_um",
+    "source": "a larger angular_diameter_deg",
+    "replicas": "fewer copies",
+}
+# Float32 rounds each term of a series to half a unit in the last place.
 _FLOAT32_ROUNDING = 2.0**-24
+# Fewer directions are evaluated as they are: to search would take longer than it saves.
+_FEWEST_PILOTS = 16
+_SEED = 0
+_SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 
 
 @dataclass(frozen=True)
 class Plan:
     """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
 
+    Errors are relative ones of XYZ, as ``tolerance`` is.
+
     Attributes:
-        method: A series, a key of ``expansions.EXPANSIONS``, or ``"direct"``.
-        coherence: The window.
+        method: One of ``coefficients.METHODS``, or ``"direct"``.
+        coherence: The window, source or copies.
         tolerance: What was asked for.
-        terms: Terms of the series, n = 0 … terms − 1.
-        reach: Coefficients (y, x) on either side of the nearest one; the neighbourhood is 2·reach + 1 wide.
-        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ; 0 where the caller gives wavelengths.
-        adaptive: Whether directions with less than the largest |(u, v)| and |w| take fewer of them.
+        terms: Terms of the basis, n = 0 … terms − 1.
+        least_weight: Neighbours whose Gaussian weight, on powers or on amplitudes, is less are left out.
+        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 where the caller
+            gives wavelengths.
+        subdivisions: For copies: samples of their factor for one of the patch's.
+        bandwidth_um: What a direction takes of them as a, b, c of a·lateral + b·|w| + c, samples per unit of 1/λ;
+            lateral is |(u, v)|, for a source stretched along its foreshortening, for copies |(u Lx, v Ly)|.
+        adaptive: Whether directions with less than the largest bandwidth take fewer of them.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
+        max_lateral: Largest lateral of these.
+        min_w: Smallest |w| of these.
         max_w: Largest |w| of these.
         lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
+        lambda_max_nm: Longest wavelength that the numbers hold for [nm].
         height_range_um: Largest height range that the numbers hold for [µm].
-        truncation: Bound of the error of exp(2πiκh) from the terms left out.
-        neighbourhood: Weight of the nearest coefficient that is left out.
-        quadrature: Predicted relative error of the integral over λ; 0 without one.
-        rounding: Bound of the error of exp(2πiκh) from float32 arithmetic.
-        multiply_adds: Predicted cost of the dearest direction.
+        truncation: Predicted error from the terms left out.
+        neighbourhood: Predicted error from the neighbours left out.
+        quadrature: Predicted error of the integral over λ; 0 without one.
+        rounding: Predicted error from float32 arithmetic.
+        aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
+            relative to theirs. It is a property of the data and no part of ``error``.
+        multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
+        searched: Whether the errors were measured on a sample of the directions; otherwise they are bounds.
     """
 
     method: str
     coherence: Coherence
     tolerance: float
     terms: int
-    reach: tuple[int, int]
+    least_weight: float
     wavelengths: int
+    subdivisions: int
+    bandwidth_um: tuple[float, float, float]
     adaptive: bool
     max_uv: float
+    max_lateral: float
+    min_w: float
     max_w: float
     lambda_min_nm: float
+    lambda_max_nm: float
     height_range_um: float
     truncation: float
     neighbourhood: float
     quadrature: float
     rounding: float
-    multiply_adds: int
+    aliasing: float
+    multiply_adds: float
+    searched: bool
 
     def __post_init__(self) -> None:
         checks.choice(self.method, "method", METHODS[1:])
         checks.instance(self.coherence, Coherence, "coherence")
+        check_method(self.method, self.coherence)
         check_tolerance(self.tolerance)
         if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
             raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
-        if not isinstance(self.reach, Sequence) or len(self.reach) != 2:
-            raise ValueError(f"reach must be a pair (y, x), got {self.reach!r}")
-        object.__setattr__(self, "reach", tuple(self.reach))
-        for name in ("max_uv", "max_w", "lambda_min_nm", "height_range_um"):
+        weight = checks.number(self.least_weight, "least_weight", above=0.0)
+        if weight >= 1.0:
+            raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
+        for name in ("max_uv", "max_lateral", "min_w", "max_w", "lambda_min_nm", "lambda_max_nm", "height_range_um"):
             checks.number(getattr(self, name), name, least=0.0)
-        for axis, value in enumerate(self.reach):
-            checks.count(value, f"reach[{axis}]", least=0)
+        bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um")
+        if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
+            raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
         checks.flag(self.adaptive, "adaptive")
+        checks.count(self.subdivisions, "subdivisions")
         if self.wavelengths != 0:
             checks.count(self.wavelengths, "wavelengths", least=2)
 
+    @property
+    def error(self) -> float:
+        """Predicted error of the call: all sources but aliasing."""
+        return self.truncation + self.neighbourhood + self.quadrature + self.rounding
+
+    @property
+    def scope(self) -> Scope:
+        """The range of directions and wavelengths that the numbers hold for."""
+        return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
+
+    def reach(self, hf: HeightField) -> tuple[int, int]:
+        """Coefficients (y, x) on either side of a direction to keep at hand.
+
+        They are the same for all but the least weights, as is then a basis that is fitted to them.
+        """
+        from warpdiff.kernels import spectral
+
+        if self.coherence.kind == "replicas":
+            return spectral.TAPS, spectral.TAPS
+        falloff = tables.falloff_um2(self.coherence, self.lambda_min_nm * 1e-3)
+        radius = math.sqrt(-math.log(min(self.least_weight, _REACHED_WEIGHT)) / falloff)
+        # A slanted ellipse is covered by a parallelogram.
+        radius *= math.sqrt(2.0) if self.coherence.kind == "source" else 1.0
+        reach = [math.ceil(radius * length + 0.5) for length in tables.grid_for(hf, self.coherence).lengths_um]
+        return reach[0], reach[1]
+
     def __str__(self) -> str:
-        window = f"{self.coherence.kind} window with σ = {self.coherence.sigma_um:g} µm"
-        scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| up to {self.max_w:.3g}"
         if self.method == "direct":
-            return f"Direct sum over the height samples in float64, {window}: no approximation but the integral over λ."
-        rows, columns = (2 * n + 1 for n in self.reach)
-        text = (
-            f"{EXPANSIONS[self.method].label} series, {window}, tolerance {self.tolerance:g}, {scope}: "
-            f"{self.terms} terms leave out {self.truncation:.1e} of exp(2πiκh), and float32 rounds it by up to "
-            f"{self.rounding:.1e}; {rows} × {columns} coefficients leave out neighbours of weight "
-            f"{self.neighbourhood:.1e}; "
+            sums = f"Direct sum over the height samples in float64, {self.coherence}"
+            return f"{sums}: no approximation but the integral over λ."
+        scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
+        how = "measured on a sample of the directions" if self.searched else "bounded for all directions"
+        start = (
+            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, {scope}. Predicted error "
+            f"{self.error:.1e}, {how}: {self.terms} terms leave out {self.truncation:.1e}"
         )
+        parts = [start]
+        if self.coherence.kind != "replicas":
+            parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
         if self.wavelengths:
-            fewer = ", fewer where |(u, v)| is smaller," if self.adaptive else ""
-            text += f"{self.wavelengths} wavelengths equally spaced in 1/λ{fewer} "
-            text += f"integrate to about {self.quadrature:.1e}; "
-        return text + f"some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction at most."
+            spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
+            asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
+            asides += ["fewer where coefficients pass slower"] if self.adaptive else []
+            aside = f" ({', '.join(asides)})" if asides else ""
+            spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
+            parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
+        parts.append(f"float32 rounds by {self.rounding:.1e}")
+        text = "; ".join(parts)
+        text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
+        return text + f" Some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction."
 
 
 def plan(
@@ -126,10 +212,15 @@ def plan(
     to_light: ArrayLike | None = None,
     to_view: ArrayLike | None = None,
     *,
+    illuminant: str = "D65",
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
+    ior: float = 1.5,
+    masking: bool = True,
     strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
 ) -> Plan:
     """What an evaluation of these directions would compute.
 
@@ -137,33 +228,79 @@ def plan(
         hf: The height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         to_view: Directions to the viewer; None is the whole hemisphere.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
         tolerance: Error of XYZ that is asked for, in 1e-5 to 0.5.
-        method: ``"auto"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"`` or ``"direct"``.
-        coherence: The window; the default is averaged with σ = 16.25 µm.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"`` or
+            ``"direct"``.
+        coherence: The window, source or copies; the default is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; it and masking decide which directions are bright.
+        masking: Whether V-cavity masking and shadowing is included.
         strict: Raise a ``ValueError`` where the tolerance cannot be met; otherwise warn.
+        device: ``"cpu"`` (None) or a CUDA device, on which the sample of directions is tried.
+        threads: Threads on the CPU; None is one a core.
 
     Returns:
         The plan; ``print(plan)`` explains it.
     """
     check_request(hf, tolerance=tolerance, method=method, coherence=coherence, strict=strict)
-    if to_light is None and to_view is None:
-        max_uv, max_w = 2.0, 2.0
-    elif to_light is None or to_view is None:
-        given, _ = checks.directions(*((to_view, "to_view") if to_light is None else (to_light, "to_light")))
-        above = given[given[:, 2] > 0.0]
-        max_uv = min(2.0, 1.0 + float(np.max(np.hypot(above[:, 0], above[:, 1]), initial=0.0)))
-        max_w = 1.0 + float(np.max(above[:, 2], initial=0.0))
-    else:
+    spectrum.check_illuminant(illuminant)
+    checks.flag(masking, "masking")
+    normal = optics.normal_reflectance(ior)
+    window = coherence or Coherence()
+    target, workers = resolve_device(device), resolve_threads(threads)
+    some_lights, some_views = hemisphere_pairs(CROWD, _SEED)
+    if to_light is not None and to_view is not None:
         lights, views, _ = broadcast_directions(to_light, to_view)
-        max_uv, max_w = deflection_range(-lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0))
-    return plan_for_range(
-        hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=coherence or Coherence(), strict=strict
-    )
+    else:
+        lights = some_lights if to_light is None else _some_of(to_light, "to_light")
+        views = some_views if to_view is None else _some_of(to_view, "to_view")
+    deflections, lit = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
+    scope = Scope.of(hf, window, deflections, lights, lit)
+    if to_light is None or to_view is None:
+        given = views if to_light is None else lights
+        scope = _any_direction(hf, window, scope, None if to_light is None and to_view is None else given)
+    gains = optics.gain(lights, views, normal=normal, masking=masking, per_light_cosine=window.kind == "source")
+    return plan_for(
+        hf, scope, Pilots.among(deflections, lights, gains), tolerance=tolerance, method=method, coherence=window,
+        strict=strict, illuminants=(illuminant,), device=target, threads=workers,
+    )  # fmt: skip
+
+
+def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:
+    """As many of the given directions as the sample has, repeated where they are fewer."""
+    given, _ = checks.directions(directions, name)
+    if not len(given):
+        return np.zeros((CROWD, 3))
+    return np.asarray(given[np.arange(CROWD) * max(1, len(given) // CROWD) % len(given)])
+
+
+def _any_direction(hf: HeightField, coherence: Coherence, scope: Scope, given: NDArray[np.float64] | None) -> Scope:
+    """A scope that holds for the whole hemisphere on one side and the given directions, or all, on the other."""
+    max_uv = min_w = max_w = 0.0
+    if given is None:
+        max_uv, min_w, max_w = 2.0, 0.0, 2.0
+    elif np.any(above := given[:, 2] > 0.0):
+        z = given[above, 2]
+        max_uv = 1.0 + float(np.max(np.hypot(given[above, 0], given[above, 1])))
+        min_w, max_w = float(z.min()), 1.0 + float(z.max())
+    # A grazing source has no largest bandwidth: what exceeds the sample's takes the largest set of wavelengths.
+    most = {"source": max(scope.max_lateral, max_uv), "replicas": max_uv * max(hf.size_um)}
+    return Scope(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
 
 def check_tolerance(tolerance: Any) -> float:
     """Return a tolerance within the range that float32 and a picture make sense of."""
     return checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
+
+
+def check_method(method: str, coherence: Coherence) -> None:
+    """Refuse a method that a coherence form lacks."""
+    if method in POWER_METHODS and not coherence.adds_powers:
+        legal = ", ".join(repr(each) for each in METHODS if each not in POWER_METHODS)
+        raise ValueError(
+            f"method={method!r} expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes: "
+            f"use one of {legal}"
+        )
 
 
 def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
@@ -172,6 +309,7 @@ def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, stric
     check_tolerance(tolerance)
     checks.choice(method, "method", METHODS)
     checks.instance(coherence, Coherence, "coherence", optional=True)
+    check_method(method, coherence or Coherence())
     checks.flag(strict, "strict")
 
 
@@ -189,96 +327,168 @@ def broadcast_directions(
     return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
 
 
-def deflection_range(deflections: NDArray[np.float64], lit: NDArray[np.bool_]) -> tuple[float, float]:
-    """Largest |(u, v)| and |w| of the lit ones of the deflections, shape (n, 3)."""
-    used = deflections[lit]
-    if not len(used):
-        return 0.0, 0.0
-    return float(np.max(np.hypot(used[:, 0], used[:, 1]))), float(np.max(np.abs(used[:, 2])))
-
-
-def plan_for_range(
+def plan_for(
     hf: HeightField,
-    max_uv: float,
-    max_w: float,
+    scope: Scope,
+    pilots: Pilots,
     *,
     tolerance: float,
     method: str,
     coherence: Coherence,
     strict: bool,
+    illuminants: tuple[str, ...] = ("D65",),
     wavelengths_nm: NDArray[np.float64] | None = None,
+    device: wp.Device,
+    threads: int,
 ) -> Plan:
-    """The plan for all directions with |(u, v)| <= ``max_uv`` and |w| <= ``max_w``.
+    """The plan for all directions of a scope, searched for on a sample of them.
 
     With ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
     """
     tolerance = check_tolerance(tolerance)
-    lambda_min_nm = float(LAMBDA_MIN_NM if wavelengths_nm is None else wavelengths_nm.min())
-    check_cycles(hf, max_w / (lambda_min_nm * 1e-3))
-    _warn_of_aliasing(hf, max_uv, lambda_min_nm)
-    series = "jacobi-anger" if method in ("auto", "direct") else method
-    expansion = EXPANSIONS[series]
-    argument = 2.0 * math.pi * max_w / (lambda_min_nm * 1e-3) * expansion.offset_and_scale(hf)[1]
-    terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
-    rounding = _FLOAT32_ROUNDING * expansion.growth(argument)
-    truncation = expansion.remainder(argument, terms)
-    if method != "direct":
-        _check_series(hf, expansion.label, truncation, rounding, tolerance, strict=strict)
-
-    leave_out = tolerance * (_POWER_MARGIN if coherence.kind == "averaged" else _AMPLITUDE_MARGIN)
-    cut_um = math.sqrt(math.log(1.0 / leave_out) / coherence.falloff_um2)
-    lengths = axis_lengths_um(hf)
-    reach_y, reach_x = (max(0, math.ceil(cut_um * length - 0.5)) for length in lengths)
-    neighbours = (2 * reach_y + 1) * (2 * reach_x + 1)
-    if method != "direct" and neighbours > _MOST_NEIGHBOURS:
-        raise ValueError(
-            f"sigma_um={coherence.sigma_um:g} is too short for a patch of {hf.size_um[0]:g} × {hf.size_um[1]:g} µm: "
-            f"{2 * reach_y + 1} × {2 * reach_x + 1} coefficients lie in its window's reach; crop the height field to "
-            f"some {_PATCH_IN_SIGMAS * coherence.sigma_um:.3g} µm, which the window cannot tell from the whole"
+    check_cycles(hf, scope.kappas[1])
+    pitch = aliasing.coarsest_pitch_um(hf)
+    _warn_of_aliasing(scope, pitch)
+    ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=wavelengths_nm is None)
+    if method == "direct":
+        return ample
+    found = ample
+    if ample.method not in EXPANSIONS:
+        basis, _, _ = tables.coefficients_for(
+            hf, ample.method, coherence, scope, ample.reach(hf), terms=ample.terms, threads=threads
         )
-    nearest = min((n + 0.5) / length for n, length in zip((reach_y, reach_x), lengths, strict=True))
-    neighbourhood = math.exp(-min(coherence.falloff_um2 * nearest**2, 700.0))
+        terms = basis.terms_within(_BASIS_SHARE * tolerance)
+        found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
+    found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
+    if len(pilots) >= _FEWEST_PILOTS:
+        found = search.refined(
+            found, hf, scope, pilots, automatic=method == "auto", illuminants=illuminants,
+            wavelengths_nm=wavelengths_nm, device=device, threads=threads,
+        )  # fmt: skip
+    if ample.truncation > tolerance * _AMPLITUDE_MARGIN:
+        # The series that all bases are made from, and judged by, ends too soon.
+        found = replace(found, terms=ample.terms, truncation=max(found.truncation, ample.truncation))
+    _check_error(hf, found, strict=strict)
+    return found
 
-    wavelengths = 0
-    if wavelengths_nm is None:
-        per_uv, per_w, constant = bandwidth_um(hf, coherence, tolerance)
-        span = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-        wavelengths = math.ceil(span * (per_uv * max_uv + per_w * max_w + constant)) + 1
-        if wavelengths > _MOST_WAVELENGTHS:
-            raise ValueError(
-                f"sigma_um={coherence.sigma_um:g} and a height range of {hf.height_range_um:.3g} µm make spectra so "
-                f"fine that a colour takes {wavelengths} wavelengths; the most are {_MOST_WAVELENGTHS}: take a smaller "
-                "sigma_um or a larger tolerance, or spectral_reflectance at wavelengths of your own"
-            )
 
-    return Plan(
+def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, coherence: Coherence, colour: bool) -> Plan:
+    """The plan that follows from bounds alone."""
+    series = AUTOMATIC if method in ("auto", "direct") else method
+    # A fitted basis is made from the Jacobi-Anger series.
+    expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
+    argument = 2.0 * math.pi * scope.kappas[1] * expansion.offset_and_scale(hf)[1]
+    terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
+    least_weight = tolerance * _WEIGHT_MARGINS[coherence.adds_powers]
+    result = Plan(
         method="direct" if method == "direct" else series,
         coherence=coherence,
         tolerance=tolerance,
         terms=terms,
-        reach=(reach_y, reach_x),
-        wavelengths=wavelengths,
+        least_weight=least_weight,
+        wavelengths=0,
+        subdivisions=1,
+        bandwidth_um=_bandwidth_um(hf, coherence, tolerance),
         adaptive=True,
-        max_uv=max_uv,
-        max_w=max_w,
-        lambda_min_nm=lambda_min_nm,
+        max_uv=scope.max_uv,
+        max_lateral=scope.max_lateral,
+        min_w=scope.min_w,
+        max_w=scope.max_w,
+        lambda_min_nm=scope.lambda_min_nm,
+        lambda_max_nm=scope.lambda_max_nm,
         height_range_um=hf.height_range_um,
-        truncation=truncation,
-        neighbourhood=neighbourhood,
-        quadrature=tolerance * _QUADRATURE_SHARE if wavelengths else 0.0,
-        rounding=rounding,
-        multiply_adds=2 * terms * neighbours * max(wavelengths, 1),
+        truncation=expansion.remainder(argument, terms),
+        neighbourhood=0.0 if coherence.kind == "replicas" else _QUADRATURE_SHARE * tolerance,
+        quadrature=tolerance * _QUADRATURE_SHARE if colour else 0.0,
+        rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
+        aliasing=0.0,
+        multiply_adds=0.0,
+        searched=False,
+    )
+    if method != "direct":
+        _check_neighbours(hf, result)
+    if colour:
+        result = _with_wavelengths(hf, result)
+    dearest = search.mean_cost(hf, result, np.array([scope.max_lateral]), np.array([scope.max_w]))
+    return replace(result, multiply_adds=dearest)
+
+
+def _bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
+    """Samples per unit of 1/λ that a direction takes, as a, b, c [µm] of a·lateral + b·|w| + c.
+
+    A trapezoidal sum in 1/λ sees what oscillates slower than its samples. Products of two points of the surface
+    oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their distance, and the colour curves add a
+    constant.
+    """
+    distance = math.sqrt(math.log(2.0 / (tolerance * _QUADRATURE_SHARE)))
+    cubic = (1e-2 / tolerance) ** 0.25
+    constant = _COLOUR_BANDWIDTH_UM * cubic
+    if coherence.sigma_um is not None:
+        return 2.0 * coherence.sigma_um * distance, hf.height_range_um, constant
+    if coherence.kind == "replicas":
+        # |mean over the patch|² has orders between −|u|Lx − |v|Ly and the same above, in samples of cubics.
+        return _SAMPLES_PER_ORDER * cubic, _SAMPLES_PER_ORDER * cubic * hf.height_range_um, constant
+    # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
+    # van Cittert and Zernike is in proportion to λ, as they are.
+    log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
+    wider = log_band * 1e3 / LAMBDA_MIN_NM / _SPAN
+    lateral = distance / (math.sqrt(2.0) * math.pi * coherence.spread) * log_band / _SPAN
+    return lateral, wider * hf.height_range_um, wider * constant
+
+
+def _check_neighbours(hf: HeightField, plan: Plan) -> None:
+    """Refuse a neighbourhood that no one means."""
+    rows, columns = (2 * n + 1 for n in plan.reach(hf))
+    if plan.coherence.kind == "replicas" or rows * columns <= _MOST_NEIGHBOURS:
+        return
+    size = f"{hf.size_um[0]:g} × {hf.size_um[1]:g} µm: {rows} × {columns} coefficients lie in its reach; crop"
+    if plan.coherence.sigma_um is None:
+        what = f"angular_diameter_deg={plan.coherence.angular_diameter_deg:g} is too wide"
+        sigma = LAMBDA_MAX_NM * 1e-3 / (2.0 * math.sqrt(2.0) * math.pi * plan.coherence.spread)
+    else:
+        what, sigma = f"sigma_um={plan.coherence.sigma_um:g} is too short", plan.coherence.sigma_um
+    raise ValueError(
+        f"{what} for a patch of {size} the height field to some {_PATCH_IN_SIGMAS * sigma:.3g} µm, which such light "
+        "cannot tell from the whole"
     )
 
 
-def warn_outside(plan: Plan, hf: HeightField, max_uv: float, max_w: float, lambda_min_nm: float) -> None:
+def _with_wavelengths(hf: HeightField, plan: Plan) -> Plan:
+    """The plan with as many wavelengths as its bandwidth asks for."""
+    count = tables.set_size(search.wavelength_count(plan, plan.max_lateral, plan.max_w))
+    copies = plan.coherence.copies
+    divisions = 1
+    if copies is not None:
+        divisions = math.ceil(_SAMPLES_PER_LOBE * math.sqrt(2.0) * max(copies) / plan.bandwidth_um[0])
+    what = {
+        "source": f"angular_diameter_deg={plan.coherence.angular_diameter_deg}",
+        "replicas": f"copies={copies} of {hf.size_um[0]:g} × {hf.size_um[1]:g} µm",
+    }.get(plan.coherence.kind, f"sigma_um={plan.coherence.sigma_um or 0.0:g}")
+    facing = search.wavelength_count(plan, plan.max_uv, plan.max_w)
+    if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:
+        # Near the horizon a source is foreshortened without end; such directions take the largest set there is.
+        count = tables.set_size(_MOST_GRAZING)
+        per_lateral, per_w, constant = plan.bandwidth_um
+        lateral = (count / _SPAN - per_w * plan.max_w - constant) / per_lateral
+        plan = replace(plan, max_lateral=max(lateral, plan.max_uv))
+    if count > _MOST_WAVELENGTHS or count * divisions > _MOST_SAMPLES:
+        raise ValueError(
+            f"{what} and a height range of {hf.height_range_um:.3g} µm make spectra so fine that a colour takes "
+            f"{count * divisions} wavelengths; the most are {_MOST_WAVELENGTHS}, {_MOST_SAMPLES} for copies: take "
+            f"{_LESS_COHERENT[plan.coherence.kind]} or a larger tolerance, or spectral_reflectance at wavelengths of "
+            "your own"
+        )
+    return replace(plan, wavelengths=count, subdivisions=divisions)
+
+
+def warn_outside(plan: Plan, hf: HeightField, scope: Scope) -> None:
     """Warn where a call with an explicit plan goes beyond what the plan's numbers hold for."""
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"
         for name, value, planned in (
-            ("|(u, v)| up to", max_uv, plan.max_uv),
-            ("|w| up to", max_w, plan.max_w),
-            ("1/λ [1/µm] up to", 1e3 / lambda_min_nm, 1e3 / plan.lambda_min_nm),
+            ("|(u, v)| up to", scope.max_uv, plan.max_uv),
+            ("|w| up to", scope.max_w, plan.max_w),
+            ("1/λ [1/µm] up to", 1e3 / scope.lambda_min_nm, 1e3 / plan.lambda_min_nm),
             ("a height range [µm] of", hf.height_range_um, plan.height_range_um),
         )
         if value > planned * (1.0 + 1e-6) + 1e-9
@@ -292,55 +502,45 @@ def warn_outside(plan: Plan, hf: HeightField, max_uv: float, max_w: float, lambd
         )
 
 
-def bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
-    """Samples per unit of 1/λ that a direction takes, as a, b, c [µm] of a·|(u, v)| + b·|w| + c.
-
-    A trapezoidal sum in 1/λ sees what oscillates slower than its samples. Products of two points of the surface
-    oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their distance, and the colour curves add a
-    constant.
-    """
-    separation_um = 2.0 * coherence.sigma_um * math.sqrt(math.log(2.0 / (tolerance * _QUADRATURE_SHARE)))
-    return separation_um, hf.height_range_um, _COLOUR_BANDWIDTH_UM * (1e-2 / tolerance) ** 0.25
-
-
-def _check_series(
-    hf: HeightField, label: str, truncation: float, rounding: float, tolerance: float, *, strict: bool
-) -> None:
-    """Refuse, or warn of, a series that cannot reach the tolerance in float32."""
-    # The bound on rounding adds all terms up in the worst way and at one height; what a coefficient sees of it is
-    # smaller by more than the margin that an amplitude needs.
-    if rounding <= tolerance and truncation <= tolerance * _AMPLITUDE_MARGIN:
+def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
+    """Refuse, or warn of, a plan that cannot reach its tolerance."""
+    # Errors as measured; the safety in them is no reason to refuse.
+    if plan.error <= plan.tolerance * (search.SAFETY if plan.searched else 1.0):
         return
-    if rounding > tolerance:
-        why = (
-            f"its terms grow to {rounding / _FLOAT32_ROUNDING:.1e} and cancel, leaving an error of up to {rounding:.1e}"
-        )
-        if rounding >= 1.0:
-            why += ", so that no digit need be right"
-    else:
-        why = f"{MAX_TERMS} terms, the most there are, leave out {truncation:.1e}"
+    lower = "reduce the range with levelled(), despiked() or cropped(), or use method='auto' or 'direct'"
+    sources = {
+        "rounding": (
+            f"float32 rounds terms that grow and cancel for a height range of {hf.height_range_um:.3g} µm",
+            lower,
+        ),
+        "truncation": (f"{plan.terms} terms are too few for a height range of {hf.height_range_um:.3g} µm", lower),
+        "neighbourhood": (f"neighbours of a weight below {plan.least_weight:.1e} are left out", "use method='direct'"),
+        "quadrature": (f"{plan.wavelengths} wavelengths are too few", f"take {_LESS_COHERENT[plan.coherence.kind]}"),
+    }
+    worst = max(sources, key=lambda name: float(getattr(plan, name)))
+    why, remedy = sources[worst]
+    largest = float(getattr(plan, worst))
+    digits = ", so that no digit need be right" if largest >= 1.0 else ""
+    how = "measured on a sample of the directions" if plan.searched else "by its bound"
     message = (
-        f"the {label} series cannot reach tolerance={tolerance:g} in float32 for a height range of "
-        f"{hf.height_range_um:.3g} µm: {why}; reduce the range with levelled(), despiked() or cropped(), ask for a "
-        "larger tolerance, or use method='direct', or 'auto' in place of a Taylor series"
+        f"the {LABELS[plan.method]} cannot reach tolerance={plan.tolerance:g}: {why}, an error of {largest:.1e} {how}"
+        f"{digits}; {remedy}, or ask for a larger tolerance"
     )
     if strict:
         raise ValueError(message + "; strict=False computes it all the same")
     warnings.warn(message, WarpdiffWarning, stacklevel=4)
 
 
-def _warn_of_aliasing(hf: HeightField, max_uv: float, lambda_min_nm: float) -> None:
+def _warn_of_aliasing(scope: Scope, pitch_um: float) -> None:
     """Warn where the directions ask for frequencies beyond what the pitch can carry."""
-    # An axis of one sample is constant, not sampled.
-    coarsest = max((pitch for n, pitch in zip(hf.shape, hf.pitch_um, strict=True) if n > 1), default=0.0)
-    if coarsest == 0.0:
+    if pitch_um == 0.0:
         return
-    supported = lambda_min_nm * 1e-3 / (2.0 * coarsest)
-    if max_uv > supported * (1.0 + 1e-9):
+    supported = scope.lambda_min_nm * 1e-3 / (2.0 * pitch_um)
+    if scope.max_uv > supported * (1.0 + 1e-9):
         warnings.warn(
-            f"a pitch of {coarsest:.3g} µm supports |(u, v)| up to {supported:.3g} at {lambda_min_nm:g} nm, and "
-            f"directions up to {max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer pitch, "
-            "or use HeightField.resampled() where the surface is known to be smooth",
+            f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at {scope.lambda_min_nm:g} nm, and "
+            f"directions up to {scope.max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer "
+            "pitch, or use HeightField.resampled() where the surface is known to be smooth",
             WarpdiffWarning,
             stacklevel=4,
         )

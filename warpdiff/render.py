@@ -13,7 +13,8 @@ from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.light import DirectionalLight
-from warpdiff.planning import Plan, deflection_range, plan_for_range, warn_outside
+from warpdiff.planning import Plan, plan_for, warn_outside
+from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
 from warpdiff.tables import quadrature_for, table_for
 from warpdiff.view import View
@@ -63,9 +64,9 @@ def shade(
         light: One light, or several.
         view: The camera.
         tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the lit pixels.
-        method: ``"auto"``, a series (``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``), or ``"direct"``
-            (float64, slow and certain).
-        coherence: The window; None is averaged with σ = 16.25 µm.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
         pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
@@ -106,23 +107,34 @@ def shade(
 
     frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
     window = plan.coherence if plan is not None else coherence or Coherence()
-    arguments = [frame.light_arguments(each, window, pigment=pigment / normal, shadows=shadows) for each in lights]
-    reflection = frame.reflection(normal, masking=masking)
-    # A first pass over the rays, which cost a hundredth of the colours, finds the range of directions to plan for.
-    max_uv = max_w = 0.0
+    area = hf.size_um[0] * hf.size_um[1]
+    arguments = [
+        frame.light_arguments(each, window, area, pigment=pigment / normal, shadows=shadows) for each in lights
+    ]
+    reflection = frame.reflection(normal, window, masking=masking)
+    # A first pass over the rays, which cost a hundredth of the colours, finds the directions to plan for.
+    scope = Scope(0.0, 0.0, 0.0, 0.0)
+    seen = []
     for sample in range(samples):
         frame.cast(sample)
         for argument in arguments:
-            uv, w = deflection_range(*frame.deflections(argument, reflection))
-            max_uv, max_w = max(max_uv, uv), max(max_w, w)
+            frame.deflect(argument, reflection)
+            deflections, to_lights, gains = frame.directions()
+            scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
+            if sample == 0:
+                seen.append(Pilots.among(deflections, to_lights, gains))
     frame.clear()
     if plan is not None:
-        warn_outside(plan, hf, max_uv, max_w, spectrum.LAMBDA_MIN_NM)
+        warn_outside(plan, hf, scope)
     else:
-        plan = plan_for_range(hf, max_uv, max_w, tolerance=tolerance, method=method, coherence=window, strict=strict)
+        pilots = Pilots.among(*(np.concatenate(part) for part in zip(*(each.arrays for each in seen), strict=True)))
+        plan = plan_for(
+            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict,
+            illuminants=tuple(dict.fromkeys(each.illuminant for each in lights)), device=target, threads=workers,
+        )  # fmt: skip
 
     if plan.method != "direct":
-        table = table_for(hf, plan, max_uv, max_w, 1e3 / spectrum.LAMBDA_MIN_NM, device=target, threads=workers)
+        table = table_for(hf, plan, scope, device=target, threads=workers)
         quadratures = [quadrature_for(hf, plan, each.illuminant, device=target) for each in lights]
     passes = samples * len(lights)
     for sample in range(samples):
@@ -130,12 +142,12 @@ def shade(
             frame.cast(sample)
         frame.count_hits()
         for index, (each, argument) in enumerate(zip(lights, arguments, strict=True)):
-            deflections, lit = frame.deflections(argument, reflection)
-            frame.lit |= lit
+            frame.deflect(argument, reflection)
+            frame.count_lit()
             share = _share(progress, sample * len(lights) + index, passes)
             if plan.method == "direct":
-                gains = np.where(lit, frame.gains.numpy().astype(np.float64), 0.0)
-                frame.add(direct_colour(hf, deflections, gains, plan, each.illuminant, progress=share))
+                deflections, to_lights, gains = frame.directions()
+                frame.add(direct_colour(hf, deflections, to_lights, gains, plan, each.illuminant, progress=share))
             else:
                 frame.integrate(table, quadratures[index], progress=share)
     return frame.image(plan)
@@ -171,19 +183,22 @@ class _Frame:
             setattr(self._pixels, name, empty(wp.vec3f))
         self._face = empty(wp.int32)
         self._deflections = empty(wp.vec3d)
-        self.gains = empty(wp.float32)
+        self._to_lights = empty(wp.vec3f)
+        self._gains = empty(wp.float32)
         self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
         self._hits = np.zeros(size, dtype=np.int64)
-        self.lit = np.zeros(size, dtype=np.bool_)
+        self._lit = np.zeros(size, dtype=np.bool_)
 
-    def light_arguments(self, light: DirectionalLight, window: Coherence, *, pigment: float, shadows: bool) -> Any:
+    def light_arguments(
+        self, light: DirectionalLight, window: Coherence, area_um2: float, *, pigment: float, shadows: bool
+    ) -> Any:
         """The struct of one light."""
         import warp as wp
 
         from warpdiff.kernels import directions
 
         grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
-        white = optics.pigment_solid_angle(grid_um, window.sigma_um) @ spectrum.colour_products(light.illuminant)
+        white = optics.pigment_solid_angle(grid_um, window, area_um2) @ spectrum.colour_products(light.illuminant)
         arguments = directions.LightArguments()
         arguments.to_light = wp.vec3d(*light.to_light)
         arguments.power = light.power
@@ -195,13 +210,14 @@ class _Frame:
         return arguments
 
     @staticmethod
-    def reflection(normal: float, *, masking: bool) -> Any:
+    def reflection(normal: float, window: Coherence, *, masking: bool) -> Any:
         """The struct of the reflectance."""
         from warpdiff.kernels import directions
 
         result = directions.Reflection()
         result.normal_reflectance = normal
         result.masking = masking
+        result.per_light_cosine = window.kind == "source"
         return result
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], **options: Any) -> None:
@@ -233,21 +249,31 @@ class _Frame:
         """Add the last rays' hits to the coverage."""
         self._hits += self._pixels.hit.numpy()
 
-    def deflections(self, light: Any, reflection: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Deflections and gains under one light, whose pigment is added; the deflections, and which are lit."""
+    def deflect(self, light: Any, reflection: Any) -> None:
+        """Compute the deflections and gains under one light, and add its pigment."""
         from warpdiff.kernels import directions
 
         self._launch(
             directions.deflect_pixels,
             [self._pixels, light, reflection, 1.0 / self._samples],
-            [self._deflections, self.gains, self._xyz],
+            [self._deflections, self._to_lights, self._gains, self._xyz],
         )
-        return self._deflections.numpy(), self.gains.numpy() > 0.0
+
+    def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The last deflections, directions to the light and gains."""
+        return self._deflections.numpy(), self._to_lights.numpy().astype(np.float64), self._gains.numpy()
+
+    def count_lit(self) -> None:
+        """Add the last light's pixels to those that are lit."""
+        self._lit |= self._gains.numpy() > 0.0
 
     def integrate(self, table: Any, quadrature: Any, **options: Any) -> None:
         """Add the diffraction colours of the last deflections."""
         self._launch(
-            table.integrate, [table.arguments, self._deflections, self.gains, quadrature], [self._xyz], **options
+            table.integrate,
+            [table.arguments, self._deflections, self._to_lights, self._gains, quadrature],
+            [self._xyz],
+            **options,
         )
 
     def add(self, xyz: np.ndarray) -> None:
@@ -265,7 +291,7 @@ class _Frame:
         return Image(
             xyz=self._xyz.numpy().reshape(*shape, 3).copy(),
             mask=coverage > 0.0,
-            lit=self.lit.reshape(shape),
+            lit=self._lit.reshape(shape),
             coverage=coverage,
             plan=plan,
         )

@@ -140,9 +140,17 @@ def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
 
 
 @functools.lru_cache(maxsize=256)
-def uniform_quadrature(count: int, illuminant: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``count`` wavenumbers [1/µm] equally spaced over the visible range, shape (m,), and weights, shape (m, 3)."""
+def uniform_quadrature(
+    count: int, illuminant: str, *, geometric: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``count`` wavenumbers [1/µm] over the visible range, shape (m,), and weights, shape (m, 3).
+
+    They are equally spaced, or, ``geometric``, have equal ratios: under a source of some angular size a coefficient's
+    Gaussian has a width in proportion to λ.
+    """
     wavelengths = wavelengths_uniform_in_wavenumber(count)
+    if geometric:
+        wavelengths = np.geomspace(LAMBDA_MIN_NM, LAMBDA_MAX_NM, count)
     wavenumbers, weights = 1e3 / wavelengths, quadrature_weights(wavelengths, illuminant)
     wavenumbers.setflags(write=False)
     weights.setflags(write=False)

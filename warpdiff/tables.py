@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import weakref
 from dataclasses import dataclass
@@ -9,26 +10,38 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import fourier, spectrum
+from warpdiff import coefficients, fourier, interpolation, spectrum
 from warpdiff.expansions import EXPANSIONS, check_cycles
-from warpdiff.planning import bandwidth_um
 
 if TYPE_CHECKING:
     import warp as wp
+    from numpy.typing import NDArray
 
+    from warpdiff.coefficients import Coefficients
+    from warpdiff.coherence import Coherence
+    from warpdiff.fourier import Block, Grid
     from warpdiff.heightfield import HeightField
     from warpdiff.planning import Plan
+    from warpdiff.scope import Scope
 
 # Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
-_LANES = 8
-# Distance in x of the entries that the basis is interpolated from: the cubic errs by 0.023 · step⁴, 2e-8.
-_BASIS_STEP = 1.0 / 32.0
-# A Taylor basis far beyond its range, which is computed on request only, stays within float32.
-_LARGEST = 1e30
+LANES = 8
 _FEWEST_WAVELENGTHS = 16
-# Tables that a height field keeps: a light or a view that moves asks for the same one again.
+# The cubics of a patch's power take four samples.
+_FEWEST_INTERVALS = 4
+# Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
+SETS_AN_OCTAVE = 4
+# What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
 _KEPT = 4
-_cache: weakref.WeakKeyDictionary[HeightField, dict[Any, Table]] = weakref.WeakKeyDictionary()
+_cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
+
+
+class _Kept:
+    """Coefficients of one height field, and their copies on devices, the last ones asked for."""
+
+    def __init__(self) -> None:
+        self.coefficients: dict[Any, Coefficients] = {}
+        self.rows: dict[Any, tuple[Any, Any, Coefficients]] = {}
 
 
 @dataclass(frozen=True)
@@ -46,35 +59,126 @@ class Table:
     arguments: Any
 
 
-def table_for(
-    hf: HeightField, plan: Plan, max_uv: float, max_w: float, max_wavenumber: float, *, device: wp.Device, threads: int
-) -> Table:
-    """The table for a plan, built or found again.
+def coefficients_for(
+    hf: HeightField,
+    method: str,
+    coherence: Coherence,
+    scope: Scope,
+    reach: tuple[int, int],
+    *,
+    terms: int,
+    threads: int,
+) -> tuple[Coefficients, Block, Grid]:
+    """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
 
     Args:
         hf: The height field.
-        plan: Series, number of terms, neighbourhood and window.
-        max_uv: Largest |(u, v)| to serve.
-        max_w: Largest |w| to serve.
-        max_wavenumber: Largest 1/λ to serve [1/µm].
-        device: Where the table lies.
+        method: One of ``coefficients.METHODS``.
+        coherence: How they add.
+        scope: The range of directions and wavelengths.
+        reach: Coefficients (y, x) on either side of a direction that may be looked up.
+        terms: Number of terms of a series; a fitted basis finds its own.
         threads: Transforms to run side by side.
     """
-    # Rounded up, so that the small changes of a moving light or view, and all visible wavelengths, meet the same table.
-    max_wavenumber = max(max_wavenumber, 1e3 / spectrum.LAMBDA_MIN_NM)
-    frequency = math.ceil(2.0 * max_uv * max_wavenumber + 0.1) / 2.0
-    kappa = math.ceil(2.0 * max_w * max_wavenumber + 0.1) / 2.0
-    check_cycles(hf, kappa)
-    block = fourier.Block.covering(hf, frequency, plan.reach)
-    key = (device.alias, block, kappa, plan.method, plan.terms, plan.reach, plan.coherence)
-    kept = _cache.setdefault(hf, {})
+    # Rounded up, so that the small changes of a moving light or view, and all visible wavelengths, meet the same one.
+    shortest = min(scope.lambda_min_nm, spectrum.LAMBDA_MIN_NM)
+    longest = max(scope.lambda_max_nm, spectrum.LAMBDA_MAX_NM)
+    frequency = math.ceil(2.0 * scope.max_uv * 1e3 / shortest + 0.1) / 2.0
+    low = max(0.0, math.floor(4.0 * scope.min_w * 1e3 / longest - 0.1) / 4.0)
+    high = math.ceil(2.0 * scope.max_w * 1e3 / shortest + 0.1) / 2.0
+    check_cycles(hf, high)
+    grid = grid_for(hf, coherence)
+    block = fourier.Block.covering(grid, frequency, reach)
+    kept = _cache.setdefault(hf, _Kept()).coefficients
+    if method in EXPANSIONS:
+        low = 0.0
+    else:
+        terms = coefficients.series_terms(hf, (low, high))
+    key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
     if key in kept:
         kept[key] = kept.pop(key)
+        return kept[key], block, grid
+    if method in EXPANSIONS:
+        made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
     else:
-        kept[key] = _build(hf, plan, block, kappa, device=device, threads=threads)
+        series, _, _ = coefficients_for(hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads)
+        made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
+    kept[key] = made
+    while len(kept) > _KEPT:
+        kept.pop(next(iter(kept)))
+    return made, block, grid
+
+
+def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
+    """The frequencies that a coherence form looks coefficients up at."""
+    if coherence.kind != "replicas":
+        return fourier.patch_grid(hf)
+    from warpdiff.kernels import spectral
+
+    return fourier.fine_grid(hf, lambda nu: interpolation.kernel_transform(nu, spectral.TAPS))
+
+
+def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> Table:
+    """The table for a plan, and for what a call has beyond it, built or found again."""
+    import warp as wp
+
+    from warpdiff.kernels import spectral
+
+    coherence = plan.coherence
+    # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
+    scope = plan.scope.joined(scope)
+    found, block, grid = coefficients_for(
+        hf, plan.method, coherence, scope, plan.reach(hf), terms=plan.terms, threads=threads
+    )
+    powers = coefficients.holds_powers(plan.method, adds_powers=coherence.adds_powers)
+    terms = min(plan.terms, found.terms)
+    lanes = LANES * math.ceil(terms / LANES)
+    kernels = spectral.kernels(lanes, coherence.kind, powers)
+    table = kernels.Table()
+    moved = coherence if coherence.kind == "centred" else None
+    key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)
+    kept = _cache[hf].rows
+    if key in kept and kept[key][2] is found:
+        kept[key] = kept.pop(key)
+    else:
+        rows = found.rows[..., :terms]
+        if moved is not None:
+            rows = _turned(rows, _centre_phase(hf, coherence, block))
+        padded = np.zeros((*rows.shape[:3], lanes), dtype=np.float32)
+        padded[..., :terms] = rows
+        basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
+        basis[:, :terms] = found.basis[:, :terms]
+        kept[key] = (
+            wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
+            wp.array(basis, dtype=kernels.row, device=device),
+            found,
+        )
         while len(kept) > _KEPT:
             kept.pop(next(iter(kept)))
-    return kept[key]
+    table.rows, table.basis, _ = kept[key]
+    table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
+    table.count_y, table.count_x = block.count
+    table.origin_y, table.origin_x = block.origin
+    table.length_y, table.length_x = grid.lengths_um
+    if coherence.copies is not None:
+        table.copies_y, table.copies_x = coherence.copies
+        table.patch_y, table.patch_x = hf.size_um
+        _set_taps(table, kernels, hf, device)
+        return Table(kernels.integrate, kernels.sample, table)
+    table.exponent = -math.log(plan.least_weight)
+    falloff = falloff_um2(coherence)
+    table.across, table.along = (falloff / length**2 for length in grid.lengths_um)
+    return Table(kernels.integrate, kernels.sample, table)
+
+
+def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
+    """The a [µm²] of the Gaussian exp(−a |q − q_rs|²).
+
+    4π²σ² on powers (averaged), 2π²σ² on amplitudes (centred), λ²/2s² on powers (a source that faces the surface).
+    """
+    if coherence.sigma_um is None:
+        return wavelength_um**2 / (2.0 * coherence.spread**2)
+    return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * coherence.sigma_um) ** 2
 
 
 def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.Device) -> Any:
@@ -83,65 +187,69 @@ def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.D
 
     from warpdiff.kernels import spectral
 
-    parts = bandwidth_um(hf, plan.coherence, plan.tolerance)
-    largest = parts[0] * plan.max_uv + parts[1] * plan.max_w + parts[2]
+    per_lateral, per_w, constant = plan.bandwidth_um
+    largest = per_lateral * plan.max_lateral + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
     # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
-    levels = math.floor(2.0 * math.log2(largest / parts[2])) if plan.adaptive else 0
+    levels = math.floor(SETS_AN_OCTAVE * math.log2(largest / constant)) if plan.adaptive else 0
     for level in range(1, levels + 1):
-        fewer = math.ceil(plan.wavelengths * 2.0 ** (-level / 2.0))
-        if fewer < _FEWEST_WAVELENGTHS:
+        fewer = set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
+        if fewer >= counts[-1]:
             break
         counts.append(fewer)
-    sets = [spectrum.uniform_quadrature(count, illuminant) for count in counts]
+    if plan.coherence.kind == "replicas":
+        counts = [max(count - 1, _FEWEST_INTERVALS) * plan.subdivisions + 1 for count in counts]
+    geometric = plan.coherence.kind == "source"
+    sets = [spectrum.uniform_quadrature(count, illuminant, geometric=geometric) for count in counts]
     result = spectral.Quadrature()
     result.wavenumbers = wp.array(np.concatenate([nodes for nodes, _ in sets]), dtype=wp.float64, device=device)
     weights = np.concatenate([each for _, each in sets]).astype(np.float32)
     result.weights = wp.array(weights, dtype=wp.vec3f, device=device)
     result.firsts = wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device=device)
-    result.per_uv, result.per_w, result.constant = (part / largest for part in parts)
+    result.subdivisions = plan.subdivisions
+    lengths = hf.size_um if plan.coherence.kind == "replicas" else (1.0, 1.0)
+    result.per_v, result.per_u = (per_lateral * length / largest for length in lengths)
+    result.per_w, result.constant = per_w / largest, constant / largest
     return result
 
 
-def _build(
-    hf: HeightField, plan: Plan, block: fourier.Block, kappa: float, *, device: wp.Device, threads: int
-) -> Table:
+def set_size(wanted: float) -> int:
+    """The size of the smallest set of wavelengths that has as many as wanted, or one that falls short by a rounding."""
+    steps = math.ceil(SETS_AN_OCTAVE * math.log2(max(wanted, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
+    return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_AN_OCTAVE) + 0.5)
+
+
+@functools.cache
+def _taps(count: int) -> NDArray[np.float32]:
+    return interpolation.tap_polynomials(count).astype(np.float32)
+
+
+def _set_taps(table: Any, kernels: Any, hf: HeightField, device: wp.Device) -> None:
+    """The interpolation kernel; an axis of one sample has the same value at every frequency."""
     import warp as wp
 
     from warpdiff.kernels import spectral
 
-    coherence = plan.coherence
-    lanes = _LANES * math.ceil(plan.terms / _LANES)
-    kernels = spectral.kernels(lanes, coherence.kind == "centred")
-    expansion = EXPANSIONS[plan.method]
-    series = fourier.series_coefficients(hf, expansion, plan.terms, block, threads=threads, dtype=np.complex64)
-    if coherence.kind == "centred":
-        series *= _centre_phase(hf, plan, block)[:, :, None]
-    rows = np.zeros((*block.count, 2, lanes), dtype=np.float32)
-    rows[:, :, 0, : plan.terms] = series.real
-    rows[:, :, 1, : plan.terms] = series.imag
-
-    table = kernels.Table()
-    table.rows = wp.array(rows.reshape(-1, lanes), dtype=kernels.row, device=device)
-    turns = 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
-    steps = np.arange(-1, math.ceil(turns * kappa / _BASIS_STEP) + 3)
-    basis = np.zeros((len(steps), lanes), dtype=np.float32)
-    basis[:, : plan.terms] = np.clip(expansion.basis(-_BASIS_STEP * steps, plan.terms), -_LARGEST, _LARGEST)
-    table.basis = wp.array(basis, dtype=kernels.row, device=device)
-    table.basis_steps = turns / _BASIS_STEP
-    table.count_y, table.count_x = block.count
-    table.origin_y, table.origin_x = block.origin
-    table.reach_y, table.reach_x = plan.reach
-    table.length_y, table.length_x = lengths = fourier.axis_lengths_um(hf)
-    table.falloff_y, table.falloff_x = falloff = [coherence.falloff_um2 / length**2 for length in lengths]
-    table.shrink_y, table.shrink_x = (math.exp(-2.0 * each) for each in falloff)
-    return Table(kernels.integrate, kernels.sample, table)
+    taps = _taps(spectral.TAPS)
+    constant_x = np.zeros((1, spectral.TAPS), dtype=np.float32)
+    constant_x[0, 0] = 1.0
+    along_x = taps.T if hf.shape[1] > 1 else constant_x
+    table.taps_x = wp.array(np.ascontiguousarray(along_x), dtype=kernels.taps, device=device)
+    along_y = taps if hf.shape[0] > 1 else np.ones((1, 1), dtype=np.float32)
+    table.taps_y = wp.array(along_y, dtype=wp.float32, device=device)
 
 
-def _centre_phase(hf: HeightField, plan: Plan, block: fourier.Block) -> np.ndarray:
+def _turned(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
+    """Amplitudes (my, mx, 2, terms) times a phase (my, mx)."""
+    cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
+    re, im = rows[:, :, 0], rows[:, :, 1]
+    return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)
+
+
+def _centre_phase(hf: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
     """exp(−2πi q_rs·x_c), which moves the window from the patch's corner to x_c."""
     middle = ((hf.shape[0] // 2) * hf.pitch_um[0], (hf.shape[1] // 2) * hf.pitch_um[1])
-    centre = plan.coherence.centre_um or middle
+    centre = coherence.centre_um or middle
     s, r = block.orders()
     turns = s[:, None] * (centre[0] / hf.size_um[0]) + r[None, :] * (centre[1] / hf.size_um[1])
-    return np.exp(-2j * math.pi * turns)
+    return np.asarray(np.exp(-2j * math.pi * turns))

@@ -1,0 +1,158 @@
+"""What a call contains: the range of its directions, and a sample of them to try plans on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.coherence import Coherence
+    from warpdiff.heightfield import HeightField
+
+# Enough that the worst of them stands for the 99th percentile of the call, ...
+PILOTS = 128
+# ... and enough to tell how bright its brightest hundredth is.
+CROWD = 512
+
+
+@dataclass(frozen=True)
+class Pilots:
+    """Lit directions of a call.
+
+    Attributes:
+        deflections: (u, v, w), shape (n, 3), float64.
+        to_lights: Unit vectors in the local frame, shape (n, 3), float64.
+        gains: Factor between ⟨|P|²⟩ and the result, shape (n,).
+    """
+
+    deflections: NDArray[np.float64]
+    to_lights: NDArray[np.float64]
+    gains: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.gains)
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """The three of them."""
+        return self.deflections, self.to_lights, self.gains
+
+    @classmethod
+    def among(
+        cls, deflections: NDArray[np.float64], to_lights: NDArray[np.float64], gains: NDArray[np.float64]
+    ) -> Pilots:
+        """Up to ``CROWD`` of the lit ones among a call's directions, equally far apart in their order."""
+        lit = np.flatnonzero(gains > 0.0)
+        lit = lit[_equally_far(len(lit), CROWD)]
+        return cls(deflections[lit].astype(np.float64), to_lights[lit].astype(np.float64), gains[lit].astype(float))
+
+    def fewer(self) -> Pilots:
+        """Up to ``PILOTS`` of these."""
+        some = _equally_far(len(self), PILOTS)
+        return Pilots(self.deflections[some], self.to_lights[some], self.gains[some])
+
+
+def _equally_far(count: int, most: int) -> NDArray[np.int64]:
+    """Indices of at most ``most`` of ``count`` things."""
+    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Range of the lit directions and of the wavelengths of a call.
+
+    Attributes:
+        max_uv: Largest |(u, v)|.
+        max_lateral: Largest of :func:`lateral`.
+        min_w: Smallest |w|.
+        max_w: Largest |w|.
+        lambda_min_nm: Shortest wavelength [nm].
+        lambda_max_nm: Longest wavelength [nm].
+    """
+
+    max_uv: float
+    max_lateral: float
+    min_w: float
+    max_w: float
+    lambda_min_nm: float = LAMBDA_MIN_NM
+    lambda_max_nm: float = LAMBDA_MAX_NM
+
+    @classmethod
+    def of(
+        cls,
+        hf: HeightField,
+        coherence: Coherence,
+        deflections: NDArray[np.float64],
+        to_lights: NDArray[np.float64],
+        lit: NDArray[np.bool_],
+        wavelengths_nm: NDArray[np.float64] | None = None,
+    ) -> Scope:
+        """The scope of lit ones among deflections and directions to the light, both of shape (n, 3)."""
+        band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
+        if wavelengths_nm is not None:
+            band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
+        used = deflections[lit]
+        if not len(used):
+            return cls(0.0, 0.0, 0.0, 0.0, *band)
+        w = np.abs(used[:, 2])
+        return cls(
+            float(np.max(np.hypot(used[:, 0], used[:, 1]))),
+            float(np.max(lateral(hf, coherence, used, to_lights[lit]))),
+            float(w.min()),
+            float(w.max()),
+            *band,
+        )
+
+    def joined(self, other: Scope) -> Scope:
+        """The scope of both; one without lit directions adds nothing."""
+        if other.max_w == 0.0:
+            return self
+        if self.max_w == 0.0:
+            return other
+        return Scope(
+            max(self.max_uv, other.max_uv),
+            max(self.max_lateral, other.max_lateral),
+            min(self.min_w, other.min_w),
+            max(self.max_w, other.max_w),
+            min(self.lambda_min_nm, other.lambda_min_nm),
+            max(self.lambda_max_nm, other.lambda_max_nm),
+        )
+
+    @property
+    def kappas(self) -> tuple[float, float]:
+        """The range of |κ| = |w|/λ [1/µm]."""
+        return 1e3 * self.min_w / self.lambda_max_nm, 1e3 * self.max_w / self.lambda_min_nm
+
+
+def lateral(
+    hf: HeightField, coherence: Coherence, deflections: NDArray[np.float64], to_lights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How fast coefficients pass by as 1/λ changes, in units that depend on the coherence, shape (n,).
+
+    |(u, v)| for a window; for a source with (u, v) stretched along the light's tangent, in which it is foreshortened;
+    |(u Lx, v Ly)| for copies [µm].
+    """
+    u, v = deflections[:, 0], deflections[:, 1]
+    if coherence.kind == "replicas":
+        return np.hypot(u * hf.size_um[1], v * hf.size_um[0])
+    if coherence.kind == "source":
+        along = (u * to_lights[:, 0] + v * to_lights[:, 1]) / np.maximum(to_lights[:, 2], 1e-6)
+        return np.asarray(np.sqrt(u**2 + v**2 + along**2))
+    return np.hypot(u, v)
+
+
+def hemisphere_pairs(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Random pairs of unit vectors above the horizon, uniform over the hemisphere, shapes (count, 3)."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(0.0, 1.0, (2, count))
+    phi = rng.uniform(0.0, 2.0 * math.pi, (2, count))
+    s = np.sqrt(1.0 - z * z)
+    pairs = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
+    return pairs[0], pairs[1]
