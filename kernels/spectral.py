@@ -53,6 +53,8 @@ class Window:
     slant: wp.float32
     radius_y: wp.float32  # in coefficients, of what is not left out
     radius_x: wp.float32
+    shrink_y: wp.float32  # exp(−2 across) and exp(−2 along), for windows that are the same at all wavelengths
+    shrink_x: wp.float32
 
 
 @wp.func
@@ -124,6 +126,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         else:
             window.along = table.along
             window.across = table.across
+            window.shrink_y = wp.exp(-2.0 * table.across)
+            window.shrink_x = wp.exp(-2.0 * table.along)
         window.radius_y = wp.sqrt(table.exponent / window.across)
         window.radius_x = wp.sqrt(table.exponent / window.along)
         return window
@@ -201,17 +205,17 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         else:
             gy = wp.exp(-across * dy * dy - along * dx * dx)
         step_y = wp.float32(0.0)
-        shrink_y = wp.float32(0.0)
+        shrink_y = window.shrink_y
         if last_y > first_y:
             step_y = wp.exp(-across * (2.0 * dy + 1.0))
-            shrink_y = wp.exp(-2.0 * across)
+            if wp.static(form == "source"):
+                shrink_y = wp.exp(-2.0 * across)
         start_step_x = wp.float32(0.0)
-        shrink_x = wp.float32(0.0)
+        shrink_x = window.shrink_x
         if wp.static(form == "source"):
             shrink_x = wp.exp(-2.0 * along)
         elif last_x > first_x:
             start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
-            shrink_x = wp.exp(-2.0 * along)
         y = wrapped(iy + first_y + table.origin_y, table.count_y)
         for j in range(first_y, last_y + 1):
             g = gy

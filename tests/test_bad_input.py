@@ -152,6 +152,17 @@ SINGLE = [
     ),
     (lambda _: wd.Coherence("replicas", copies=(1, 2, 3)), ValueError, r"copies must be a pair .* got \(1, 2, 3\)"),
     (lambda _: wd.Coherence("replicas", copies=(0, 3)), ValueError, r"copies\[0\] must be an integer >= 1, got 0"),
+    (lambda _: wd.Coherence("replicas", copies=(1.5, 2)), TypeError, r"copies\[0\] must be an integer, got float"),
+    (lambda _: wd.Coherence("replicas", copies=(True, 2)), TypeError, r"copies\[0\] must be an integer, got bool"),
+    (lambda _: wd.Coherence("replicas", copies=(-1, 2)), ValueError, r"copies\[0\] must be an integer >= 1, got -1"),
+    (lambda _: wd.Coherence("replicas", copies="12"), ValueError, r"copies must be a pair .* got '12'"),
+    (lambda _: wd.Coherence("replicas", copies=()), ValueError, r"copies must be a pair .* got \(\)"),
+    (lambda _: wd.Coherence("replicas", 5.0, copies=(1, 2)), ValueError, "sigma_um is for .*, not 'replicas'"),
+    (lambda _: wd.Coherence("source", copies=(1, 2)), ValueError, "copies is for kind='replicas', not 'source'"),
+    (lambda _: wd.Coherence("source", centre_um=(0, 0)), ValueError, "centre_um is for kind='centred', not 'source'"),
+    (lambda _: wd.Coherence(angular_diameter_deg=0.5), ValueError, "angular_diameter_deg is for kind='source', not"),
+    (lambda _: wd.Coherence("source", angular_diameter_deg=math.inf), ValueError, "angular_diameter_deg must be .* 30"),
+    (lambda _: wd.Coherence("source", angular_diameter_deg=True), TypeError, "angular_diameter_deg must be a number"),
     (lambda _: wd.Coherence("replicas", copies=(1, 1.5)), TypeError, r"copies\[1\] must be an integer, got float"),
     (lambda _: wd.Coherence("replicas", copies=(1, 10**6)), ValueError, "copies must be at most 100000 along an axis"),
     (lambda _: wd.Coherence("averaged", copies=(1, 2)), ValueError, "copies is for kind='replicas', not 'averaged'"),
@@ -223,7 +234,17 @@ SINGLE = [
     (lambda _: dataclasses.replace(PLAN, terms=9.0), TypeError, "terms must be an integer, got float"),
     (lambda _: dataclasses.replace(PLAN, least_weight=0.0), ValueError, "least_weight must be a finite number > 0"),
     (lambda _: dataclasses.replace(PLAN, least_weight=1.0), ValueError, "least_weight must be less than 1, got 1"),
+    (lambda _: dataclasses.replace(PLAN, least_weight=2), ValueError, "least_weight must be less than 1, got 2: no"),
+    (lambda _: dataclasses.replace(PLAN, least_weight=-1e-9), ValueError, "least_weight must be a finite number > 0"),
     (lambda _: dataclasses.replace(PLAN, least_weight=math.nan), ValueError, "least_weight must be a finite number"),
+    (lambda _: dataclasses.replace(PLAN, least_weight="small"), TypeError, "least_weight must be a number, got str"),
+    (lambda _: dataclasses.replace(PLAN, bandwidth_um=3.0), ValueError, r"bandwidth_um must be three numbers .* got 3"),
+    (lambda _: dataclasses.replace(PLAN, bandwidth_um=(1, 2, math.nan)), ValueError, "bandwidth_um must be finite"),
+    (lambda _: dataclasses.replace(PLAN, bandwidth_um="wide"), TypeError, "bandwidth_um must be an array of real"),
+    (lambda _: dataclasses.replace(PLAN, subdivisions=1.5), TypeError, "subdivisions must be an integer, got float"),
+    (lambda _: dataclasses.replace(PLAN, max_lateral=-1.0), ValueError, "max_lateral must be a finite number >= 0"),
+    (lambda _: dataclasses.replace(PLAN, min_w=math.nan), ValueError, "min_w must be a finite number >= 0"),
+    (lambda _: dataclasses.replace(PLAN, lambda_max_nm=math.inf), ValueError, "lambda_max_nm must be a finite number"),
     (
         lambda _: dataclasses.replace(PLAN, bandwidth_um=(1.0, 2.0)),
         ValueError,
@@ -334,6 +355,18 @@ def test_the_rows_cover_every_function_and_option():
 def test_options(function, option, value, error, message):
     with pytest.raises(error, match=message):
         EVALUATE[function](**{option: value})
+
+
+@pytest.mark.parametrize("function", EVALUATE)
+@pytest.mark.parametrize("kind", ["centred", "replicas"])
+@pytest.mark.usefixtures("no_kernel")
+def test_powers_are_no_basis_for_amplitudes(function, kind):
+    """The message lists what is legal: all but what was asked for."""
+    coherence = wd.Coherence(kind, copies=(2, 2) if kind == "replicas" else None)
+    with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
+        EVALUATE[function](method="power", coherence=coherence)
+    legal = str(refused.value).partition("use one of ")[2]
+    assert legal == "'auto', 'low-rank', 'taylor', 'taylor-uncentred', 'jacobi-anger', 'direct'"
 
 
 @pytest.mark.parametrize("option", ["device", "threads", "progress", "masking"])

@@ -54,6 +54,22 @@ def test_brdf_writes_a_map(tmp_path):
     assert oiio.ImageInput.open(str(target)).spec().width == 32
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
+        (["--coherence", "source"], "source of 0.53° in diameter"),
+        (["--coherence", "source", "--angular-diameter-deg", "2"], "source of 2° in diameter"),
+        (["--coherence", "replicas", "--copies", "1", "12"], "1 × 12 copies in step"),
+        (["--method", "power"], "Chebyshev series of the powers"),
+    ],
+)
+def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
+    arguments = ["brdf", "blazed", "--tolerance", "0.1", "--size", "6", *options]
+    assert cli.main([*arguments, "-o", str(tmp_path / "map.exr")]) == 0
+    assert said in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", [name for name in cli.GRATINGS if name not in ("dvd", "blu-ray", "cd")])
 def test_info_describes_each_grating(name, capsys):
     assert cli.main(["info", name, "--tolerance", "0.1"]) == 0
@@ -74,6 +90,21 @@ def test_info_of_the_scan(scan_path, capsys):
         (["info", "nothing.png"], "there is no file 'nothing.png'"),
         (["info", "blazed", "--period-um", "-1"], "period_um"),
         (["info", "blazed", "--tolerance", "7"], "tolerance"),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "laser"],
+            "kind must be one of 'averaged', 'centred', 'source', 'replicas'",
+        ),
+        (["brdf", "blazed", "-o", "x.png", "--coherence", "replicas"], "copies must be given for kind='replicas'"),
+        (["brdf", "blazed", "-o", "x.png", "--copies", "1", "2"], "copies is for kind='replicas', not 'averaged'"),
+        (["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"], "sigma_um is for"),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--angular-diameter-deg", "0"],
+            "angular_diameter_deg must be",
+        ),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
+            "method='power' expands powers",
+        ),
         (["brdf", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
         (["brdf", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
         (["brdf", "blazed", "--incidence-deg", "90", "-o", "map.png"], "to_light"),

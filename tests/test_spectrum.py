@@ -42,6 +42,19 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
         np.testing.assert_allclose(expected, WHITE_D65, atol=1e-6)
 
 
+@pytest.mark.parametrize("geometric", [False, True])
+@pytest.mark.parametrize("illuminant", ["D65", "FL2"])
+@pytest.mark.parametrize("count", [2, 17, 227])
+def test_uniform_quadratures(colour, geometric, illuminant, count):
+    """Equal steps in 1/λ, or equal ratios, over the visible range; either way white is the 1 nm sum."""
+    wavenumbers, weights = spectrum.uniform_quadrature(count, illuminant, geometric=geometric)
+    np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
+    steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert weights.min() >= 0.0
+    np.testing.assert_allclose(weights.sum(axis=0), one_nm_sum(colour, illuminant), rtol=1e-12)
+
+
 def test_flat_mirror_is_white(device):
     finest = wd.reflectance(FLAT, NORMAL, NORMAL, tolerance=1e-5, device=device)
     np.testing.assert_allclose(finest, WHITE_D65, atol=1e-6)

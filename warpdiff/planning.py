@@ -165,6 +165,12 @@ class Plan:
         """The range of directions and wavelengths that the numbers hold for."""
         return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
 
+    @property
+    def radius(self) -> float:
+        """Distance in frequency [1/µm] of the coefficients to keep at hand, of all but the least weights."""
+        falloff = tables.falloff_um2(self.coherence, self.lambda_min_nm * 1e-3)
+        return math.sqrt(-math.log(min(self.least_weight, _REACHED_WEIGHT)) / falloff)
+
     def reach(self, hf: HeightField) -> tuple[int, int]:
         """Coefficients (y, x) on either side of a direction to keep at hand.
 
@@ -174,10 +180,8 @@ class Plan:
 
         if self.coherence.kind == "replicas":
             return spectral.TAPS, spectral.TAPS
-        falloff = tables.falloff_um2(self.coherence, self.lambda_min_nm * 1e-3)
-        radius = math.sqrt(-math.log(min(self.least_weight, _REACHED_WEIGHT)) / falloff)
         # A slanted ellipse is covered by a parallelogram.
-        radius *= math.sqrt(2.0) if self.coherence.kind == "source" else 1.0
+        radius = self.radius * (math.sqrt(2.0) if self.coherence.kind == "source" else 1.0)
         reach = [math.ceil(radius * length + 0.5) for length in tables.grid_for(hf, self.coherence).lengths_um]
         return reach[0], reach[1]
 
@@ -348,8 +352,9 @@ def plan_for(
     tolerance = check_tolerance(tolerance)
     check_cycles(hf, scope.kappas[1])
     pitch = aliasing.coarsest_pitch_um(hf)
-    _warn_of_aliasing(scope, pitch)
     ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=wavelengths_nm is None)
+    between = coherence.centre_um is not None and method != "direct"
+    _warn_of_aliasing(scope, pitch, ample.radius if between else 0.0)
     if method == "direct":
         return ample
     found = ample
@@ -360,7 +365,9 @@ def plan_for(
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
-    if len(pilots) >= _FEWEST_PILOTS:
+    # Bounds that were cut short, for a source at the horizon, are none.
+    cut_short = ample.max_lateral < scope.max_lateral
+    if len(pilots) >= _FEWEST_PILOTS or (cut_short and len(pilots)):
         found = search.refined(
             found, hf, scope, pilots, automatic=method == "auto", illuminants=illuminants,
             wavelengths_nm=wavelengths_nm, device=device, threads=threads,
@@ -531,11 +538,15 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
     warnings.warn(message, WarpdiffWarning, stacklevel=4)
 
 
-def _warn_of_aliasing(scope: Scope, pitch_um: float) -> None:
-    """Warn where the directions ask for frequencies beyond what the pitch can carry."""
+def _warn_of_aliasing(scope: Scope, pitch_um: float, radius: float) -> None:
+    """Warn where the directions ask for frequencies beyond what the pitch can carry.
+
+    Neighbours beyond it repeat those within, but for the phase of a window that lies between samples: their radius
+    [1/µm] must be within as well.
+    """
     if pitch_um == 0.0:
         return
-    supported = scope.lambda_min_nm * 1e-3 / (2.0 * pitch_um)
+    supported = max(0.0, scope.lambda_min_nm * 1e-3 * (1.0 / (2.0 * pitch_um) - radius))
     if scope.max_uv > supported * (1.0 + 1e-9):
         warnings.warn(
             f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at {scope.lambda_min_nm:g} nm, and "

@@ -53,7 +53,7 @@ _SUBDIVISION_SHARE = 0.3
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
 _HOPELESS = 10.0
-_SPECTRAL_SAMPLES = 16
+_SPECTRAL_SAMPLES = 64
 # Pilots are few and dear: a launch is cut into slices that keep every thread busy.
 _SLICE = 8
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each

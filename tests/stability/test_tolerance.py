@@ -14,8 +14,11 @@ SYNTHETIC = [
     158, 32, 5, 103, 62, 6, 77, 49,  # centred
     134, 50, 9, 135, 108, 80, 95, 123,  # a source
     54, 68, 139, 13,  # copies
+    # Where a search failed once: outliers of one source of error beside those of another, powers that cancel in
+    # float32, a violet tail of an order in the dark, sums over thousands of samples.
+    93, 387, 492, 500, 24,
 ]  # fmt: skip
-OF_THE_SCAN = [112, 85, 156, 90]
+OF_THE_SCAN = [112, 85, 156, 549]
 
 
 def check(case):
