@@ -94,6 +94,7 @@ def test_automatic_choice_over_height_ranges(surfaces, height):
         assert surface.error_of(rho) <= tolerance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [0.05, 1.0, 5.0])
 @pytest.mark.parametrize("method", ["jacobi-anger", "power", "low-rank"])
 def test_bounded_series_reach_float32_at_all_of_them(surfaces, method, height):

@@ -72,6 +72,7 @@ def test_spectra(rough, name, method):
     check(rho, lights, views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["averaged, short", "averaged, long", "centred", "source", "copies"])
 @pytest.mark.parametrize("nanometres", [100.0, 10_000.0])
 def test_absolute_values_at_extreme_wavelengths(rough, name, nanometres):
@@ -97,6 +98,7 @@ def test_colours(rough, name, method):
     check(xyz, lights[few], views[few])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "method"),
     [("averaged", "taylor"), ("averaged", "taylor-uncentred"), ("averaged", "jacobi-anger"), ("averaged", "power")]
