@@ -405,4 +405,6 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 reflectance = gain * power
             reflectance_out[i, k] = reflectance
 
-    return types.SimpleNamespace(row=row_t, taps=taps_t, Table=Table, integrate=integrate, sample=sample)
+    return types.SimpleNamespace(
+        row=row_t, taps=taps_t, Table=Table, integrate=integrate, sample=sample, wrapped=wrapped
+    )

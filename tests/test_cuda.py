@@ -12,7 +12,7 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, raycast, spectral
+from warpdiff.kernels import directions, polar, raycast, spectral
 
 SM = 90
 # Modules of functions alone are compiled with the kernels that call them.
@@ -21,6 +21,7 @@ KERNELS = {
     "raycast": {"cast"},
     "directions": {"deflect_directions", "deflect_pixels"},
     "spectral": {"integrate", "sample"},
+    "polar": {"integrate", "interpolate", "resample"},
 }
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [
@@ -89,6 +90,18 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
     # words are those of CUDA's sine for large arguments, which the copies' factor never has.
     depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
     assert depots == (["28"] if form == "replicas" else [])
+
+
+@pytest.mark.parametrize("name", sorted(KERNELS["polar"] - {"resample"}))
+def test_kernels_of_a_table_compile_and_stay_in_registers(name, tmp_path):
+    ptx = compile_to_ptx(getattr(polar.lookup(16), name).module, tmp_path)
+    assert entry_points(ptx) == {name}
+    assert "__local_depot" not in ptx
+
+
+@pytest.mark.parametrize(("lanes", "powers", "nodes"), [(8, True, 8), (8, False, 16)])
+def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
+    assert entry_points(compile_to_ptx(polar.resampler(lanes, powers, nodes).module, tmp_path)) == {"resample"}
 
 
 @pytest.mark.parametrize(

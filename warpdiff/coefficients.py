@@ -75,6 +75,20 @@ class Coefficients:
         """Number of terms."""
         return int(self.rows.shape[-1])
 
+    def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The basis at |κ| [1/µm] within its range, shape (len(kappas), terms), by the cubics that the kernels take."""
+        steps = (np.asarray(kappas) - self.kappa_low) / self.step
+        entry = np.clip(np.floor(steps), 0, len(self.basis) - 4).astype(int)
+        t = (steps - entry)[:, None]
+        before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
+        basis = self.basis.astype(np.float64)
+        return np.asarray(
+            -t * after * beyond / 6.0 * basis[entry]
+            + before * after * beyond / 2.0 * basis[entry + 1]
+            + before * t * beyond / 2.0 * basis[entry + 2]
+            - before * t * after / 6.0 * basis[entry + 3]
+        )
+
     def terms_within(self, tolerance: float) -> int:
         """The fewest terms of a fitted basis that leave out no more than a tolerance, or all of them."""
         enough = np.flatnonzero(self.left_out <= tolerance)

@@ -12,13 +12,15 @@ from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.image import Image
+from warpdiff.integration import Integrator
 from warpdiff.planning import Plan, broadcast_directions, check_request, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
-from warpdiff.tables import quadrature_for, table_for
+from warpdiff.tables import table_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield import HeightField
@@ -322,8 +324,8 @@ class _Call:
         if plan is None:
             plan = plan_for(
                 hf, self._scope, Pilots.among(self._deflections, self._lights, self._gains), tolerance=tolerance,
-                method=method, coherence=window, strict=strict, illuminants=(illuminant,),
-                wavelengths_nm=wavelengths_nm, device=self._device, threads=self._threads,
+                method=method, coherence=window, strict=strict, count=float(np.count_nonzero(lit)),
+                illuminants=(illuminant,), wavelengths_nm=wavelengths_nm, device=self._device, threads=self._threads,
             )  # fmt: skip
         else:
             warn_outside(plan, hf, self._scope)
@@ -349,7 +351,11 @@ class _Call:
         table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
         wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._device)
         values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._device)
-        return self._launch(table.sample, table, wavenumbers, values, progress)
+        launch(
+            table.sample, len(self._lights), [table.arguments, *self._deflect(), wavenumbers], [values],
+            device=self._device, threads=self._threads, progress=progress,
+        )  # fmt: skip
+        return np.asarray(values.numpy())
 
     def colours(self, illuminant: str, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """XYZ, shape (n, 3)."""
@@ -359,14 +365,13 @@ class _Call:
             )
         import warp as wp
 
-        table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
-        quadrature = quadrature_for(self._hf, self.plan, illuminant, device=self._device)
+        integrator = Integrator(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
         xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._device)
-        return self._launch(table.integrate, table, quadrature, xyz, progress)
+        integrator.add(*self._deflect(), illuminant, xyz, progress=progress)
+        return np.asarray(xyz.numpy())
 
-    def _launch(
-        self, kernel: Any, table: Any, what: Any, result: Any, progress: Callable[[float], None] | None
-    ) -> NDArray[np.float32]:
+    def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Deflections, directions to the light and gains on the device."""
         import warp as wp
 
         from warpdiff.kernels import directions as kernels
@@ -385,11 +390,7 @@ class _Call:
             kernels.deflect_directions, count, [lights, views, reflection], [deflections, to_lights, gains],
             device=self._device, threads=self._threads,
         )  # fmt: skip
-        launch(
-            kernel, count, [table.arguments, deflections, to_lights, gains, what], [result],
-            device=self._device, threads=self._threads, progress=progress,
-        )  # fmt: skip
-        return np.asarray(result.numpy())
+        return deflections, to_lights, gains
 
 
 def direct_colour(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import aliasing, checks, optics, search, spectrum, tables
+from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables
 from warpdiff.coefficients import METHODS as EXPANDED
 from warpdiff.coefficients import POWER_METHODS
 from warpdiff.coherence import Coherence
@@ -21,6 +21,7 @@ from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS, check_cycles
 from warpdiff.heightfield import HeightField
+from warpdiff.polar import MAX_NODES, MIN_NODES
 from warpdiff.scope import CROWD, Pilots, Scope, hemisphere_pairs
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
-METHODS = ("auto", *EXPANDED, "direct")
+INTEGRATIONS = ("sampled", "table")
+METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
 AUTOMATIC = "low-rank"
 LABELS = {
     "low-rank": "Low-rank basis",
@@ -70,6 +72,10 @@ _LESS_COHERENT = {
 }
 # Float32 rounds each term of a series to half a unit in the last place.
 _FLOAT32_ROUNDING = 2.0**-24
+# What a search makes of the cost of bounds: a fifth, or less.
+_SEARCHED_COST = 5.0
+# A picture that is worth a table is rendered again, with another light or view.
+_REPEATS = 3.0
 # Fewer directions are evaluated as they are: to search would take longer than it saves.
 _FEWEST_PILOTS = 16
 _SEED = 0
@@ -94,6 +100,8 @@ class Plan:
         bandwidth_um: What a direction takes of them as a, b, c of a·lateral + b·|w| + c, samples per unit of 1/λ;
             lateral is |(u, v)|, for a source stretched along its foreshortening, for copies |(u Lx, v Ly)|.
         adaptive: Whether directions with less than the largest bandwidth take fewer of them.
+        nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
+        rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
         min_w: Smallest |w| of these.
@@ -120,6 +128,8 @@ class Plan:
     subdivisions: int
     bandwidth_um: tuple[float, float, float]
     adaptive: bool
+    nodes: int
+    rays_per_width: float
     max_uv: float
     max_lateral: float
     min_w: float
@@ -136,9 +146,13 @@ class Plan:
     searched: bool
 
     def __post_init__(self) -> None:
-        checks.choice(self.method, "method", METHODS[1:])
+        checks.choice(self.method, "method", (*EXPANDED, "direct"))
         checks.instance(self.coherence, Coherence, "coherence")
-        check_method(self.method, self.coherence)
+        if checks.count(self.nodes, "nodes", least=0):
+            checks.number(self.rays_per_width, "rays_per_width", above=0.0)
+            if not MIN_NODES <= self.nodes <= MAX_NODES:
+                raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
+        check_method(f"{self.method}/table" if self.nodes else self.method, self.coherence)
         check_tolerance(self.tolerance)
         if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
             raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
@@ -198,7 +212,10 @@ class Plan:
         parts = [start]
         if self.coherence.kind != "replicas":
             parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
-        if self.wavelengths:
+        if self.nodes:
+            rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
+            parts.append(f"a polar table of {rays} integrates to {self.quadrature:.1e}")
+        elif self.wavelengths:
             spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
             asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
             asides += ["fewer where coefficients pass slower"] if self.adaptive else []
@@ -258,6 +275,8 @@ def plan(
     else:
         lights = some_lights if to_light is None else _some_of(to_light, "to_light")
         views = some_views if to_view is None else _some_of(to_view, "to_view")
+    # A plan for directions that are not yet known is made for many.
+    count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
     deflections, lit = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
     scope = Scope.of(hf, window, deflections, lights, lit)
     if to_light is None or to_view is None:
@@ -266,7 +285,7 @@ def plan(
     gains = optics.gain(lights, views, normal=normal, masking=masking, per_light_cosine=window.kind == "source")
     return plan_for(
         hf, scope, Pilots.among(deflections, lights, gains), tolerance=tolerance, method=method, coherence=window,
-        strict=strict, illuminants=(illuminant,), device=target, threads=workers,
+        strict=strict, count=count, illuminants=(illuminant,), device=target, threads=workers,
     )  # fmt: skip
 
 
@@ -299,12 +318,22 @@ def check_tolerance(tolerance: Any) -> float:
 
 def check_method(method: str, coherence: Coherence) -> None:
     """Refuse a method that a coherence form lacks."""
-    if method in POWER_METHODS and not coherence.adds_powers:
-        legal = ", ".join(repr(each) for each in METHODS if each not in POWER_METHODS)
-        raise ValueError(
-            f"method={method!r} expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes: "
-            f"use one of {legal}"
-        )
+    if not _is_legal(method, coherence):
+        why = f"expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes"
+        if method.endswith("/table"):
+            why = f"asks for a table, which coherence of kind={coherence.kind!r} does not have for it"
+        suffix = method.partition("/")[2]
+        legal = [each for each in METHODS if each.partition("/")[2] == suffix and _is_legal(each, coherence)]
+        others = ", ".join(map(repr, legal)) or "the methods without a table"
+        raise ValueError(f"method={method!r} {why}: use one of {others}")
+
+
+def _is_legal(method: str, coherence: Coherence) -> bool:
+    """Whether a coherence form has a method."""
+    expansion, _, integration = method.partition("/")
+    if expansion in POWER_METHODS and not coherence.adds_powers:
+        return False
+    return integration != "table" or polar.serves(expansion, coherence)
 
 
 def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
@@ -340,6 +369,7 @@ def plan_for(
     method: str,
     coherence: Coherence,
     strict: bool,
+    count: float,
     illuminants: tuple[str, ...] = ("D65",),
     wavelengths_nm: NDArray[np.float64] | None = None,
     device: wp.Device,
@@ -347,9 +377,13 @@ def plan_for(
 ) -> Plan:
     """The plan for all directions of a scope, searched for on a sample of them.
 
-    With ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
+    The directions are ``count`` in number; a table, which takes time to make, is for many. With ``wavelengths_nm``
+    there is no integral over λ, and only those wavelengths need be served.
     """
     tolerance = check_tolerance(tolerance)
+    method, _, integration = method.partition("/")
+    if wavelengths_nm is not None and integration == "table":
+        raise ValueError(f"method='{method}/table' integrates over λ, and wavelengths_nm asks for a spectrum")
     check_cycles(hf, scope.kappas[1])
     pitch = aliasing.coarsest_pitch_um(hf)
     ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=wavelengths_nm is None)
@@ -364,19 +398,31 @@ def plan_for(
         )
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
+    tabled = integration == "table" or (method == "auto" and wavelengths_nm is None and _pays(hf, found, count))
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
     # Bounds that were cut short, for a source at the horizon, are none.
     cut_short = ample.max_lateral < scope.max_lateral
-    if len(pilots) >= _FEWEST_PILOTS or (cut_short and len(pilots)):
-        found = search.refined(
-            found, hf, scope, pilots, automatic=method == "auto", illuminants=illuminants,
-            wavelengths_nm=wavelengths_nm, device=device, threads=threads,
-        )  # fmt: skip
+    trial = None
+    if len(pilots) >= _FEWEST_PILOTS or ((cut_short or tabled) and len(pilots)):
+        trial = search.Trial(found, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
+    if trial is not None and trial.any_light:
+        best = search.tabled(found, trial) if tabled else None
+        if best is None or (best.error > tolerance and integration != "table"):
+            best = search.refined(found, trial, automatic=method == "auto")
+        found = best
     if ample.truncation > tolerance * _AMPLITUDE_MARGIN:
         # The series that all bases are made from, and judged by, ends too soon.
         found = replace(found, terms=ample.terms, truncation=max(found.truncation, ample.truncation))
     _check_error(hf, found, strict=strict)
     return found
+
+
+def _pays(hf: HeightField, plan: Plan, count: float) -> bool:
+    """Whether a table takes less time to make than it saves."""
+    if not polar.serves(plan.method, plan.coherence) or polar.rungs_for(plan.tolerance) == ():
+        return False
+    largest = replace(plan, nodes=polar.rungs_for(plan.tolerance)[0][0], rays_per_width=1.0)
+    return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST > polar.making_multiply_adds(hf, largest)
 
 
 def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, coherence: Coherence, colour: bool) -> Plan:
@@ -397,6 +443,8 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         subdivisions=1,
         bandwidth_um=_bandwidth_um(hf, coherence, tolerance),
         adaptive=True,
+        nodes=0,
+        rays_per_width=0.0,
         max_uv=scope.max_uv,
         max_lateral=scope.max_lateral,
         min_w=scope.min_w,
@@ -515,6 +563,7 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
     if plan.error <= plan.tolerance * (search.SAFETY if plan.searched else 1.0):
         return
     lower = "reduce the range with levelled(), despiked() or cropped(), or use method='auto' or 'direct'"
+    samples = f"{plan.nodes} nodes an octave" if plan.nodes else f"{plan.wavelengths} wavelengths"
     sources = {
         "rounding": (
             f"float32 rounds terms that grow and cancel for a height range of {hf.height_range_um:.3g} µm",
@@ -522,8 +571,10 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
         ),
         "truncation": (f"{plan.terms} terms are too few for a height range of {hf.height_range_um:.3g} µm", lower),
         "neighbourhood": (f"neighbours of a weight below {plan.least_weight:.1e} are left out", "use method='direct'"),
-        "quadrature": (f"{plan.wavelengths} wavelengths are too few", f"take {_LESS_COHERENT[plan.coherence.kind]}"),
+        "quadrature": (f"{samples} are too few", f"take {_LESS_COHERENT[plan.coherence.kind]}"),
     }
+    if plan.nodes:
+        sources["quadrature"] = (sources["quadrature"][0], "use method='auto'")
     worst = max(sources, key=lambda name: float(getattr(plan, name)))
     why, remedy = sources[worst]
     largest = float(getattr(plan, worst))

@@ -12,11 +12,11 @@ from warpdiff.coherence import Coherence
 from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
+from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import Plan, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
-from warpdiff.tables import quadrature_for, table_for
 from warpdiff.view import View
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def shade(
     ]
     reflection = frame.reflection(normal, window, masking=masking)
     # A first pass over the rays, which cost a hundredth of the colours, finds the directions to plan for.
-    scope = Scope(0.0, 0.0, 0.0, 0.0)
+    scope, count = Scope(0.0, 0.0, 0.0, 0.0), 0
     seen = []
     for sample in range(samples):
         frame.cast(sample)
@@ -121,6 +121,7 @@ def shade(
             frame.deflect(argument, reflection)
             deflections, to_lights, gains = frame.directions()
             scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
+            count += int(np.count_nonzero(gains > 0.0))
             if sample == 0:
                 seen.append(Pilots.among(deflections, to_lights, gains))
     frame.clear()
@@ -129,13 +130,12 @@ def shade(
     else:
         pilots = Pilots.among(*(np.concatenate(part) for part in zip(*(each.arrays for each in seen), strict=True)))
         plan = plan_for(
-            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict,
+            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
             illuminants=tuple(dict.fromkeys(each.illuminant for each in lights)), device=target, threads=workers,
         )  # fmt: skip
 
     if plan.method != "direct":
-        table = table_for(hf, plan, scope, device=target, threads=workers)
-        quadratures = [quadrature_for(hf, plan, each.illuminant, device=target) for each in lights]
+        integrator = Integrator(hf, plan, scope, device=target, threads=workers)
     passes = samples * len(lights)
     for sample in range(samples):
         if samples > 1:
@@ -149,7 +149,7 @@ def shade(
                 deflections, to_lights, gains = frame.directions()
                 frame.add(direct_colour(hf, deflections, to_lights, gains, plan, each.illuminant, progress=share))
             else:
-                frame.integrate(table, quadratures[index], progress=share)
+                frame.integrate(integrator, each.illuminant, progress=share)
     return frame.image(plan)
 
 
@@ -267,14 +267,9 @@ class _Frame:
         """Add the last light's pixels to those that are lit."""
         self._lit |= self._gains.numpy() > 0.0
 
-    def integrate(self, table: Any, quadrature: Any, **options: Any) -> None:
+    def integrate(self, integrator: Integrator, illuminant: str, **options: Any) -> None:
         """Add the diffraction colours of the last deflections."""
-        self._launch(
-            table.integrate,
-            [table.arguments, self._deflections, self._to_lights, self._gains, quadrature],
-            [self._xyz],
-            **options,
-        )
+        integrator.add(self._deflections, self._to_lights, self._gains, illuminant, self._xyz, **options)
 
     def add(self, xyz: np.ndarray) -> None:
         """Add colours that were computed on the host."""

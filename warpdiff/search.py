@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff import coefficients, tables
+from warpdiff import coefficients, polar, tables
 from warpdiff.coefficients import holds_powers
 from warpdiff.device import launch
 from warpdiff.expansions import EXPANSIONS
+from warpdiff.integration import Integrator
 from warpdiff.scope import lateral
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
@@ -67,34 +68,14 @@ def wavelength_count(plan: Plan, lateral_reach: float, w: float) -> float:
     return _SPAN * (per_lateral * lateral_reach + per_w * w + constant) + 1.0
 
 
-def refined(
-    plan: Plan,
-    hf: HeightField,
-    scope: Scope,
-    pilots: Pilots,
-    *,
-    automatic: bool,
-    illuminants: tuple[str, ...],
-    wavelengths_nm: NDArray[np.float64] | None,
-    device: wp.Device,
-    threads: int,
-) -> Plan:
+def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     """The cheapest plan found that keeps the tolerance on the pilots, its errors as measured.
 
     Args:
         plan: The plan from bounds.
-        hf: The height field.
-        scope: The range of the call.
-        pilots: Some of its directions.
+        trial: Some of the call's directions.
         automatic: Whether the method may change.
-        illuminants: Those of the call; the worst counts.
-        wavelengths_nm: Given wavelengths in place of an integral.
-        device: Where to try.
-        threads: Threads on the CPU.
     """
-    trial = _Trial(plan, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
-    if not trial.any_light:
-        return plan
     target = plan.tolerance / SAFETY
     fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
     if rounding > target and automatic:
@@ -103,7 +84,7 @@ def refined(
         fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
     plan, neighbourhood = _fewer_neighbours(fewer, trial, _NEIGHBOUR_SHARE * target)
     quadrature = 0.0
-    if wavelengths_nm is None:
+    if trial.integrates:
         plan, quadrature = _fewer_wavelengths(plan, trial, _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
     # Directions that err by one source and by another add up to more of them: the whole is what counts.
@@ -114,12 +95,44 @@ def refined(
         neighbourhood=SAFETY * neighbourhood + rest / 2.0,
         quadrature=SAFETY * quadrature + rest / 2.0,
         rounding=rounding,
-        multiply_adds=mean_cost(hf, plan, trial.lateral, trial.w),
+        multiply_adds=mean_cost(trial.hf, plan, trial.lateral, trial.w),
         searched=True,
     )
 
 
-def _enough_of_all(plan: Plan, trial: _Trial, target: float) -> tuple[Plan, float]:
+def tabled(plan: Plan, trial: Trial) -> Plan | None:
+    """The smallest polar table that keeps the tolerance on the pilots, or the best of those within reach.
+
+    A table is made for each attempt and found again by the call that follows. None where all are too large.
+    """
+    target = plan.tolerance / SAFETY
+    plan, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
+    rungs = list(polar.rungs_for(plan.tolerance) or polar.RUNGS[-1:])
+    best = None
+    while rungs:
+        nodes, rays_per_width = rungs.pop(0)
+        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
+        if polar.megabytes(trial.hf, tried) > polar.MOST_MEGABYTES:
+            break
+        error = trial.error(trial.run(tried), trial.exact)
+        best = dataclasses.replace(
+            tried,
+            truncation=SAFETY * truncation,
+            neighbourhood=0.0,
+            quadrature=max(0.0, SAFETY * (error - truncation) - rounding),
+            rounding=rounding,
+            multiply_adds=polar.multiply_adds(tried),
+            searched=True,
+        )
+        if error <= target:
+            break
+        # The next one is the smallest that may do by what this one errs.
+        needed = polar.expected_error(nodes) * target / error
+        rungs = [rung for rung in rungs if polar.expected_error(rung[0]) <= needed]
+    return best
+
+
+def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
     """The plan with so much more of everything that it keeps the target as a whole, and its error."""
     best, least = plan, trial.error(trial.run(plan), trial.exact)
     for _ in range(_TRIES):
@@ -136,8 +149,12 @@ def _enough_of_all(plan: Plan, trial: _Trial, target: float) -> tuple[Plan, floa
     return best, least
 
 
-class _Trial:
-    """The pilots on a device, and what the finest plan makes of them."""
+class Trial:
+    """Some directions of a call on a device, and what the finest plan makes of them.
+
+    Args of its constructor: the plan from bounds, the height field, the range of the call, some of its directions, its
+    illuminants, of which the worst counts, given wavelengths in place of an integral, and where to try.
+    """
 
     def __init__(
         self,
@@ -156,6 +173,7 @@ class _Trial:
         self.hf, self._scope, self._device, self._threads = hf, scope, device, threads
         self._illuminants = illuminants
         self._wavenumbers = None
+        self.integrates = wavelengths_nm is None
         if wavelengths_nm is not None:
             some = np.linspace(0, len(wavelengths_nm) - 1, min(_SPECTRAL_SAMPLES, len(wavelengths_nm))).astype(int)
             self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
@@ -196,18 +214,20 @@ class _Trial:
         """What a plan makes of the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         import warp as wp
 
-        table = tables.table_for(self.hf, plan, self._scope, device=self._device, threads=self._threads)
-        inputs = [table.arguments, self._deflections, self._to_lights, self._gains]
-        options = {"device": self._device, "threads": self._threads, "slice_size": _SLICE}
         if self._wavenumbers is not None:
+            table = tables.table_for(self.hf, plan, self._scope, device=self._device, threads=self._threads)
+            inputs = [table.arguments, self._deflections, self._to_lights, self._gains, self._wavenumbers]
             values = wp.empty((self._count, len(self._wavenumbers)), dtype=wp.float32, device=self._device)
-            launch(table.sample, self._count, [*inputs, self._wavenumbers], [values], **options)
+            launch(
+                table.sample, self._count, inputs, [values], device=self._device, threads=self._threads,
+                slice_size=_SLICE,
+            )  # fmt: skip
             return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
+        integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
         results = []
         for illuminant in self._illuminants:
             xyz = wp.zeros(self._count, dtype=wp.vec3f, device=self._device)
-            quadrature = tables.quadrature_for(self.hf, plan, illuminant, device=self._device)
-            launch(table.integrate, self._count, [*inputs, quadrature], [xyz], **options)
+            integrator.add(self._deflections, self._to_lights, self._gains, illuminant, xyz, slice_size=_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
@@ -247,7 +267,7 @@ def mean_cost(hf: HeightField, plan: Plan, lateral_reaches: NDArray[np.float64],
     """Predicted multiply-adds of a direction, in the mean over directions of some lateral and |w|."""
     from warpdiff.kernels import spectral
 
-    lanes = tables.LANES * math.ceil(plan.terms / tables.LANES)
+    lanes = tables.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
@@ -267,7 +287,7 @@ def mean_cost(hf: HeightField, plan: Plan, lateral_reaches: NDArray[np.float64],
     return float(np.mean(samples) * each)
 
 
-def _fewer_neighbours(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, float]:
+def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
     """The least exponent whose neighbourhood is within its share, by bisection, and the error that it leaves."""
     if plan.coherence.kind == "replicas":
         return plan, 0.0
@@ -290,7 +310,7 @@ def _fewer_neighbours(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, fl
     return best, error
 
 
-def _fewer_terms(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, float, float]:
+def _fewer_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float, float]:
     """The fewest terms within their share, in whole SIMD registers; what they leave out, and float32's error."""
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
     rounding = _ROUNDING_OF_POWERS if plan.coherence.adds_powers else _ROUNDING_OF_AMPLITUDES
@@ -305,7 +325,7 @@ def _fewer_terms(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, float, 
     return fullest, 0.0, max(rounding, trial.error(trial.run(fullest), exact))
 
 
-def _fewer_wavelengths(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, float]:
+def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
     """The least bandwidth whose integral is within its share, and the error that it leaves."""
     plan = _fewer_subdivisions(plan, trial, share)
     plan, exact = _wide_enough(plan, trial, share)
@@ -322,7 +342,7 @@ def _fewer_wavelengths(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, f
     return plan, trial.error(trial.run(plan), exact)
 
 
-def _wide_enough(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, NDArray[np.float64]]:
+def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[np.float64]]:
     """The plan, widened where its bounds do not suffice, and what twice its wavelengths make of all pilots.
 
     Bounds are for what oscillates; a surface much higher than a wavelength may take a little more than they say.
@@ -349,7 +369,7 @@ def _wide_enough(plan: Plan, trial: _Trial, share: float) -> tuple[Plan, NDArray
 
 
 def _bandwidths(
-    plan: Plan, trial: _Trial, share: float, exact: NDArray[np.float64]
+    plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]
 ) -> Iterator[tuple[float, float, float]]:
     """Bandwidths to try: the cheapest that gives each pilot enough wavelengths, and wider ones."""
     per_sample = plan.subdivisions * plan.wavelengths
@@ -379,7 +399,7 @@ def _bandwidths(
             yield float(factor) * a, float(factor) * b, float(factor) * c
 
 
-def _fewer_subdivisions(plan: Plan, trial: _Trial, share: float) -> Plan:
+def _fewer_subdivisions(plan: Plan, trial: Trial, share: float) -> Plan:
     """Fewer samples of the copies' factor, as long as they leave a small part of the share."""
     if plan.subdivisions == 1:
         return plan

@@ -32,7 +32,7 @@ _FEWEST_INTERVALS = 4
 # Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
 SETS_AN_OCTAVE = 4
 # What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
-_KEPT = 4
+KEPT = 4
 _cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
 
 
@@ -42,6 +42,40 @@ class _Kept:
     def __init__(self) -> None:
         self.coefficients: dict[Any, Coefficients] = {}
         self.rows: dict[Any, tuple[Any, Any, Coefficients]] = {}
+        self.polar: dict[Any, tuple[Any, Any]] = {}
+
+
+def kept(hf: HeightField) -> _Kept:
+    """What was kept of a height field."""
+    return _cache.setdefault(hf, _Kept())
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The range that a scope is rounded up to.
+
+    Small changes of a moving light or view, and all visible wavelengths, meet the same one.
+
+    Attributes:
+        frequency: Largest |q| [1/µm].
+        kappa_low: Smallest |κ| [1/µm].
+        kappa_high: Largest |κ| [1/µm].
+    """
+
+    frequency: float
+    kappa_low: float
+    kappa_high: float
+
+    @classmethod
+    def by(cls, scope: Scope) -> Reached:
+        """What a scope reaches."""
+        shortest = min(scope.lambda_min_nm, spectrum.LAMBDA_MIN_NM)
+        longest = max(scope.lambda_max_nm, spectrum.LAMBDA_MAX_NM)
+        return cls(
+            math.ceil(2.0 * scope.max_uv * 1e3 / shortest + 0.1) / 2.0,
+            max(0.0, math.floor(4.0 * scope.min_w * 1e3 / longest - 0.1) / 4.0),
+            math.ceil(2.0 * scope.max_w * 1e3 / shortest + 0.1) / 2.0,
+        )
 
 
 @dataclass(frozen=True)
@@ -52,11 +86,18 @@ class Table:
         integrate: Kernel that integrates over λ to XYZ.
         sample: Kernel that evaluates given wavelengths.
         arguments: Their first argument.
+        coefficients: Those that it holds.
     """
 
     integrate: Any
     sample: Any
     arguments: Any
+    coefficients: Coefficients
+
+
+def lanes_of(terms: int) -> int:
+    """The length of a row of so many terms."""
+    return LANES * math.ceil(terms / LANES)
 
 
 def coefficients_for(
@@ -80,32 +121,28 @@ def coefficients_for(
         terms: Number of terms of a series; a fitted basis finds its own.
         threads: Transforms to run side by side.
     """
-    # Rounded up, so that the small changes of a moving light or view, and all visible wavelengths, meet the same one.
-    shortest = min(scope.lambda_min_nm, spectrum.LAMBDA_MIN_NM)
-    longest = max(scope.lambda_max_nm, spectrum.LAMBDA_MAX_NM)
-    frequency = math.ceil(2.0 * scope.max_uv * 1e3 / shortest + 0.1) / 2.0
-    low = max(0.0, math.floor(4.0 * scope.min_w * 1e3 / longest - 0.1) / 4.0)
-    high = math.ceil(2.0 * scope.max_w * 1e3 / shortest + 0.1) / 2.0
+    reached = Reached.by(scope)
+    low, high = reached.kappa_low, reached.kappa_high
     check_cycles(hf, high)
     grid = grid_for(hf, coherence)
-    block = fourier.Block.covering(grid, frequency, reach)
-    kept = _cache.setdefault(hf, _Kept()).coefficients
+    block = fourier.Block.covering(grid, reached.frequency, reach)
+    held = kept(hf).coefficients
     if method in EXPANSIONS:
         low = 0.0
     else:
         terms = coefficients.series_terms(hf, (low, high))
     key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
-    if key in kept:
-        kept[key] = kept.pop(key)
-        return kept[key], block, grid
+    if key in held:
+        held[key] = held.pop(key)
+        return held[key], block, grid
     if method in EXPANSIONS:
         made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
     else:
         series, _, _ = coefficients_for(hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads)
         made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
-    kept[key] = made
-    while len(kept) > _KEPT:
-        kept.pop(next(iter(kept)))
+    held[key] = made
+    while len(held) > KEPT:
+        held.pop(next(iter(held)))
     return made, block, grid
 
 
@@ -132,14 +169,14 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     )
     powers = coefficients.holds_powers(plan.method, adds_powers=coherence.adds_powers)
     terms = min(plan.terms, found.terms)
-    lanes = LANES * math.ceil(terms / LANES)
+    lanes = lanes_of(terms)
     kernels = spectral.kernels(lanes, coherence.kind, powers)
     table = kernels.Table()
     moved = coherence if coherence.kind == "centred" else None
     key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)
-    kept = _cache[hf].rows
-    if key in kept and kept[key][2] is found:
-        kept[key] = kept.pop(key)
+    held = kept(hf).rows
+    if key in held and held[key][2] is found:
+        held[key] = held.pop(key)
     else:
         rows = found.rows[..., :terms]
         if moved is not None:
@@ -148,14 +185,14 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         padded[..., :terms] = rows
         basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
         basis[:, :terms] = found.basis[:, :terms]
-        kept[key] = (
+        held[key] = (
             wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
             wp.array(basis, dtype=kernels.row, device=device),
             found,
         )
-        while len(kept) > _KEPT:
-            kept.pop(next(iter(kept)))
-    table.rows, table.basis, _ = kept[key]
+        while len(held) > KEPT:
+            held.pop(next(iter(held)))
+    table.rows, table.basis, _ = held[key]
     table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin
@@ -164,11 +201,11 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         table.copies_y, table.copies_x = coherence.copies
         table.patch_y, table.patch_x = hf.size_um
         _set_taps(table, kernels, hf, device)
-        return Table(kernels.integrate, kernels.sample, table)
+        return Table(kernels.integrate, kernels.sample, table, found)
     table.exponent = -math.log(plan.least_weight)
     falloff = falloff_um2(coherence)
     table.across, table.along = (falloff / length**2 for length in grid.lengths_um)
-    return Table(kernels.integrate, kernels.sample, table)
+    return Table(kernels.integrate, kernels.sample, table, found)
 
 
 def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:

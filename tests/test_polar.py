@@ -1,0 +1,155 @@
+"""Tables of the power spectrum on rays, against the float64 reference, closed forms, and sampled integration."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import reference
+from conftest import hemisphere
+
+import warpdiff as wd
+from warpdiff import optics, polar, spectrum
+
+KINDS = ("averaged", "centred")
+# Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
+SHORT = wd.Coherence(sigma_um=3.25)
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+def truth(hf, lights, views, coherence):
+    """XYZ by the float64 reference."""
+    deflections = -lights - views
+    gains = optics.gain(lights, views, normal=optics.normal_reflectance(1.5), masking=True, per_light_cosine=False)
+    return gains[:, None] * reference.colours(hf, deflections, lights, coherence, tolerance=1e-4)
+
+
+def picture_errors(found, exact):
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("tolerance", [1e-1, 2e-2])
+def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
+    coherence = wd.Coherence(kind, 9.0)
+    lights, views = hemisphere(rng, 400), hemisphere(rng, 400)
+    plan = wd.plan(fingers, lights, views, tolerance=tolerance, coherence=coherence, method="low-rank/table")
+    assert plan.nodes > 0
+    assert plan.error <= tolerance
+    found = wd.reflectance(fingers, lights, views, plan=plan)
+    errors = picture_errors(found, truth(fingers, lights, views, coherence))
+    assert np.percentile(errors, 99.0) <= tolerance
+    assert np.percentile(errors, 99.0) >= 0.05 * plan.error
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_more_nodes_and_rays_err_less(fingers, kind, rng):
+    coherence = wd.Coherence(kind, 9.0)
+    lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
+    exact = truth(fingers, lights, views, coherence)
+    plan = wd.plan(fingers, lights, views, coherence=coherence, method="low-rank", tolerance=1e-3)
+    errors = []
+    for nodes, rays in ((12, 1.0), (24, 1.4), (48, 2.0), (96, 3.0)):
+        sized = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays)
+        errors.append(np.percentile(picture_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
+    # The colour curves have kinks, which splines meet to first order or better.
+    assert all(finer < 0.6 * coarser for coarser, finer in zip(errors, errors[1:], strict=False))
+    assert errors[-1] < 5e-3
+
+
+def test_a_mirror_has_its_colour(rng):
+    flat = wd.HeightField(np.zeros((64, 64)), 0.09)
+    plan = wd.plan(flat, method="low-rank")
+    up = np.array([0.0, 0.0, 1.0])
+    tabled = dataclasses.replace(plan, nodes=24, rays_per_width=1.3)
+    found = wd.reflectance(flat, up, up, plan=tabled, ior=np.inf)
+    np.testing.assert_allclose(found, spectrum.colour_products().sum(axis=0), rtol=2e-3)
+    tilted = np.array([np.sin(0.5), 0.0, np.cos(0.5)])
+    mirrored = tilted * [-1.0, 1.0, 1.0]
+    sampled = wd.reflectance(flat, tilted, mirrored, plan=plan)
+    np.testing.assert_allclose(wd.reflectance(flat, tilted, mirrored, plan=tabled), sampled, rtol=2e-3)
+
+
+@pytest.mark.parametrize("nodes", [8, 24, 64])
+@pytest.mark.parametrize("illuminant", ["D65", "A", "E"])
+def test_weights_hold_white_and_a_slope(nodes, illuminant):
+    weights = polar.colour_weights(nodes, illuminant).astype(np.float64)
+    step = np.log(2.0) / nodes
+    products = spectrum.colour_products(illuminant)
+    white = products.sum(axis=0)
+    np.testing.assert_allclose(weights.sum(axis=1) * step, np.broadcast_to(white, (len(weights), 3)), rtol=1e-5)
+    # A spectrum that is linear in ln λ: its integral under each spline is its value at the spline's node.
+    logs = np.log(1e3 / np.arange(380.0, 781.0))
+    exact = logs @ products / white
+    for index, each in enumerate(weights):
+        fraction = (index + 0.5) / len(weights) - 0.5
+        places = np.log(1e3 / 780.0) + step * (np.arange(weights.shape[1]) - 1.0 - fraction)
+        np.testing.assert_allclose(places @ each * step / white, exact, atol=0.5 * step)
+
+
+def test_the_number_of_threads_does_not_matter(fingers, rng):
+    lights, views = hemisphere(rng, 500), hemisphere(rng, 500)
+    plan = wd.plan(fingers, method="low-rank/table", tolerance=1e-1, coherence=SHORT)
+    one = wd.reflectance(fingers, lights, views, plan=plan, threads=1)
+    again = wd.HeightField(fingers.heights_um, fingers.pitch_um)
+    np.testing.assert_array_equal(one, wd.reflectance(again, lights, views, plan=plan, threads=3))
+
+
+def test_many_directions_take_a_table_and_few_do_not(fingers):
+    light = (0.2, 0.1, 1.0)
+    few = wd.brdf_map(fingers, light, size=24, tolerance=1e-1, coherence=SHORT)
+    many = wd.brdf_map(fingers, light, size=400, tolerance=1e-1, coherence=SHORT)
+    assert few.plan.nodes == 0
+    assert many.plan.nodes > 0
+    assert "polar table" in str(many.plan)
+    exact = wd.brdf_map(fingers, light, size=400, tolerance=1e-3, method="low-rank", coherence=SHORT)
+    errors = picture_errors(many.xyz[many.mask], exact.xyz[exact.mask])
+    assert np.percentile(errors, 99.0) <= 1e-1
+
+
+def test_a_table_that_cannot_keep_its_tolerance_is_refused(fingers, rng):
+    lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
+    arguments = {"tolerance": 1e-4, "method": "low-rank/table"}
+    with pytest.raises(ValueError, match="nodes an octave are too few"):
+        wd.reflectance(fingers, lights, views, **arguments)
+    with pytest.warns(wd.WarpdiffWarning, match="nodes an octave are too few"):
+        wd.reflectance(fingers, lights, views, strict=False, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("method", "coherence"),
+    [
+        ("low-rank/table", wd.Coherence("source", angular_diameter_deg=0.5)),
+        ("low-rank/table", wd.Coherence("replicas", copies=(2, 2))),
+        ("jacobi-anger/table", wd.Coherence()),
+        ("power/table", wd.Coherence("centred")),
+    ],
+    ids=str,
+)
+def test_forms_without_a_table_say_so(fingers, method, coherence):
+    up = (0.0, 0.0, 1.0)
+    with pytest.raises(ValueError, match=f"method='{method}' .* use one of"):
+        wd.reflectance(fingers, up, up, method=method, coherence=coherence)
+
+
+def test_a_spectrum_has_no_table(fingers):
+    up = (0.0, 0.0, 1.0)
+    with pytest.raises(ValueError, match="integrates over λ"):
+        wd.spectral_reflectance(fingers, up, up, [500.0], method="low-rank/table")
+
+
+@pytest.mark.parametrize("size", [(64, 1), (1, 64)])
+def test_one_dimensional_surfaces(size, rng):
+    heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
+    hf = wd.HeightField(heights, 2.5 / 64.0)
+    lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
+    plan = wd.plan(hf, lights, views, method="low-rank", tolerance=1e-3)
+    sampled = wd.reflectance(hf, lights, views, plan=plan)
+    found = wd.reflectance(hf, lights, views, plan=dataclasses.replace(plan, nodes=128, rays_per_width=2.0))
+    assert np.percentile(picture_errors(found, sampled), 90.0) < 2e-2
