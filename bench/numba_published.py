@@ -1,6 +1,6 @@
-"""The published algorithm in Numba: the baseline that Warp's code generation has no part in.
+"""The published algorithm in Numba, the baseline of comparisons.
 
-The sum is that of ``published_kernel`` (Single 2014, eqs. 3.8, 3.20 and 3.24): at wavelengths equally spaced in λ, 380
+The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24): at wavelengths equally spaced in λ, 380
 to 780 nm, the Taylor sum of a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle rule.
 
 What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to whole cache lines, so

@@ -2,18 +2,21 @@
 
 The frame is the tube with the levelled 65 µm scan. Both methods shade the same directions of a stratified sample of its
 lit pixels; the truth is the float64 reference on them, and the error the design's: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f) over
-the pixels with Y >= f, f a thousandth of the 99th percentile of Y. A time is that of the shading kernel alone, with its
-tables warm: a median of rounds in which all settings take turns.
+the pixels with Y >= f, f a thousandth of the 99th percentile of Y. A time is that of the shading kernel alone on a
+larger sample, with its tables warm: a median of rounds in which all settings take turns.
 
 The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
-heights that are not centred, 3 × 3 coefficients around the one that floor() finds, and a rectangle rule. It is raised
-until it reaches the error of the automatic choice: once with its 37 terms, once by the cheapest of all combinations of
-wavelengths, neighbours and terms, heights centred or not. Rounding, which it does not have, is tabled beside floor().
+heights that are not centred, 3 × 3 coefficients around the one that floor() finds, and a rectangle rule, in Numba. It
+is raised until it reaches the error of the automatic choice: once with its 37 terms, once by the cheapest of all
+combinations of wavelengths, neighbours and terms, heights centred or not. Rounding, which it does not have, is tabled
+beside floor().
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
+import functools
 import math
 import os
 import sys
@@ -24,24 +27,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import fourier, meshes, optics, planning, render, spectrum, tables
+from warpdiff import meshes, optics, planning, render
 from warpdiff.device import launch, resolve_device, resolve_threads
-from warpdiff.expansions import EXPANSIONS
+from warpdiff.integration import Integrator
 from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
 
 ROOT = Path(__file__).resolve().parents[1]
+# Threads that spin between calls would take the other methods' time.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "bench")]
 
+import multiply_adds  # noqa: E402
+import numba_published  # noqa: E402
 import picture_error  # noqa: E402
-import published_kernel  # noqa: E402
 import reference  # noqa: E402
 
 SCAN = "scan, 65 µm, levelled"
 # The published numbers, and the design's bar for a baseline: 80 × 25 × 9 in so many µs at so many multiply-adds.
 WAVELENGTHS, TERMS, REACH = 81, 37, 1
 BAR_WAVELENGTHS, BAR_TERMS, BAR_US, BAR_RATE = 80, 25, 4.0, 14e9
-LANES = tables.LANES
+LANES = numba_published.LANES
 # What the published setting is raised to: quarter octaves of wavelengths, whole registers of terms.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
@@ -50,8 +56,8 @@ MOST_REACH = {"averaged": 3, "centred": 4}
 FINALISTS = 3
 TOLERANCES = [0.5 * 2.0 ** (-k) for k in range(9)]
 TRUTH = 1e-3
-SLICE = 64
-RATE_ROUNDS = 20_000
+SLICE = 1024
+RATE_ROUNDS = 200_000
 RATE_SLICES = 16
 
 
@@ -102,8 +108,18 @@ class Frame:
             frame.reflection(normal, window, masking=True),
         )
         self.all = frame.directions()
+        self._choose(pixels)
+
+    def more(self, pixels: int) -> Frame:
+        """The same frame with so many of its lit pixels, to be timed."""
+        result = copy.copy(self)
+        result._choose(pixels)
+        return result
+
+    def _choose(self, pixels: int) -> None:
+        """Shade a stratified sample of the lit pixels, in the order of the frame."""
         lit = self.all[2] > 0.0
-        chosen = reference.stratified(lit, pixels)
+        chosen = np.sort(reference.stratified(lit, pixels))
         self.lit, self.count = int(np.count_nonzero(lit)), len(chosen)
         self.deflections, self.to_lights, self.gains = (part[chosen] for part in self.all)
         import warp as wp
@@ -121,87 +137,38 @@ class Frame:
         every, none = np.ones(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
         self.truth = reference.Pixels(self.gains[:, None] * found, every, every, none, none)
 
-    def launch(self, kernel: Any, inputs: list[Any], output: Any) -> None:
-        """Shade the sample."""
-        options = {"device": self.device, "threads": self.threads, "slice_size": SLICE}
-        launch(kernel, self.count, inputs, [output], **options)
-
-    def error(self) -> Any:
-        """The error of what was shaded last."""
-        return reference.picture_error(self.xyz.numpy(), self.truth)
+    def error(self, xyz: Any) -> Any:
+        """The error of a shaded sample."""
+        return reference.picture_error(xyz, self.truth)
 
 
 class Published:
     """The published algorithm at one setting, ready to shade a frame."""
 
     def __init__(self, frame: Frame, coherence: wd.Coherence, setting: Setting) -> None:
-        import warp as wp
-
-        self.frame, self.setting = frame, setting
-        hf, device = frame.hf, frame.device
-        powers = coherence.adds_powers
-        parts = published_kernel.kernels(setting.lanes, setting.reach, powers, setting.rounded)
-        series = parts.Series()
-        expansion = EXPANSIONS["taylor" if setting.centred else "taylor-uncentred"]
-        series.rows, block, lengths = _rows(frame, coherence, setting, parts.row)
-        wavelengths = np.linspace(380.0, 780.0, setting.wavelengths)
-        wavenumbers = 1e3 / wavelengths
-        factors = np.zeros((setting.wavelengths, setting.lanes), dtype=np.float32)
-        scale = 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
-        factors[:, : setting.terms] = expansion.basis(scale * wavenumbers, setting.terms)
-        series.factors = wp.array(factors, dtype=parts.row, device=device)
-        series.wavenumbers = wp.array(wavenumbers, dtype=wp.float32, device=device)
-        products = spectrum.colour_products()
-        grid = np.arange(380.0, 781.0)
-        colours = np.stack([np.interp(wavelengths, grid, products[:, c]) for c in range(3)], axis=1)
-        series.weights = wp.array((colours / colours[:, 1].sum()).astype(np.float32), dtype=wp.vec3f, device=device)
-        series.side = 2 * setting.reach + 1
-        series.count_x, (series.origin_y, series.origin_x) = block.count[1], block.origin
-        series.length_y, series.length_x = lengths
-        falloff = tables.falloff_um2(coherence)
-        series.across, series.along = (falloff / length**2 for length in lengths)
-        series.shrink_y, series.shrink_x = math.exp(-2.0 * series.across), math.exp(-2.0 * series.along)
-        self._kernel, self._series = parts.shade, series
+        self.frame, self._setting, self._powers = frame, setting, coherence.adds_powers
+        frequency = float(np.max(np.hypot(frame.all[0][:, 0], frame.all[0][:, 1]))) / 0.38
+        self._tables = _tables(frame.hf, setting.terms, frequency, centred=setting.centred)
+        self._found: Any = None
 
     def shade(self) -> None:
         """Shade the sample."""
-        deflections, _, gains = self.frame.on_device
-        self.frame.launch(self._kernel, [self._series, deflections, gains], self.frame.xyz)
+        each, frame = self._setting, self.frame
+        self._found = numba_published.shade(
+            self._tables, frame.deflections, frame.gains, wavelengths=each.wavelengths, reach=each.reach,
+            rounded=each.rounded, powers=self._powers,
+        )  # fmt: skip
+
+    @property
+    def xyz(self) -> Any:
+        """What was shaded last."""
+        return self._found
 
 
-_series: dict[Any, Any] = {}
-_arrays: dict[Any, Any] = {}
-
-
-def _rows(frame: Frame, coherence: wd.Coherence, setting: Setting, row: Any) -> tuple[Any, Any, tuple[float, float]]:
-    """Rows (my·mx·2) of iⁿ DFT{gⁿ}, the block that they are of, and its coefficients per unit of frequency."""
-    import warp as wp
-
-    hf = frame.hf
-    grid = fourier.patch_grid(hf)
-    frequency = float(np.max(np.hypot(frame.deflections[:, 0], frame.deflections[:, 1]))) / 0.38
-    block = fourier.Block.covering(grid, frequency, (max(MOST_REACH.values()) + 1,) * 2)
-    if block.count == block.shape:
-        raise ValueError(f"{hf!r} is too coarse for the frame: the published kernel does not repeat coefficients")
-    key = (setting.centred, coherence.kind)
-    if key not in _series:
-        _series.clear()
-        _arrays.clear()
-        expansion = EXPANSIONS["taylor" if setting.centred else "taylor-uncentred"]
-        series = fourier.series_coefficients(
-            hf, expansion, max(MORE_TERMS), block, threads=frame.threads, dtype=np.complex64
-        )
-        if coherence.kind == "centred":
-            # The window lies at the patch's centre.
-            s, r = block.orders()
-            turns = s[:, None] * (hf.shape[0] // 2 / hf.shape[0]) + r * (hf.shape[1] // 2 / hf.shape[1])
-            series *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
-        _series[key] = np.stack([series.real, series.imag], axis=2).reshape(-1, max(MORE_TERMS))
-    if setting.terms not in _arrays:
-        rows = np.zeros((len(_series[key]), setting.lanes), dtype=np.float32)
-        rows[:, : setting.terms] = _series[key][:, : setting.terms]
-        _arrays[setting.terms] = wp.array(rows, dtype=row, device=frame.device)
-    return _arrays[setting.terms], block, grid.lengths_um
+@functools.lru_cache(maxsize=3)
+def _tables(hf: wd.HeightField, terms: int, frequency: float, *, centred: bool) -> numba_published.Tables:
+    """The tables of a series; they serve both forms."""
+    return numba_published.tables(hf, terms=terms, centred=centred, frequency=frequency)
 
 
 class Automatic:
@@ -214,22 +181,31 @@ class Automatic:
         begin = time.perf_counter()
         self.plan = planning.plan_for(
             hf, scope, Pilots.among(deflections, to_lights, gains), tolerance=tolerance, method="auto",
-            coherence=coherence, strict=True, device=frame.device, threads=frame.threads,
+            coherence=coherence, strict=True, count=float(frame.lit), device=frame.device, threads=frame.threads,
         )  # fmt: skip
         self.seconds = time.perf_counter() - begin
-        self._table = tables.table_for(hf, self.plan, scope, device=frame.device, threads=frame.threads)
-        self._quadrature = tables.quadrature_for(hf, self.plan, "D65", device=frame.device)
+        self._integrator = Integrator(hf, self.plan, scope, device=frame.device, threads=frame.threads)
 
     def shade(self) -> None:
         """Shade the sample."""
         self.frame.xyz.zero_()
-        self.frame.launch(
-            self._table.integrate, [self._table.arguments, *self.frame.on_device, self._quadrature], self.frame.xyz
-        )
+        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, slice_size=SLICE)
+
+    def on(self, frame: Frame) -> Automatic:
+        """The same for other pixels of the frame."""
+        result = copy.copy(self)
+        result.frame = frame
+        return result
+
+    @property
+    def xyz(self) -> Any:
+        """What was shaded last."""
+        return self.frame.xyz.numpy()
 
     def __str__(self) -> str:
         plan = self.plan
-        return f"tolerance {self.tolerance:.2g}: {plan.method}, {plan.terms} terms, up to {plan.wavelengths} λ"
+        how = f"a table of {plan.nodes} nodes an octave" if plan.nodes else f"up to {plan.wavelengths} λ"
+        return f"tolerance {self.tolerance:.2g}: {plan.method}, {plan.terms} terms, {how}"
 
 
 class Rate:
@@ -244,36 +220,31 @@ class Rate:
     def shade(self) -> None:
         """Run it."""
         launch(
-            published_kernel.multiply_add_rate, RATE_SLICES, [RATE_ROUNDS], [self._sums], device=self.frame.device,
+            multiply_adds.multiply_add_rate, RATE_SLICES, [RATE_ROUNDS], [self._sums], device=self.frame.device,
             threads=self.frame.threads, slice_size=1,
         )  # fmt: skip
 
     @staticmethod
     def per_second(seconds: float) -> float:
         """Multiply-adds of 16 floats a second."""
-        return RATE_SLICES * RATE_ROUNDS * published_kernel.SUMS / seconds
+        return RATE_SLICES * RATE_ROUNDS * multiply_adds.SUMS / seconds
 
 
 def seconds_of(what: dict[str, Any], rounds: int) -> dict[str, float]:
-    """The median time of each, all of them taking turns: processor time over the number of threads.
-
-    That is the wall's on a machine of one's own, and hardly more where others work on it.
-    """
+    """The median time of each by the clock on the wall, all of them taking turns."""
     taken: dict[str, list[float]] = {name: [] for name in what}
-    threads = 1
     for _ in range(rounds + 1):
         for name, each in what.items():
-            threads = each.frame.threads
-            begin = time.process_time()
+            begin = time.perf_counter()
             each.shade()
-            taken[name].append(time.process_time() - begin)
-    return {name: float(np.median(times[1:])) / threads for name, times in taken.items()}
+            taken[name].append(time.perf_counter() - begin)
+    return {name: float(np.median(times[1:])) for name, times in taken.items()}
 
 
 def error_of(each: Any) -> Any:
     """Its error."""
     each.shade()
-    return each.frame.error()
+    return each.frame.error(each.xyz)
 
 
 def raised(frame: Frame, coherence: wd.Coherence, target: float, *, rounded: bool) -> tuple[list[Setting], float]:
@@ -318,7 +289,7 @@ def raised(frame: Frame, coherence: wd.Coherence, target: float, *, rounded: boo
     return list(dict.fromkeys(reached[:FINALISTS] + as_published)), min(met)
 
 
-def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: int) -> None:
+def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: int, timed: int) -> None:
     """Judge and time all settings of a coherence, and print their table and the four numbers."""
     frame.judge(coherence)
     print(f"\n{coherence}, {frame.count} of {frame.lit} lit pixels\n", flush=True)
@@ -332,17 +303,17 @@ def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: 
     found, least = raised(frame, coherence, target, rounded=False)
     found_rounded, least_rounded = raised(frame, coherence, target, rounded=True)
     settings = [Setting(), Setting(rounded=True), Setting(centred=True), *found, *found_rounded]
-    what: dict[str, Any] = {str(each): Published(frame, coherence, each) for each in settings}
-    what |= plans
-    timed = what | {
-        bar: Published(frame, coherence, Setting(BAR_WAVELENGTHS, BAR_TERMS)),
-        "rate": Rate(frame),
-    }
-    seconds = seconds_of(timed, rounds)
-    errors = {name: error_of(each) for name, each in what.items()}
+    judged: dict[str, Any] = {str(each): Published(frame, coherence, each) for each in settings}
+    errors = {name: error_of(each) for name, each in (judged | plans).items()}
+    many = frame.more(timed)
+    what: dict[str, Any] = {str(each): Published(many, coherence, each) for each in settings}
+    what |= {name: each.on(many) for name, each in plans.items()}
+    what[bar] = Published(many, coherence, Setting(BAR_WAVELENGTHS, BAR_TERMS))
+    what["rate"] = Rate(many)
+    seconds = seconds_of(what, rounds)
 
     def us(name: str) -> float:
-        return 1e6 * seconds[name] / frame.count
+        return 1e6 * seconds[name] / many.count
 
     print("| setting | median | P99 | P99 below f, in f | µs a pixel |")
     print("| --- | --- | --- | --- | --- |")
@@ -351,12 +322,12 @@ def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: 
 
     rate = Rate.per_second(seconds["rate"])
     allowed = BAR_US * BAR_RATE / rate
-    share = Setting().multiply_adds * 1e3 / 16.0 / (seconds[published] / frame.count) / rate
+    share = Setting().multiply_adds * 1e3 / 16.0 / (seconds[published] / many.count) / rate
     print(
         f"\nThis machine: {rate / 1e9:.1f} G/s of 16-float multiply-adds on {frame.threads} threads; the published "
         f"setting reaches {100.0 * share:.0f} % of it. A good baseline takes at most {allowed:.1f} µs at "
         f"{BAR_WAVELENGTHS} × {BAR_TERMS} × 9: this one takes {us(bar):.2f}. Planning at {tolerance:g} took "
-        f"{chosen.seconds:.2f} s and is in no figure."
+        f"{chosen.seconds:.2f} s, with what tables it made, and is in no figure."
     )
     cheap = [name for name in plans if us(name) <= us(published)]
     print("\nEqual cost:", end=" ")
@@ -393,9 +364,10 @@ def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: 
 def main() -> None:
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pixels", type=int, default=2000, help="stratified random pixels to shade (2000)")
+    parser.add_argument("--pixels", type=int, default=2000, help="stratified random pixels to judge (2000)")
+    parser.add_argument("--timed", type=int, default=12_000, help="stratified random pixels to time (12000)")
     parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
-    parser.add_argument("--width", type=int, default=320, help="width of the picture; 4:3 (320)")
+    parser.add_argument("--width", type=int, default=640, help="width of the picture; 4:3 (640)")
     parser.add_argument("--tolerance", type=float, default=1e-2, help="of the automatic choice (1e-2)")
     parser.add_argument("--kinds", nargs="+", choices=list(MOST_REACH), default=list(MOST_REACH), metavar="KIND")
     parser.add_argument("--rounds", type=int, default=9, help="timed rounds (9)")
@@ -407,7 +379,7 @@ def main() -> None:
         raise SystemExit("the comparison is on the scan: give its folder with --data")
     frame = Frame(fields[SCAN], pixels=options.pixels, width=options.width, threads=options.threads)
     for kind in options.kinds:
-        compare(frame, wd.Coherence(kind), tolerance=options.tolerance, rounds=options.rounds)
+        compare(frame, wd.Coherence(kind), tolerance=options.tolerance, rounds=options.rounds, timed=options.timed)
 
 
 if __name__ == "__main__":
