@@ -116,3 +116,62 @@ def deflect_pixels(
         base = wp.vec3d(pixels.base_colour[i])
         colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
         xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
+
+
+@wp.func
+def lateral(pixels: Pixels, i: wp.int32, to_light: wp.vec3f) -> wp.vec2f:
+    """(u, v) at a pixel."""
+    both = to_light + pixels.to_view[i]
+    return -wp.vec2f(wp.dot(both, pixels.tangent[i]), wp.dot(both, pixels.bitangent[i]))
+
+
+@wp.func
+def slope(pixels: Pixels, before: wp.int32, here: wp.vec2f, after: wp.int32, to_light: wp.vec3f) -> wp.vec2f:
+    """Change of (u, v) from one pixel to the next, from both neighbours, of which an index < 0 is none.
+
+    Where the two disagree, an edge of the body or of a texture's chart lies between: the smaller change is the surface.
+    """
+    result = wp.vec2f()
+    if after >= 0 and pixels.hit[after] != 0:
+        result = lateral(pixels, after, to_light) - here
+    if before >= 0 and pixels.hit[before] != 0:
+        other = here - lateral(pixels, before, to_light)
+        if after >= 0 and pixels.hit[after] != 0:
+            if wp.length(result - other) < wp.min(wp.length(result), wp.length(other)):
+                result = 0.5 * (result + other)
+            elif wp.length(other) < wp.length(result):
+                result = other
+        else:
+            result = other
+    return result
+
+
+@wp.kernel
+def spread_pixels(
+    # In:
+    pixels: Pixels,
+    to_light: wp.vec3f,
+    width: wp.int32,
+    deviation: wp.float32,
+    first: wp.int32,
+    # Out:
+    footprints_out: wp.array(dtype=wp.vec4f),
+):
+    """How (u, v) changes over a pixel's filter: by one standard deviation along rows, and along columns."""
+    i = first + wp.tid()
+    footprints_out[i] = wp.vec4f()
+    if pixels.hit[i] == 0:
+        return
+    left = i - 1
+    right = i + 1
+    if i % width == 0:
+        left = -1
+    if right % width == 0:
+        right = -1
+    below = i + width
+    if below >= pixels.hit.shape[0]:
+        below = -1
+    here = lateral(pixels, i, to_light)
+    along_x = deviation * slope(pixels, left, here, right, to_light)
+    along_y = deviation * slope(pixels, i - width, here, below, to_light)
+    footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])

@@ -5,10 +5,14 @@ spectrum on rays, at nodes of equal ratios along them, each the integral of the 
 ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's nodes, with colour weights that are the projection of the
 colour curves on the same splines, however many orders the ray passes. Between rays the table is a quadratic spline,
 too; there are as many rays as the top of an octave needs.
+
+A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
+at all wavelengths: levels of the table are blurred in angle, with fewer rays, and sets of colour weights in ratio.
 """
 
 import functools
 import types
+from statistics import NormalDist
 from typing import Any
 
 import warp as wp
@@ -16,15 +20,49 @@ import warp as wp
 from warpdiff.kernels import spectral
 
 OPTIONS = spectral.OPTIONS
+# Rays on either side of one that a look-up may need; as many are repeated beyond a turn.
+REACH = 4
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 _FILTER_REACH = 6
+# A footprint is split where its direction turns by so much, or where its parts differ in ln |(u, v)| by so much.
+_MOST_TURN, _MOST_DRIFT = wp.constant(wp.float32(0.15)), wp.constant(wp.float32(0.015))
+# Parts of a footprint, of equal weight along its angle.
+MOST_PARTS = 12
+# Beyond these a footprint surrounds the mirror direction and is no range of angles.
+_WIDEST_ANGLE, _WIDEST_RATIO = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(0.35))
+
+
+def parts_of_gaussian(most: int) -> list[list[float]]:
+    """For 1 … ``most`` parts of equal weight of the normal distribution: the variance within them, and their means."""
+    normal = NormalDist()
+    result = [[1.0] + [0.0] * most]
+    for count in range(2, most + 1):
+        cuts = [normal.pdf(normal.inv_cdf(k / count)) if 0 < k < count else 0.0 for k in range(count + 1)]
+        means = [count * (cuts[k] - cuts[k + 1]) for k in range(count)]
+        result.append([1.0 - sum(m * m for m in means) / count, *means, *([0.0] * (most - count))])
+    return result
 
 
 @wp.struct
 class ColourWeights:
-    """Projections of the colour curves on the splines, for positions between two nodes."""
+    """Projections of the colour curves on the splines, blurred in ln λ, for positions between two nodes.
 
-    weights: wp.array2d(dtype=wp.vec3f)  # (fractions, nodes)
+    The variance of set 0 is 0, that of the next ``first`` and of every other one twice that of the one before.
+    """
+
+    weights: wp.array3d(dtype=wp.vec3f)  # (sets, fractions, nodes)
+    margins: wp.array(dtype=wp.int32)  # nodes of a set on either side of those of set 0
+    first: wp.float32
+
+
+@wp.struct
+class Blending:
+    """Weights of the rays around an angle: the spline between rays, blurred by a remainder of the footprint."""
+
+    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 REACH + 1)
+    reaches: wp.array(dtype=wp.int32)  # rays on either side that count
+    per_variance: wp.float32  # entries per unit of the variance, in distances of rays squared
+    parts: wp.array2d(dtype=wp.float32)  # of ``parts_of_gaussian``
 
 
 @functools.cache
@@ -32,16 +70,18 @@ def lookup(lanes: int) -> types.SimpleNamespace:
     """The struct of a table whose rows have ``lanes`` terms, and the kernels that do not depend on where it comes from.
 
     Returns:
-        A namespace with the type ``row``, the struct ``Polar`` and the kernels ``interpolate`` and ``integrate``.
+        A namespace with the type ``row``, the struct ``Polar`` and the kernels ``interpolate``, ``blur`` and
+        ``integrate``.
     """
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.struct
     class Polar:
-        rows: wp.array(dtype=row_t)  # octave after octave, ray after ray, node after node
+        rows: wp.array(dtype=row_t)  # level after level, octave after octave, ray after ray, node after node
         basis: wp.array(dtype=row_t)  # at equal ratios of |κ|
-        firsts: wp.array(dtype=wp.int32)  # the first ray of each octave, and the number of all
-        rays: wp.array(dtype=wp.int32)  # rays of each octave
+        firsts: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of ray 0
+        rays: wp.array2d(dtype=wp.int32)  # (levels, octaves), their number
+        widths: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
         nodes: wp.int32  # nodes an octave
         per_log: wp.float64  # nodes per unit of ln t
         log_low: wp.float64  # ln t of the first node
@@ -52,35 +92,159 @@ def lookup(lanes: int) -> types.SimpleNamespace:
 
     @wp.func
     def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
-        """An index at most one turn off."""
-        if index < 0:
-            return index + count
-        if index >= count:
-            return index - count
-        return index
+        """An index modulo the number of rays."""
+        result = index % count
+        if result < 0:
+            result = result + count
+        return result
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
         # In:
+        values: wp.array(dtype=row_t),
         polar: Polar,
+        level: wp.int32,
         octave: wp.int32,
         first: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Coefficients of the quadratic spline between an octave's rays that passes through their values."""
-        ray = first + wp.tid()
-        start = polar.firsts[octave]
-        count = polar.rays[octave]
+        """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn."""
+        ray = first + wp.tid() - wp.static(REACH)
+        count = polar.rays[level, octave]
+        begin = polar.firsts[level, octave] + ray * polar.nodes
         for k in range(polar.nodes):
             factor = wp.float32(wp.static(2.0**0.5))
-            total = factor * polar.rows[(start + ray) * polar.nodes + k]
+            total = factor * values[cyclic(ray, count) * polar.nodes + k]
             for away in range(1, wp.static(_FILTER_REACH + 1)):
                 factor = factor * wp.static(2.0 * 2.0**0.5 - 3.0)
-                after = start + cyclic(ray + away, count)
-                before = start + cyclic(ray - away, count)
-                total += factor * (polar.rows[after * polar.nodes + k] + polar.rows[before * polar.nodes + k])
-            rows_out[(start + ray) * polar.nodes + k] = total
+                after = cyclic(ray + away, count) * polar.nodes + k
+                before = cyclic(ray - away, count) * polar.nodes + k
+                total += factor * (values[after] + values[before])
+            rows_out[begin + k] = total
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def blur(
+        # In:
+        polar: Polar,
+        level: wp.int32,
+        octave: wp.int32,
+        first: wp.int32,
+        # Out:
+        values_out: wp.array(dtype=row_t),
+    ):
+        """Values on the rays of a level: those of level 0, blurred."""
+        ray = first + wp.tid()
+        count = polar.rays[0, octave]
+        start = polar.firsts[0, octave]
+        spacing = wp.float32(2.0 * wp.PI) / wp.float32(count)
+        # The variance of the spline itself is a quarter of the distance of rays, squared.
+        relative = polar.widths[level, octave] / spacing
+        variance = relative * relative + 0.25
+        reach = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), count // 2)
+        place = wp.float32(ray) / wp.float32(polar.rays[level, octave]) * wp.float32(count)
+        nearest = wp.int32(wp.rint(place))
+        total_weight = wp.float32(0.0)
+        for k in range(polar.nodes):
+            values_out[ray * polar.nodes + k] = row_t()
+        for away in range(-reach, reach + 1):
+            distance = wp.float32(nearest + away) - place
+            weight = wp.exp(-0.5 * distance * distance / variance)
+            total_weight += weight
+            source = start + cyclic(nearest + away, count) * polar.nodes
+            for k in range(polar.nodes):
+                values_out[ray * polar.nodes + k] += weight * polar.rows[source + k]
+        for k in range(polar.nodes):
+            values_out[ray * polar.nodes + k] = (1.0 / total_weight) * values_out[ray * polar.nodes + k]
+
+    @wp.func
+    def colour_at(
+        polar: Polar,
+        colours: ColourWeights,
+        blending: Blending,
+        u: wp.float64,
+        v: wp.float64,
+        log_w: wp.float64,
+        angle2: wp.float32,
+        ratio2: wp.float32,
+    ) -> wp.vec3f:
+        """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|."""
+        log_uv = wp.log(wp.max(wp.sqrt(u * u + v * v), polar.least_uv))
+        turns = wp.float32(wp.atan2(v, u)) * wp.float32(0.5 / wp.PI)
+        if turns < 0.0:
+            turns = turns + 1.0
+        # Which sets of colour weights, and how much of the second.
+        chosen = wp.int32(0)
+        other = wp.int32(0)
+        share = wp.float32(0.0)
+        margin = wp.int32(0)
+        if ratio2 > 0.0:
+            share = ratio2 / colours.first
+            if share >= 1.0:
+                chosen = wp.min(wp.int32(wp.log2(share)) + 1, colours.weights.shape[0] - 2)
+                below = wp.pow(2.0, wp.float32(chosen - 1))
+                share = wp.min((share - below) / below, 1.0)
+            other = chosen + 1
+            margin = colours.margins[other]
+        widest = colours.margins[colours.margins.shape[0] - 1]
+
+        place = (log_uv + polar.log_red - polar.log_low) * polar.per_log
+        nearest = wp.int32(wp.rint(place))
+        fractions = colours.weights.shape[1]
+        fraction = wp.int32((wp.float32(place - wp.float64(nearest)) + 0.5) * wp.float32(fractions))
+        fraction = wp.clamp(fraction, 0, fractions - 1)
+        octaves = polar.rays.shape[1]
+        # The second of set 0 is the nearest to the red end; there are none outside the table.
+        k = wp.max(widest - margin, widest - nearest + 1)
+        node = nearest - 1 - widest + k
+        end_of_all = wp.min(colours.weights.shape[2] - widest + margin, octaves * polar.nodes - nearest + 1 + widest)
+        # Nodes and the basis' entries are at equal ratios: the distance to an entry is the same at all of them.
+        log_kappa = log_w - log_uv + polar.log_low - polar.log_kappa
+        entry = (log_kappa * polar.per_log + wp.float64(node)) * wp.float64(polar.entries)
+        floor_of_entry = wp.floor(entry)
+        at = wp.int32(floor_of_entry)
+        t = wp.float32(entry - floor_of_entry)
+        last = polar.basis.shape[0] - 2
+        colour = wp.vec3f()
+        octave = node // polar.nodes
+        while k < end_of_all:
+            # The level that is blurred by as much or less, and what is left of it.
+            level = wp.int32(0)
+            if angle2 > 0.0:
+                relative = angle2 / (polar.widths[1, octave] * polar.widths[1, octave])
+                if relative >= 1.0:
+                    level = wp.min(wp.int32(wp.log2(relative)) + 1, polar.rays.shape[0] - 1)
+            rays = polar.rays[level, octave]
+            spacing = wp.float32(2.0 * wp.PI) / wp.float32(rays)
+            left = wp.max(angle2 - polar.widths[level, octave] * polar.widths[level, octave], 0.0)
+            step = wp.int32(left / (spacing * spacing) * blending.per_variance + 0.5)
+            step = wp.min(step, blending.weights.shape[0] - 1)
+            reach = blending.reaches[step]
+            position = turns * wp.float32(rays)
+            ray = wp.int32(wp.rint(position))
+            steps = blending.weights.shape[1]
+            f = wp.min(wp.int32((position - wp.float32(ray) + 0.5) * wp.float32(steps)), steps - 1)
+            offset = node - octave * polar.nodes
+            start = polar.firsts[level, octave] + (ray - reach) * polar.nodes + offset
+            end = wp.min(end_of_all - k, polar.nodes - offset)
+            for m in range(end):
+                row = row_t()
+                index = start + m
+                for j in range(wp.static(REACH) - reach, wp.static(REACH) + reach + 1):
+                    row += blending.weights[step, f, j] * polar.rows[index]
+                    index = index + polar.nodes
+                here = wp.clamp(at, 0, last)
+                power = wp.dot(row, (1.0 - t) * polar.basis[here] + t * polar.basis[here + 1])
+                weight = colours.weights[chosen, fraction, k + m]
+                if ratio2 > 0.0:
+                    weight = weight + share * (colours.weights[other, fraction, k + m] - weight)
+                colour += wp.max(power, 0.0) * weight
+                at = at + polar.entries
+            k = k + end
+            node = node + end
+            octave = octave + 1
+        # Projected colour curves have shallow negative lobes.
+        return wp.max(colour, wp.vec3f())
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
@@ -88,66 +252,64 @@ def lookup(lanes: int) -> types.SimpleNamespace:
         polar: Polar,
         deflections: wp.array(dtype=wp.vec3d),
         gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
         colours: ColourWeights,
+        blending: Blending,
         first: wp.int32,
         # Out:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of each direction to ``xyz_out``."""
+        """Add the XYZ of each direction to ``xyz_out``; an empty array of footprints is none."""
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
-            deflection = deflections[i]
-            u = deflection[0]
-            v = deflection[1]
-            log_uv = wp.log(wp.max(wp.sqrt(u * u + v * v), polar.least_uv))
-            turns = wp.float32(wp.atan2(v, u)) * wp.float32(0.5 / wp.PI)
-            if turns < 0.0:
-                turns = turns + 1.0
-            place = (log_uv + polar.log_red - polar.log_low) * polar.per_log
-            nearest = wp.int32(wp.rint(place))
-            node = nearest - 1
-            fractions = colours.weights.shape[0]
-            fraction = wp.int32((wp.float32(place - wp.float64(nearest)) + 0.5) * wp.float32(fractions))
-            fraction = wp.clamp(fraction, 0, fractions - 1)
-            # Nodes and the basis' entries are at equal ratios: the distance to an entry is the same at all of them.
-            log_kappa = wp.log(-deflection[2]) - log_uv + polar.log_low - polar.log_kappa
-            entry = (log_kappa * polar.per_log + wp.float64(node)) * wp.float64(polar.entries)
-            entry = wp.max(entry, wp.float64(0.0))
-            at = wp.int32(entry)
-            t = wp.float32(entry - wp.float64(at))
-            last = polar.basis.shape[0] - 2
+            u = deflections[i][0]
+            v = deflections[i][1]
+            log_w = wp.log(-deflections[i][2])
             colour = wp.vec3f()
-            k = wp.int32(0)
-            count = colours.weights.shape[1]
-            octave = node // polar.nodes
-            while k < count:
-                rays = polar.rays[octave]
-                position = turns * wp.float32(rays)
-                ray = wp.int32(wp.rint(position))
-                f = position - wp.float32(ray)
-                w0 = 0.5 * (0.5 - f) * (0.5 - f)
-                w1 = 0.75 - f * f
-                w2 = 0.5 * (0.5 + f) * (0.5 + f)
-                offset = node - octave * polar.nodes
-                start = polar.firsts[octave]
-                r0 = (start + cyclic(ray - 1, rays)) * polar.nodes + offset
-                r1 = (start + cyclic(ray, rays)) * polar.nodes + offset
-                r2 = (start + cyclic(ray + 1, rays)) * polar.nodes + offset
-                end = wp.min(count - k, polar.nodes - offset)
-                for m in range(end):
-                    row = w0 * polar.rows[r0 + m] + w1 * polar.rows[r1 + m] + w2 * polar.rows[r2 + m]
-                    here = wp.min(at, last)
-                    power = wp.dot(row, (1.0 - t) * polar.basis[here] + t * polar.basis[here + 1])
-                    colour += wp.max(power, 0.0) * colours.weights[fraction, k + m]
-                    at = at + polar.entries
-                k = k + end
-                node = node + end
-                octave = octave + 1
-            # Projected colour curves have shallow negative lobes.
-            xyz_out[i] = xyz_out[i] + gain * wp.max(colour, wp.vec3f())
+            count = wp.int32(1)
+            angle2 = wp.float32(0.0)
+            ratio2 = wp.float32(0.0)
+            along = wp.vec2f()
+            if footprints.shape[0] > 0:
+                # Covariance along (u, v) and across, relative to |(u, v)|.
+                uv2 = wp.float32(wp.max(u * u + v * v, polar.least_uv * polar.least_uv))
+                x = wp.float32(u) / uv2
+                y = wp.float32(v) / uv2
+                f = footprints[i]
+                radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
+                tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
+                angle2 = wp.dot(tangential, tangential)
+                ratio2 = wp.dot(radial, radial)
+                if angle2 > 0.0:
+                    drift = wp.dot(radial, tangential) / wp.sqrt(angle2)
+                    needed = wp.max(wp.sqrt(angle2) / _MOST_TURN, wp.abs(drift) / _MOST_DRIFT)
+                    count = wp.clamp(wp.int32(wp.ceil(needed)), 1, wp.static(MOST_PARTS))
+                    # Parts lie along what goes with the angle.
+                    scale = 1.0 / wp.sqrt(angle2)
+                    along = scale * wp.vec2f(
+                        f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
+                    )
+                    within = blending.parts[count - 1, 0]
+                    ratio2 = ratio2 - (1.0 - within) * drift * drift
+                    angle2 = within * angle2
+            for k in range(count):
+                away = blending.parts[count - 1, 1 + k]
+                at_u = u + wp.float64(away * along[0])
+                at_v = v + wp.float64(away * along[1])
+                part_angle2 = angle2
+                part_ratio2 = ratio2
+                if count > 1:
+                    # Relative to the part's own |(u, v)|.
+                    change = wp.float32((u * u + v * v) / wp.max(at_u * at_u + at_v * at_v, polar.least_uv))
+                    part_angle2 = angle2 * change
+                    part_ratio2 = ratio2 * change
+                part_angle2 = wp.min(part_angle2, _WIDEST_ANGLE * _WIDEST_ANGLE)
+                part_ratio2 = wp.min(part_ratio2, _WIDEST_RATIO * _WIDEST_RATIO)
+                colour += colour_at(polar, colours, blending, at_u, at_v, log_w, part_angle2, part_ratio2)
+            xyz_out[i] = xyz_out[i] + (gain / wp.float32(count)) * colour
 
-    return types.SimpleNamespace(row=row_t, Polar=Polar, interpolate=interpolate, integrate=integrate)
+    return types.SimpleNamespace(row=row_t, Polar=Polar, interpolate=interpolate, blur=blur, integrate=integrate)
 
 
 @functools.cache
@@ -222,21 +384,21 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         highest: wp.float64,
         first: wp.int32,
         # Out:
-        rows_out: wp.array(dtype=out_t),
+        values_out: wp.array(dtype=out_t),
     ):
         """Integrals of the power spectrum along a ray of an octave under the splines of its nodes.
 
         The spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``.
         """
         ray = first + wp.tid()
-        angle = wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(polar.rays[octave])
+        angle = wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(polar.rays[0, octave])
         cosine = wp.cos(angle) * table.length_x
         sine = wp.sin(angle) * table.length_y
         share = wp.float32(1.0) / wp.float32(divisions)
         scale = share / wp.float32(polar.per_log)
-        begin = (polar.firsts[octave] + ray) * polar.nodes
+        begin = ray * polar.nodes
         for k in range(polar.nodes):
-            rows_out[begin + k] = out_t()
+            values_out[begin + k] = out_t()
         # A node's spline begins one and a half nodes before it.
         for k in range((polar.nodes + 2) * divisions):
             node = k // divisions - 1
@@ -246,10 +408,10 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             if t <= highest:
                 value = scale * power_row(table, t * sine, t * cosine, bases)
                 if node > 0:
-                    rows_out[begin + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
+                    values_out[begin + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
                 if node >= 0 and node < polar.nodes:
-                    rows_out[begin + node] += (0.75 - f * f) * value
+                    values_out[begin + node] += (0.75 - f * f) * value
                 if node + 1 < polar.nodes:
-                    rows_out[begin + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
+                    values_out[begin + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
 
     return resample

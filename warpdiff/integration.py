@@ -22,6 +22,10 @@ class Integrator:
         self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
         self._colours: dict[str, Any] = {}
         if plan.nodes:
+            import warp as wp
+
+            self._blending = polar.blending(device)
+            self._no_footprints = wp.empty(0, dtype=wp.vec4f, device=device)
             self._kernel, self._arguments = polar.table_for(hf, plan, scope, device=device, threads=threads)
         else:
             table = tables.table_for(hf, plan, scope, device=device, threads=threads)
@@ -34,12 +38,30 @@ class Integrator:
         gains: wp.array,
         illuminant: str,
         xyz: wp.array,
+        *,
+        footprints: wp.array | None = None,
         **options: Any,
     ) -> None:
-        """Add the XYZ of deflections (n,) to those in ``xyz``; ``options`` are those of ``launch``."""
-        if illuminant not in self._colours:
-            make = polar.weights_for if self._plan.nodes else tables.quadrature_for
-            self._colours[illuminant] = make(self._hf, self._plan, illuminant, device=self._device)
-        seen = [deflections, gains] if self._plan.nodes else [deflections, to_lights, gains]
-        inputs = [self._arguments, *seen, self._colours[illuminant]]
+        """Add the XYZ of deflections (n,) to those in ``xyz``.
+
+        Args:
+            deflections: (u, v, w).
+            to_lights: Directions to the light in the local frame.
+            gains: Their factors.
+            illuminant: A name.
+            xyz: What is added to.
+            footprints: How (u, v) changes over each pixel, for a plan with footprints.
+            options: Those of ``launch``.
+        """
+        inputs = [self._arguments, deflections]
+        if self._plan.nodes:
+            if illuminant not in self._colours:
+                self._colours[illuminant] = polar.weights_for(self._plan, illuminant, device=self._device)
+            seen = self._no_footprints if footprints is None else footprints
+            inputs += [gains, seen, self._colours[illuminant], self._blending]
+        else:
+            if illuminant not in self._colours:
+                made = tables.quadrature_for(self._hf, self._plan, illuminant, device=self._device)
+                self._colours[illuminant] = made
+            inputs += [to_lights, gains, self._colours[illuminant]]
         launch(self._kernel, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)

@@ -102,6 +102,7 @@ class Plan:
         adaptive: Whether directions with less than the largest bandwidth take fewer of them.
         nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
         rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
+        footprint: Whether the table has levels, from which a pixel's mean over its range of (u, v) is taken.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
         min_w: Smallest |w| of these.
@@ -130,6 +131,7 @@ class Plan:
     adaptive: bool
     nodes: int
     rays_per_width: float
+    footprint: bool
     max_uv: float
     max_lateral: float
     min_w: float
@@ -152,6 +154,9 @@ class Plan:
             checks.number(self.rays_per_width, "rays_per_width", above=0.0)
             if not MIN_NODES <= self.nodes <= MAX_NODES:
                 raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
+        checks.flag(self.footprint, "footprint")
+        if self.footprint and not self.nodes:
+            raise ValueError("footprint=True takes a table: give nodes, or method='low-rank/table'")
         check_method(f"{self.method}/table" if self.nodes else self.method, self.coherence)
         check_tolerance(self.tolerance)
         if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
@@ -214,7 +219,8 @@ class Plan:
             parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
         if self.nodes:
             rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
-            parts.append(f"a polar table of {rays} integrates to {self.quadrature:.1e}")
+            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.footprint else ""
+            parts.append(f"a polar table of {rays}{pixels} integrates to {self.quadrature:.1e}")
         elif self.wavelengths:
             spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
             asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
@@ -370,6 +376,7 @@ def plan_for(
     coherence: Coherence,
     strict: bool,
     count: float,
+    footprint: bool = False,
     illuminants: tuple[str, ...] = ("D65",),
     wavelengths_nm: NDArray[np.float64] | None = None,
     device: wp.Device,
@@ -377,8 +384,8 @@ def plan_for(
 ) -> Plan:
     """The plan for all directions of a scope, searched for on a sample of them.
 
-    The directions are ``count`` in number; a table, which takes time to make, is for many. With ``wavelengths_nm``
-    there is no integral over λ, and only those wavelengths need be served.
+    The directions are ``count`` in number; a table, which takes time to make, is for many, and for footprints. With
+    ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
     """
     tolerance = check_tolerance(tolerance)
     method, _, integration = method.partition("/")
@@ -398,7 +405,9 @@ def plan_for(
         )
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
-    tabled = integration == "table" or (method == "auto" and wavelengths_nm is None and _pays(hf, found, count))
+    tabled = integration == "table" or footprint
+    if method == "auto" and wavelengths_nm is None and not tabled:
+        tabled = _pays(hf, found, count)
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
     # Bounds that were cut short, for a source at the horizon, are none.
     cut_short = ample.max_lateral < scope.max_lateral
@@ -406,7 +415,7 @@ def plan_for(
     if len(pilots) >= _FEWEST_PILOTS or ((cut_short or tabled) and len(pilots)):
         trial = search.Trial(found, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
     if trial is not None and trial.any_light:
-        best = search.tabled(found, trial) if tabled else None
+        best = search.tabled(found, trial, footprint=footprint) if tabled else None
         if best is None or (best.error > tolerance and integration != "table"):
             best = search.refined(found, trial, automatic=method == "auto")
         found = best
@@ -445,6 +454,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         adaptive=True,
         nodes=0,
         rays_per_width=0.0,
+        footprint=False,
         max_uv=scope.max_uv,
         max_lateral=scope.max_lateral,
         min_w=scope.min_w,

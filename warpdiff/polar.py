@@ -34,12 +34,20 @@ _ALONG = 1.25
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT = 0.02
 _FEWEST_RAYS = 16
+# Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
+_BLURRED_RAYS_PER_WIDTH = 1.3
+_WIDEST = 0.4
+# Look-ups blur by what remains between two levels: its variance is at most 1.3² spacings squared.
+_REMAINDERS, _MOST_REMAINDER = 24, 1.75
+# Deviations of the blur that its taps reach.
+_REACHED = 2.7
+_POSITIONS = 64
 # Entries of the basis from one node to the next; it is linear between them.
 _ENTRIES = 8
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
 _SMALLEST_KAPPA = 1e-3
 # Positions between two nodes that colour weights are made for.
-_FRACTIONS = 64
+_FRACTIONS = 32
 _SLICE = 32
 # What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, and for each neighbour.
 _A_SAMPLE, _A_NEIGHBOUR = 800.0, 20.0
@@ -62,14 +70,16 @@ class Layout:
     Attributes:
         nodes: Nodes an octave.
         log_low: ln t of the first node.
-        rays: Rays of each octave.
+        rays: Rays of each level and octave.
+        widths: What these are blurred by [rad].
         divisions: Samples from one node to the next, of each octave.
         highest: Largest frequency that is looked up [1/µm].
     """
 
     nodes: int
     log_low: float
-    rays: tuple[int, ...]
+    rays: tuple[tuple[int, ...], ...]
+    widths: tuple[tuple[float, ...], ...]
     divisions: tuple[int, ...]
     highest: float
 
@@ -83,21 +93,45 @@ class Layout:
         octaves = math.ceil((top - math.log(_FLAT * width)) / math.log(2.0))
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
-        rays = np.maximum(np.ceil(2.0 * math.pi * tops / width * plan.rays_per_width), _FEWEST_RAYS)
         divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), 1.0)
+        narrow = np.maximum(np.ceil(2.0 * math.pi * tops / width * plan.rays_per_width), _FEWEST_RAYS)
+        rays, widths = [narrow], [np.zeros(octaves)]
+        first = 2.0 * math.pi / narrow
+        levels = math.ceil(2.0 * math.log2(_WIDEST / float(first.min()))) + 1 if plan.footprint else 0
+        for level in range(levels):
+            # An octave that is blurred enough already goes on as it is.
+            blurred = np.minimum(first * 2.0 ** (level / 2.0), np.maximum(_WIDEST, first))
+            total = np.hypot(width / tops, blurred)
+            fewer = np.ceil(2.0 * math.pi / total * _BLURRED_RAYS_PER_WIDTH)
+            rays.append(np.clip(fewer, _FEWEST_RAYS, narrow))
+            widths.append(blurred)
         return cls(
-            plan.nodes, log_low, tuple(rays.astype(int).tolist()), tuple(divisions.astype(int).tolist()), highest
+            plan.nodes,
+            log_low,
+            tuple(tuple(each.astype(int).tolist()) for each in rays),
+            tuple(tuple(each.tolist()) for each in widths),
+            tuple(divisions.astype(int).tolist()),
+            highest,
         )
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """The row of each level's and octave's ray 0, and at the end the number of all rows."""
+        from warpdiff.kernels.polar import REACH
+
+        counts = (np.asarray(self.rays).ravel() + 2 * REACH) * self.nodes
+        first = np.append(np.full(len(counts), REACH * self.nodes), 0)
+        return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
 
     @property
     def rows(self) -> int:
         """Rows of the table."""
-        return sum(self.rays) * self.nodes
+        return int(self.firsts[-1])
 
     @property
     def samples(self) -> int:
         """Samples of the spectrum that fill it."""
-        return sum(ray * d * (self.nodes + 2) for ray, d in zip(self.rays, self.divisions, strict=True))
+        return sum(ray * d * (self.nodes + 2) for ray, d in zip(self.rays[0], self.divisions, strict=True))
 
 
 def blur(sigma_um: float) -> float:
@@ -148,10 +182,6 @@ def multiply_adds(plan: Plan) -> float:
 
 def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> tuple[Any, Any]:
     """The kernel that integrates, and the struct that it reads, for a plan and for what a call has beyond it."""
-    import warp as wp
-
-    from warpdiff.kernels import polar as kernels
-
     reached = tables.Reached.by(plan.scope.joined(scope))
     layout = Layout.of(plan, reached.frequency)
     key = (device.alias, plan.method, plan.coherence, plan.terms, plan.least_weight, reached, layout)
@@ -160,10 +190,31 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         held[key] = held.pop(key)
         return held[key]
 
+    held[key] = _made(hf, plan, scope, reached, layout, device=device, threads=threads)
+    while len(held) > tables.KEPT:
+        held.pop(next(iter(held)))
+    return held[key]
+
+
+def _made(
+    hf: HeightField,
+    plan: Plan,
+    scope: Scope,
+    reached: tables.Reached,
+    layout: Layout,
+    *,
+    device: wp.Device,
+    threads: int,
+) -> tuple[Any, Any]:
+    """A new table."""
+    import warp as wp
+
+    from warpdiff.kernels import polar as kernels
+
     base = tables.table_for(hf, plan, scope, device=device, threads=threads)
-    found = base.coefficients
+    found, powers = base.coefficients, plan.coherence.adds_powers
     terms = min(plan.terms, found.terms)
-    lanes, powers = tables.lanes_of(terms), plan.coherence.adds_powers
+    lanes = tables.lanes_of(terms)
     kappas = _kappas(reached)
     at_nodes = np.zeros(0) if powers else _chebyshev_kappas(hf, kappas)
     width = lanes if powers else tables.lanes_of(len(at_nodes))
@@ -174,7 +225,9 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     # The red end of the nearest directions takes the second node, and a spline there begins one before it.
     struct.least_uv = math.exp(layout.log_low + 2.0 / struct.per_log - _LOG_RED)
     struct.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
-    struct.firsts = wp.array(np.cumsum([0, *layout.rays]), dtype=wp.int32, device=device)
+    struct.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
+    struct.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
+
     struct.log_kappa = math.log(kappas[0])
     entries = math.ceil(math.log(kappas[1] / kappas[0]) * struct.per_log * _ENTRIES) + 2
     at = kappas[0] * np.exp(np.arange(entries) / (struct.per_log * _ENTRIES))
@@ -187,42 +240,113 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         bases[: len(at_nodes), :terms] = found.basis_at(at_nodes)[:, :terms]
     struct.basis = wp.array(basis, dtype=target.row, device=device)
     struct.rows = wp.empty(layout.rows, dtype=target.row, device=device)
-    resample = kernels.resampler(lanes, powers, width)
     at_kappas = wp.array(bases, dtype=base.arguments.rows.dtype, device=device)
-    filtered = wp.empty(layout.rows, dtype=target.row, device=device)
-    options = {"device": device, "threads": threads, "slice_size": _SLICE}
-    for octave, (rays, divisions) in enumerate(zip(layout.rays, layout.divisions, strict=True)):
-        inputs = [base.arguments, at_kappas, struct, octave, divisions, layout.highest]
-        launch(resample, rays, inputs, [struct.rows], **options)
-        launch(target.interpolate, rays, [struct, octave], [filtered], **options)
-    struct.rows = filtered
-    held[key] = target.integrate, struct
-    while len(held) > tables.KEPT:
-        held.pop(next(iter(held)))
-    return held[key]
+    _fill(struct, base.arguments, at_kappas, layout, kernels.resampler(lanes, powers, width), device, threads)
+    return target.integrate, struct
 
 
-def weights_for(_hf: HeightField, plan: Plan, illuminant: str, *, device: wp.Device) -> Any:
+def _fill(
+    struct: Any, coefficients: Any, at_kappas: Any, layout: Layout, resample: Any, device: wp.Device, threads: int
+) -> None:
+    """Sample the spectrum, and blur it level by level."""
+    import warp as wp
+
+    from warpdiff.kernels import polar as kernels
+
+    row = struct.rows.dtype
+    target = kernels.lookup(row._length_)
+    values = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=row, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    for octave, divisions in enumerate(layout.divisions):
+        for level, rays in enumerate(layout.rays):
+            if level == 0:
+                inputs = [coefficients, at_kappas, struct, octave, divisions, layout.highest]
+                launch(resample, rays[octave], inputs, [values], **options)
+            else:
+                launch(target.blur, rays[octave], [struct, level, octave], [values], **options)
+            repeated = rays[octave] + 2 * kernels.REACH
+            launch(target.interpolate, repeated, [values, struct, level, octave], [struct.rows], **options)
+
+
+def weights_for(plan: Plan, illuminant: str, *, device: wp.Device) -> Any:
     """The struct ``ColourWeights`` of the kernels, for a plan and an illuminant."""
     import warp as wp
 
     from warpdiff.kernels import polar as kernels
 
+    ratios = _ratios(plan.nodes) if plan.footprint else (0.0,)
+    sets = [colour_weights(plan.nodes, illuminant, ratio) for ratio in ratios]
+    margins = [(each.shape[1] - sets[0].shape[1]) // 2 for each in sets]
+    padded = np.zeros((len(sets), *sets[-1].shape), dtype=np.float32)
+    for index, (each, margin) in enumerate(zip(sets, margins, strict=True)):
+        begin = margins[-1] - margin
+        padded[index, :, begin : begin + each.shape[1]] = each
     result = kernels.ColourWeights()
-    result.weights = wp.array(colour_weights(plan.nodes, illuminant), dtype=wp.vec3f, device=device)
+    result.weights = wp.array(padded, dtype=wp.vec3f, device=device)
+    result.margins = wp.array(margins, dtype=wp.int32, device=device)
+    result.first = ratios[min(1, len(ratios) - 1)] ** 2
     return result
 
 
-@functools.lru_cache(maxsize=16)
-def colour_weights(nodes: int, illuminant: str) -> NDArray[np.float32]:
+def _ratios(nodes: int) -> tuple[float, ...]:
+    """Deviations in ln λ that colour weights are blurred by."""
+    first = math.log(2.0) / nodes
+    return (0.0, *(first * 2.0 ** (k / 2.0) for k in range(math.ceil(2.0 * math.log2(_WIDEST / first)) + 1)))
+
+
+def blending(device: wp.Device) -> Any:
+    """The struct ``Blending`` of the kernels."""
+    import warp as wp
+
+    from warpdiff.kernels import polar as kernels
+
+    result = kernels.Blending()
+    weights, reaches = _blends(kernels.REACH)
+    result.weights = wp.array(weights, dtype=wp.float32, device=device)
+    result.reaches = wp.array(reaches, dtype=wp.int32, device=device)
+    result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
+    result.parts = wp.array(kernels.parts_of_gaussian(kernels.MOST_PARTS), dtype=wp.float32, device=device)
+    return result
+
+
+@functools.cache
+def _blends(reach: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Weights of the rays around an angle, (variances, fractions, 2 reach + 1), and how far those reach that count."""
+    fine = np.arange(-512, 513) / 64.0
+    spline = _spline(fine)
+    offsets = np.arange(-reach, reach + 1)
+    weights = np.zeros((_REMAINDERS, _POSITIONS, 2 * reach + 1))
+    reaches = np.zeros(_REMAINDERS, dtype=np.int32)
+    for index in range(_REMAINDERS):
+        variance = index / (_REMAINDERS - 1) * _MOST_REMAINDER
+        blurred = spline
+        if variance > 0.0:
+            gaussian = np.exp(-0.5 * fine**2 / variance)
+            blurred = np.convolve(spline, gaussian / gaussian.sum(), mode="same")
+        reaches[index] = 1 if index == 0 else min(math.ceil(_REACHED * math.sqrt(variance + 0.25)), reach)
+        for position in range(_POSITIONS):
+            f = (position + 0.5) / _POSITIONS - 0.5
+            each = np.interp(offsets - f, fine, blurred) * (np.abs(offsets) <= reaches[index])
+            weights[index, position] = each / each.sum()
+    return weights, reaches
+
+
+@functools.lru_cache(maxsize=64)
+def colour_weights(nodes: int, illuminant: str, ratio: float = 0.0) -> NDArray[np.float32]:
     """Projections of colour curves on the splines of so many nodes an octave.
 
+    Args:
+        nodes: Nodes an octave.
+        illuminant: A name.
+        ratio: Standard deviation in ln λ by which the curves are blurred.
+
     Returns:
-        Shape (fractions, node_count(nodes), 3); times a table's rows they add up to XYZ. A fraction is where the red
-        end lies between the second node and its neighbours, from −½ to ½.
+        Shape (fractions, node_count(nodes) and twice a margin, 3); times a table's rows they add up to XYZ. A fraction
+        is where the red end lies between the second node behind the margin and its neighbours, from −½ to ½.
     """
     step = math.log(2.0) / nodes
-    count = node_count(nodes)
+    margin = math.ceil(2.5 * ratio / step)
+    count = node_count(nodes) + 2 * margin
     products = spectrum.colour_products(illuminant)
     lambdas = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64)
     # Nodes beyond the band see darkness there, and their splines' share of it.
@@ -230,9 +354,14 @@ def colour_weights(nodes: int, illuminant: str) -> NDArray[np.float32]:
     result = np.empty((_FRACTIONS, count, 3))
     for index in range(_FRACTIONS):
         fraction = (index + 0.5) / _FRACTIONS - 0.5
-        at = 1e3 * np.exp(-(_LOG_RED + (places - 1.0 - fraction) * step))
+        at = 1e3 * np.exp(-(_LOG_RED + (places - 1.0 - margin - fraction) * step))
         # dλ = λ d ln λ.
         curves = at[:, None] * np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
+        if ratio > 0.0:
+            away = np.arange(-margin * _PROJECTED, margin * _PROJECTED + 1) / _PROJECTED
+            gaussian = np.exp(-0.5 * (away * step / ratio) ** 2)
+            gaussian /= gaussian.sum()
+            curves = np.stack([np.convolve(c, gaussian, mode="same") for c in curves.T], axis=1)
         size = np.linalg.norm(curves, axis=1)
         weights = 1.0 / np.maximum(size, _DIM * size.max())[:, None]
         splines = _spline(places[:, None] - np.arange(count)) * weights

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
-from warpdiff.planning import Plan, plan_for, warn_outside
+from warpdiff.planning import Plan, check_method, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from warpdiff.surface import Surface
 
 _SEED = 0
+# Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
+FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
 
 
 def shade(
@@ -46,6 +50,7 @@ def shade(
     shadows: bool = True,
     smooth: bool = True,
     tangents: ArrayLike | None = None,
+    footprint: bool | None = None,
     samples_per_pixel: int = 1,
     plan: Plan | None = None,
     strict: bool = True,
@@ -74,6 +79,9 @@ def shade(
         smooth: Whether vertex normals are interpolated; otherwise facets are seen.
         tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
             the texture coordinates.
+        footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, to first order, rather than the
+            colour in its centre: no aliasing, no speckle of orders that fall between pixels. None is on for an averaged
+            window where a table keeps the tolerance, and off otherwise.
         samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
@@ -99,14 +107,23 @@ def shade(
     normal = optics.normal_reflectance(ior)
     pigment = checks.number(pigment, "pigment", least=0.0)
     samples = checks.count(samples_per_pixel, "samples_per_pixel")
+    if footprint is not None:
+        checks.flag(footprint, "footprint")
     if plan is not None:
         check_plan(plan, coherence, colour=True)
+        plan = plan if footprint is None else replace(plan, footprint=footprint)
     target = resolve_device(device)
     workers = resolve_threads(threads)
+    window = plan.coherence if plan is not None else coherence or Coherence()
+    tabled = method == "auto" or method.endswith("/table")
+    wanted = tabled and window.kind == "averaged" if footprint is None else footprint
+    if wanted and not tabled:
+        raise ValueError(f"footprint=True takes a table: use method='auto' or '{method}/table', got method={method!r}")
+    if wanted and plan is None:
+        check_method("low-rank/table" if method == "auto" else method, window)
     surface = prepare_surface(mesh, tangents=tangents)
 
     frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
-    window = plan.coherence if plan is not None else coherence or Coherence()
     area = hf.size_um[0] * hf.size_um[1]
     arguments = [
         frame.light_arguments(each, window, area, pigment=pigment / normal, shadows=shadows) for each in lights
@@ -130,12 +147,17 @@ def shade(
     else:
         pilots = Pilots.among(*(np.concatenate(part) for part in zip(*(each.arrays for each in seen), strict=True)))
         plan = plan_for(
-            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
+            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count, footprint=wanted,
             illuminants=tuple(dict.fromkeys(each.illuminant for each in lights)), device=target, threads=workers,
         )  # fmt: skip
 
     if plan.method != "direct":
         integrator = Integrator(hf, plan, scope, device=target, threads=workers)
+    footprints: list[Any] = [None] * len(lights)
+    if plan.footprint:
+        if samples > 1:
+            frame.cast_centres()
+        footprints = [frame.spread(argument) for argument in arguments]
     passes = samples * len(lights)
     for sample in range(samples):
         if samples > 1:
@@ -149,7 +171,7 @@ def shade(
                 deflections, to_lights, gains = frame.directions()
                 frame.add(direct_colour(hf, deflections, to_lights, gains, plan, each.illuminant, progress=share))
             else:
-                frame.integrate(integrator, each.illuminant, progress=share)
+                frame.integrate(integrator, each.illuminant, footprints[index], progress=share)
     return frame.image(plan)
 
 
@@ -225,10 +247,17 @@ class _Frame:
 
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""
+        self._cast(sample, self._samples)
+
+    def cast_centres(self) -> None:
+        """Send one ray through every pixel's centre."""
+        self._cast(0, 1)
+
+    def _cast(self, sample: int, samples: int) -> None:
         from warpdiff.kernels import raycast
 
         sampling = raycast.Sampling()
-        sampling.sample, sampling.samples, sampling.seed = sample, self._samples, _SEED
+        sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         found = self._pixels
         self._launch(
             raycast.cast,
@@ -267,9 +296,22 @@ class _Frame:
         """Add the last light's pixels to those that are lit."""
         self._lit |= self._gains.numpy() > 0.0
 
-    def integrate(self, integrator: Integrator, illuminant: str, **options: Any) -> None:
+    def spread(self, light: Any) -> wp.array:
+        """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
+        import warp as wp
+
+        from warpdiff.kernels import directions
+
+        result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
+        deviation = FILTER_DEVIATION / math.sqrt(self._samples)
+        inputs = [self._pixels, wp.vec3f(*light.to_light), self._view.width, deviation]
+        self._launch(directions.spread_pixels, inputs, [result])
+        return result
+
+    def integrate(self, integrator: Integrator, illuminant: str, footprints: wp.array | None, **options: Any) -> None:
         """Add the diffraction colours of the last deflections."""
-        integrator.add(self._deflections, self._to_lights, self._gains, illuminant, self._xyz, **options)
+        seen = (self._deflections, self._to_lights, self._gains)
+        integrator.add(*seen, illuminant, self._xyz, footprints=footprints, **options)
 
     def add(self, xyz: np.ndarray) -> None:
         """Add colours that were computed on the host."""

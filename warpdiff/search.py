@@ -100,10 +100,11 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     )
 
 
-def tabled(plan: Plan, trial: Trial) -> Plan | None:
+def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     """The smallest polar table that keeps the tolerance on the pilots, or the best of those within reach.
 
-    A table is made for each attempt and found again by the call that follows. None where all are too large.
+    A table is made for each attempt, with or without levels for footprints, and found again by the call that follows.
+    None where all are too large.
     """
     target = plan.tolerance / SAFETY
     plan, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
@@ -111,7 +112,7 @@ def tabled(plan: Plan, trial: Trial) -> Plan | None:
     best = None
     while rungs:
         nodes, rays_per_width = rungs.pop(0)
-        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
+        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width, footprint=footprint)
         if polar.megabytes(trial.hf, tried) > polar.MOST_MEGABYTES:
             break
         error = trial.error(trial.run(tried), trial.exact)
