@@ -102,11 +102,9 @@ class Frame:
         frame = render._Frame(surface, view, smooth=True, samples=1, device=self.device, threads=self.threads)
         normal, window = optics.normal_reflectance(1.5), wd.Coherence()
         area = hf.size_um[0] * hf.size_um[1]
-        frame.cast(0)
-        frame.deflect(
-            frame.light_arguments(picture_error.LIGHT, window, area, pigment=0.0, shadows=True),
-            frame.reflection(normal, window, masking=True),
-        )
+        light = frame.light_arguments(picture_error.LIGHT, window, area, pigment=0.0, shadows=True)
+        frame.light_up([light], frame.reflection(normal, window, masking=True))
+        frame.survey(hf, window)
         self.all = frame.directions()
         self._choose(pixels)
 

@@ -11,8 +11,8 @@ at all wavelengths: levels of the table are blurred in angle, with fewer rays, a
 """
 
 import functools
+import math
 import types
-from statistics import NormalDist
 from typing import Any
 
 import warp as wp
@@ -25,22 +25,11 @@ REACH = 4
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 _FILTER_REACH = 6
 # A footprint is split where its direction turns by so much, or where its parts differ in ln |(u, v)| by so much.
-_MOST_TURN, _MOST_DRIFT = wp.constant(wp.float32(0.15)), wp.constant(wp.float32(0.015))
-# Parts of a footprint, of equal weight along its angle.
+_MOST_TURN, _MOST_DRIFT = wp.constant(wp.float32(0.06)), wp.constant(wp.float32(0.005))
+# Parts of a footprint along its angle.
 MOST_PARTS = 12
 # Beyond these a footprint surrounds the mirror direction and is no range of angles.
 _WIDEST_ANGLE, _WIDEST_RATIO = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(0.35))
-
-
-def parts_of_gaussian(most: int) -> list[list[float]]:
-    """For 1 … ``most`` parts of equal weight of the normal distribution: the variance within them, and their means."""
-    normal = NormalDist()
-    result = [[1.0] + [0.0] * most]
-    for count in range(2, most + 1):
-        cuts = [normal.pdf(normal.inv_cdf(k / count)) if 0 < k < count else 0.0 for k in range(count + 1)]
-        means = [count * (cuts[k] - cuts[k + 1]) for k in range(count)]
-        result.append([1.0 - sum(m * m for m in means) / count, *means, *([0.0] * (most - count))])
-    return result
 
 
 @wp.struct
@@ -62,7 +51,50 @@ class Blending:
     weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 REACH + 1)
     reaches: wp.array(dtype=wp.int32)  # rays on either side that count
     per_variance: wp.float32  # entries per unit of the variance, in distances of rays squared
-    parts: wp.array2d(dtype=wp.float32)  # of ``parts_of_gaussian``
+    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
+
+
+# One octave's share of a colour: plain loops of a fixed length, which compilers make SIMD of; as Warp's vectors they
+# take half as long again. Terms are added up lane by lane, and the lanes once at the end.
+_NODE_SUM = """
+    const float* row = (const float*)rows.data + (long long)start * LANES;
+    const long long blend = (long long)step * taps.shape[1] + position;
+    const float* tap = taps.data + blend * taps.shape[2] + taps.shape[2] / 2 - reach;
+    const long long sets = (long long)weights.shape[1] * weights.shape[2];
+    const float* weight = (const float*)weights.data
+        + 3 * ((long long)chosen * sets + (long long)fraction * weights.shape[2] + first);
+    const float* beyond = weight + (share > 0.0f ? 3 * sets : 0);
+    float x[LANES], y[LANES], z[LANES];
+    for (int l = 0; l < LANES; ++l) x[l] = y[l] = z[l] = 0.0f;
+    for (int m = 0; m < count; ++m) {
+        float sum[LANES];
+        for (int l = 0; l < LANES; ++l) sum[l] = 0.0f;
+        const float* from = row;
+        for (int j = 0; j <= 2 * reach; ++j) {
+            for (int l = 0; l < LANES; ++l) sum[l] += tap[j] * from[l];
+            from += stride * LANES;
+        }
+        int here = entry < 0 ? 0 : entry;
+        here = here > last ? last : here;
+        const float* base = (const float*)basis.data + (long long)here * LANES;
+        const float wx = weight[0] + share * (beyond[0] - weight[0]);
+        const float wy = weight[1] + share * (beyond[1] - weight[1]);
+        const float wz = weight[2] + share * (beyond[2] - weight[2]);
+        for (int l = 0; l < LANES; ++l) {
+            const float power = sum[l] * (base[l] + between * (base[l + LANES] - base[l]));
+            x[l] += wx * power;
+            y[l] += wy * power;
+            z[l] += wz * power;
+        }
+        row += LANES;
+        weight += 3;
+        beyond += 3;
+        entry += entries;
+    }
+    float total_x = 0.0f, total_y = 0.0f, total_z = 0.0f;
+    for (int l = 0; l < LANES; ++l) { total_x += x[l]; total_y += y[l]; total_z += z[l]; }
+    return wp::vec_t<3, float>(total_x, total_y, total_z);
+"""
 
 
 @functools.cache
@@ -83,11 +115,11 @@ def lookup(lanes: int) -> types.SimpleNamespace:
         rays: wp.array2d(dtype=wp.int32)  # (levels, octaves), their number
         widths: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
         nodes: wp.int32  # nodes an octave
-        per_log: wp.float64  # nodes per unit of ln t
+        per_log: wp.float32  # nodes per unit of ln t
         log_low: wp.float64  # ln t of the first node
-        log_red: wp.float64  # ln(1/λ) of the red end
-        least_uv: wp.float64  # below this |(u, v)| the spectrum is flat
-        log_kappa: wp.float64  # ln |κ| of the basis' first entry
+        first_red: wp.float32  # the node of the red end where |(u, v)| is 1
+        least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
+        first_entry: wp.float32  # the basis' entry at the first node where w is |(u, v)|
         entries: wp.int32  # entries of the basis from one node to the next
 
     @wp.func
@@ -157,25 +189,48 @@ def lookup(lanes: int) -> types.SimpleNamespace:
         for k in range(polar.nodes):
             values_out[ray * polar.nodes + k] = (1.0 / total_weight) * values_out[ray * polar.nodes + k]
 
+    @wp.func_native(_NODE_SUM.replace("LANES", str(lanes)))
+    def node_sum(
+        rows: wp.array(dtype=row_t),
+        basis: wp.array(dtype=row_t),
+        taps: wp.array3d(dtype=wp.float32),
+        weights: wp.array3d(dtype=wp.vec3f),
+        start: wp.int32,
+        stride: wp.int32,
+        step: wp.int32,
+        position: wp.int32,
+        reach: wp.int32,
+        chosen: wp.int32,
+        share: wp.float32,
+        fraction: wp.int32,
+        first: wp.int32,
+        count: wp.int32,
+        entry: wp.int32,
+        entries: wp.int32,
+        last: wp.int32,
+        between: wp.float32,
+    ) -> wp.vec3f: ...
+
     @wp.func
     def colour_at(
         polar: Polar,
         colours: ColourWeights,
         blending: Blending,
-        u: wp.float64,
-        v: wp.float64,
-        log_w: wp.float64,
+        u: wp.float32,
+        v: wp.float32,
+        log_w: wp.float32,
         angle2: wp.float32,
         ratio2: wp.float32,
     ) -> wp.vec3f:
         """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|."""
         log_uv = wp.log(wp.max(wp.sqrt(u * u + v * v), polar.least_uv))
-        turns = wp.float32(wp.atan2(v, u)) * wp.float32(0.5 / wp.PI)
+        # The mean of ln |(u, v)|, to second order: what lies aside is further away.
+        log_uv = log_uv + 0.5 * (angle2 - ratio2)
+        turns = wp.atan2(v, u) * wp.float32(0.5 / wp.PI)
         if turns < 0.0:
             turns = turns + 1.0
         # Which sets of colour weights, and how much of the second.
         chosen = wp.int32(0)
-        other = wp.int32(0)
         share = wp.float32(0.0)
         margin = wp.int32(0)
         if ratio2 > 0.0:
@@ -184,14 +239,13 @@ def lookup(lanes: int) -> types.SimpleNamespace:
                 chosen = wp.min(wp.int32(wp.log2(share)) + 1, colours.weights.shape[0] - 2)
                 below = wp.pow(2.0, wp.float32(chosen - 1))
                 share = wp.min((share - below) / below, 1.0)
-            other = chosen + 1
-            margin = colours.margins[other]
+            margin = colours.margins[chosen + 1]
         widest = colours.margins[colours.margins.shape[0] - 1]
 
-        place = (log_uv + polar.log_red - polar.log_low) * polar.per_log
+        place = log_uv * polar.per_log + polar.first_red
         nearest = wp.int32(wp.rint(place))
         fractions = colours.weights.shape[1]
-        fraction = wp.int32((wp.float32(place - wp.float64(nearest)) + 0.5) * wp.float32(fractions))
+        fraction = wp.int32((place - wp.float32(nearest) + 0.5) * wp.float32(fractions))
         fraction = wp.clamp(fraction, 0, fractions - 1)
         octaves = polar.rays.shape[1]
         # The second of set 0 is the nearest to the red end; there are none outside the table.
@@ -199,11 +253,10 @@ def lookup(lanes: int) -> types.SimpleNamespace:
         node = nearest - 1 - widest + k
         end_of_all = wp.min(colours.weights.shape[2] - widest + margin, octaves * polar.nodes - nearest + 1 + widest)
         # Nodes and the basis' entries are at equal ratios: the distance to an entry is the same at all of them.
-        log_kappa = log_w - log_uv + polar.log_low - polar.log_kappa
-        entry = (log_kappa * polar.per_log + wp.float64(node)) * wp.float64(polar.entries)
+        entry = ((log_w - log_uv) * polar.per_log + wp.float32(node)) * wp.float32(polar.entries) + polar.first_entry
         floor_of_entry = wp.floor(entry)
         at = wp.int32(floor_of_entry)
-        t = wp.float32(entry - floor_of_entry)
+        t = entry - floor_of_entry
         last = polar.basis.shape[0] - 2
         colour = wp.vec3f()
         octave = node // polar.nodes
@@ -227,19 +280,27 @@ def lookup(lanes: int) -> types.SimpleNamespace:
             offset = node - octave * polar.nodes
             start = polar.firsts[level, octave] + (ray - reach) * polar.nodes + offset
             end = wp.min(end_of_all - k, polar.nodes - offset)
-            for m in range(end):
-                row = row_t()
-                index = start + m
-                for j in range(wp.static(REACH) - reach, wp.static(REACH) + reach + 1):
-                    row += blending.weights[step, f, j] * polar.rows[index]
-                    index = index + polar.nodes
-                here = wp.clamp(at, 0, last)
-                power = wp.dot(row, (1.0 - t) * polar.basis[here] + t * polar.basis[here + 1])
-                weight = colours.weights[chosen, fraction, k + m]
-                if ratio2 > 0.0:
-                    weight = weight + share * (colours.weights[other, fraction, k + m] - weight)
-                colour += wp.max(power, 0.0) * weight
-                at = at + polar.entries
+            colour += node_sum(
+                polar.rows,
+                polar.basis,
+                blending.weights,
+                colours.weights,
+                start,
+                polar.nodes,
+                step,
+                f,
+                reach,
+                chosen,
+                share,
+                fraction,
+                k,
+                end,
+                at,
+                polar.entries,
+                last,
+                t,
+            )
+            at = at + end * polar.entries
             k = k + end
             node = node + end
             octave = octave + 1
@@ -263,9 +324,10 @@ def lookup(lanes: int) -> types.SimpleNamespace:
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
-            u = deflections[i][0]
-            v = deflections[i][1]
-            log_w = wp.log(-deflections[i][2])
+            deflection = deflections[i]
+            u = wp.float32(deflection[0])
+            v = wp.float32(deflection[1])
+            log_w = wp.log(wp.float32(-deflection[2]))
             colour = wp.vec3f()
             count = wp.int32(1)
             angle2 = wp.float32(0.0)
@@ -273,9 +335,9 @@ def lookup(lanes: int) -> types.SimpleNamespace:
             along = wp.vec2f()
             if footprints.shape[0] > 0:
                 # Covariance along (u, v) and across, relative to |(u, v)|.
-                uv2 = wp.float32(wp.max(u * u + v * v, polar.least_uv * polar.least_uv))
-                x = wp.float32(u) / uv2
-                y = wp.float32(v) / uv2
+                uv2 = wp.max(u * u + v * v, polar.least_uv * polar.least_uv)
+                x = u / uv2
+                y = v / uv2
                 f = footprints[i]
                 radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
                 tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
@@ -290,24 +352,25 @@ def lookup(lanes: int) -> types.SimpleNamespace:
                     along = scale * wp.vec2f(
                         f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
                     )
-                    within = blending.parts[count - 1, 0]
+                    within = blending.parts[count - 1, 0, 0]
                     ratio2 = ratio2 - (1.0 - within) * drift * drift
                     angle2 = within * angle2
             for k in range(count):
-                away = blending.parts[count - 1, 1 + k]
-                at_u = u + wp.float64(away * along[0])
-                at_v = v + wp.float64(away * along[1])
+                away = blending.parts[count - 1, 1, k]
+                at_u = u + away * along[0]
+                at_v = v + away * along[1]
                 part_angle2 = angle2
                 part_ratio2 = ratio2
                 if count > 1:
                     # Relative to the part's own |(u, v)|.
-                    change = wp.float32((u * u + v * v) / wp.max(at_u * at_u + at_v * at_v, polar.least_uv))
+                    change = (u * u + v * v) / wp.max(at_u * at_u + at_v * at_v, polar.least_uv * polar.least_uv)
                     part_angle2 = angle2 * change
                     part_ratio2 = ratio2 * change
                 part_angle2 = wp.min(part_angle2, _WIDEST_ANGLE * _WIDEST_ANGLE)
                 part_ratio2 = wp.min(part_ratio2, _WIDEST_RATIO * _WIDEST_RATIO)
-                colour += colour_at(polar, colours, blending, at_u, at_v, log_w, part_angle2, part_ratio2)
-            xyz_out[i] = xyz_out[i] + (gain / wp.float32(count)) * colour
+                part = colour_at(polar, colours, blending, at_u, at_v, log_w, part_angle2, part_ratio2)
+                colour += blending.parts[count - 1, 2, k] * part
+            xyz_out[i] = xyz_out[i] + gain * colour
 
     return types.SimpleNamespace(row=row_t, Polar=Polar, interpolate=interpolate, blur=blur, integrate=integrate)
 
@@ -395,7 +458,7 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         cosine = wp.cos(angle) * table.length_x
         sine = wp.sin(angle) * table.length_y
         share = wp.float32(1.0) / wp.float32(divisions)
-        scale = share / wp.float32(polar.per_log)
+        scale = share / polar.per_log
         begin = ray * polar.nodes
         for k in range(polar.nodes):
             values_out[begin + k] = out_t()
@@ -404,7 +467,7 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             node = k // divisions - 1
             f = (wp.float32(k - (node + 1) * divisions) + 0.5) * share - 0.5
             place = wp.float64(octave * polar.nodes + node) + wp.float64(f)
-            t = wp.exp(polar.log_low + place / polar.per_log)
+            t = wp.exp(polar.log_low + place / wp.float64(polar.nodes) * wp.float64(wp.static(math.log(2.0))))
             if t <= highest:
                 value = scale * power_row(table, t * sine, t * cosine, bases)
                 if node > 0:

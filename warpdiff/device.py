@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
     import warp as wp
 
-# Small enough that threads finish together and progress is smooth, large enough that a launch costs nothing.
-_SLICE = 2048
+# Enough slices that threads finish together and progress is smooth, and no smaller than what a launch costs.
+_SLICES_A_THREAD = 12
+_LEAST_SLICE, _MOST_SLICE = 512, 32_768
 
 
 def resolve_device(device: Any) -> wp.Device:
@@ -46,7 +47,7 @@ def launch(
     *,
     device: wp.Device,
     threads: int,
-    slice_size: int = _SLICE,
+    slice_size: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Launch a kernel whose last input is ``first``, the index of its first thread.
@@ -64,6 +65,8 @@ def launch(
         if progress is not None:
             progress(1.0)
         return
+    if slice_size is None:
+        slice_size = min(max(size // (_SLICES_A_THREAD * threads), _LEAST_SLICE), _MOST_SLICE)
     # Compiling is not safe to race for.
     kernel.module.load(device)
     firsts = range(0, size, slice_size)

@@ -42,6 +42,8 @@ _REMAINDERS, _MOST_REMAINDER = 24, 1.75
 # Deviations of the blur that its taps reach.
 _REACHED = 2.7
 _POSITIONS = 64
+# Variance within one of several parts of a footprint, times their number.
+_WITHIN = 1.2
 # Entries of the basis from one node to the next; it is linear between them.
 _ENTRIES = 8
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
@@ -221,16 +223,17 @@ def _made(
     target = kernels.lookup(width)
     struct = target.Polar()
     struct.nodes, struct.log_low, struct.entries = layout.nodes, layout.log_low, _ENTRIES
-    struct.per_log, struct.log_red = layout.nodes / math.log(2.0), _LOG_RED
+    struct.per_log = per_log = layout.nodes / math.log(2.0)
+    struct.first_red = (_LOG_RED - layout.log_low) * per_log
     # The red end of the nearest directions takes the second node, and a spline there begins one before it.
-    struct.least_uv = math.exp(layout.log_low + 2.0 / struct.per_log - _LOG_RED)
+    struct.least_uv = math.exp(layout.log_low + 2.0 / per_log - _LOG_RED)
     struct.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
     struct.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
     struct.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
 
-    struct.log_kappa = math.log(kappas[0])
-    entries = math.ceil(math.log(kappas[1] / kappas[0]) * struct.per_log * _ENTRIES) + 2
-    at = kappas[0] * np.exp(np.arange(entries) / (struct.per_log * _ENTRIES))
+    struct.first_entry = (layout.log_low - math.log(kappas[0])) * per_log * _ENTRIES
+    entries = math.ceil(math.log(kappas[1] / kappas[0]) * per_log * _ENTRIES) + 2
+    at = kappas[0] * np.exp(np.arange(entries) / (per_log * _ENTRIES))
     basis = np.zeros((entries, width), dtype=np.float32)
     bases = np.zeros((width, lanes), dtype=np.float32)
     if powers:
@@ -305,7 +308,23 @@ def blending(device: wp.Device) -> Any:
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
     result.reaches = wp.array(reaches, dtype=wp.int32, device=device)
     result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
-    result.parts = wp.array(kernels.parts_of_gaussian(kernels.MOST_PARTS), dtype=wp.float32, device=device)
+    result.parts = wp.array(_parts(kernels.MOST_PARTS), dtype=wp.float32, device=device)
+    return result
+
+
+@functools.cache
+def _parts(most: int) -> NDArray[np.float64]:
+    """The normal distribution as 1 … ``most`` narrower ones: their variance, places and weights, (most, 3, most).
+
+    Places and weights are those of Gauss and Hermite, so that moments up to 2 count − 1 are kept.
+    """
+    result = np.zeros((most, 3, most))
+    for count in range(1, most + 1):
+        within = min(1.0, _WITHIN / count)
+        places, weights = np.polynomial.hermite_e.hermegauss(count)
+        result[count - 1, 0] = within
+        result[count - 1, 1, :count] = math.sqrt(1.0 - within) * places
+        result[count - 1, 2, :count] = weights / weights.sum()
     return result
 
 

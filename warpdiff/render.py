@@ -22,7 +22,7 @@ from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     import warp as wp
     from numpy.typing import ArrayLike
@@ -107,72 +107,52 @@ def shade(
     normal = optics.normal_reflectance(ior)
     pigment = checks.number(pigment, "pigment", least=0.0)
     samples = checks.count(samples_per_pixel, "samples_per_pixel")
-    if footprint is not None:
-        checks.flag(footprint, "footprint")
     if plan is not None:
         check_plan(plan, coherence, colour=True)
-        plan = plan if footprint is None else replace(plan, footprint=footprint)
-    target = resolve_device(device)
-    workers = resolve_threads(threads)
     window = plan.coherence if plan is not None else coherence or Coherence()
-    tabled = method == "auto" or method.endswith("/table")
-    wanted = tabled and window.kind == "averaged" if footprint is None else footprint
-    if wanted and not tabled:
-        raise ValueError(f"footprint=True takes a table: use method='auto' or '{method}/table', got method={method!r}")
-    if wanted and plan is None:
-        check_method("low-rank/table" if method == "auto" else method, window)
+    blurred = _takes_footprints(footprint, method, window, plan)
+    if plan is not None:
+        plan = replace(plan, footprint=blurred)
+    target, workers = resolve_device(device), resolve_threads(threads)
     surface = prepare_surface(mesh, tangents=tangents)
 
     frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
     area = hf.size_um[0] * hf.size_um[1]
-    arguments = [
-        frame.light_arguments(each, window, area, pigment=pigment / normal, shadows=shadows) for each in lights
-    ]
-    reflection = frame.reflection(normal, window, masking=masking)
-    # A first pass over the rays, which cost a hundredth of the colours, finds the directions to plan for.
-    scope, count = Scope(0.0, 0.0, 0.0, 0.0), 0
-    seen = []
-    for sample in range(samples):
-        frame.cast(sample)
-        for argument in arguments:
-            frame.deflect(argument, reflection)
-            deflections, to_lights, gains = frame.directions()
-            scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
-            count += int(np.count_nonzero(gains > 0.0))
-            if sample == 0:
-                seen.append(Pilots.among(deflections, to_lights, gains))
-    frame.clear()
+    frame.light_up(
+        [frame.light_arguments(each, window, area, pigment=pigment / normal, shadows=shadows) for each in lights],
+        frame.reflection(normal, window, masking=masking),
+    )
+    scope, count, pilots = frame.survey(hf, window)
+    names = [each.illuminant for each in lights]
     if plan is not None:
         warn_outside(plan, hf, scope)
     else:
-        pilots = Pilots.among(*(np.concatenate(part) for part in zip(*(each.arrays for each in seen), strict=True)))
         plan = plan_for(
-            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count, footprint=wanted,
-            illuminants=tuple(dict.fromkeys(each.illuminant for each in lights)), device=target, threads=workers,
+            hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
+            footprint=blurred, illuminants=tuple(dict.fromkeys(names)), device=target, threads=workers,
         )  # fmt: skip
-
-    if plan.method != "direct":
+    if plan.method == "direct":
+        frame.sum_directly(hf, plan, names, progress=progress)
+    else:
         integrator = Integrator(hf, plan, scope, device=target, threads=workers)
-    footprints: list[Any] = [None] * len(lights)
-    if plan.footprint:
-        if samples > 1:
-            frame.cast_centres()
-        footprints = [frame.spread(argument) for argument in arguments]
-    passes = samples * len(lights)
-    for sample in range(samples):
-        if samples > 1:
-            frame.cast(sample)
-        frame.count_hits()
-        for index, (each, argument) in enumerate(zip(lights, arguments, strict=True)):
-            frame.deflect(argument, reflection)
-            frame.count_lit()
-            share = _share(progress, sample * len(lights) + index, passes)
-            if plan.method == "direct":
-                deflections, to_lights, gains = frame.directions()
-                frame.add(direct_colour(hf, deflections, to_lights, gains, plan, each.illuminant, progress=share))
-            else:
-                frame.integrate(integrator, each.illuminant, footprints[index], progress=share)
+        frame.integrate(integrator, names, footprint=plan.footprint, progress=progress)
     return frame.image(plan)
+
+
+def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
+    """Whether pixels show means over what they see."""
+    if footprint is not None:
+        checks.flag(footprint, "footprint")
+    if plan is not None:
+        return plan.footprint if footprint is None else footprint
+    tabled = method == "auto" or method.endswith("/table")
+    if footprint is None:
+        return tabled and window.kind == "averaged"
+    if footprint and not tabled:
+        raise ValueError(f"footprint=True takes a table: use method='auto' or '{method}/table', got method={method!r}")
+    if footprint:
+        check_method("low-rank/table" if method == "auto" else method, window)
+    return footprint
 
 
 class _Frame:
@@ -210,6 +190,73 @@ class _Frame:
         self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
         self._hits = np.zeros(size, dtype=np.int64)
         self._lit = np.zeros(size, dtype=np.bool_)
+        self._lights: list[Any] = []
+        self._reflection: Any = None
+
+    def light_up(self, lights: list[Any], reflection: Any) -> None:
+        """Set the lights, structs of :meth:`light_arguments`, and the reflectance."""
+        self._lights, self._reflection = lights, reflection
+
+    def survey(self, hf: HeightField, window: Coherence) -> tuple[Scope, int, Pilots]:
+        """The range of all lit directions, their number, and some of them.
+
+        That is a first pass over the rays, which cost a hundredth of the colours.
+        """
+        scope, count = Scope(0.0, 0.0, 0.0, 0.0), 0
+        seen = []
+        for sample in range(self._samples):
+            self.cast(sample)
+            for light in self._lights:
+                self.deflect(light)
+                deflections, to_lights, gains = self.directions()
+                lit = gains > 0.0
+                scope = scope.joined(Scope.of(hf, window, deflections, to_lights, lit))
+                count += int(np.count_nonzero(lit))
+                if sample == 0:
+                    seen.append(Pilots.among(deflections, to_lights, gains).arrays)
+        return scope, count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
+
+    def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
+        """Cast and deflect sample after sample, light after light: a light's index, and the pass' share of progress."""
+        passes = self._samples * len(self._lights)
+        if passes > 1:
+            self._xyz.zero_()
+        for sample in range(self._samples):
+            if self._samples > 1:
+                self.cast(sample)
+            self._hits += self._pixels.hit.numpy()
+            for index, light in enumerate(self._lights):
+                # The survey has left behind what a single pass needs.
+                if passes > 1:
+                    self.deflect(light)
+                self._lit |= self._gains.numpy() > 0.0
+                yield index, _share(progress, sample * len(self._lights) + index, passes)
+
+    def integrate(
+        self,
+        integrator: Integrator,
+        illuminants: list[str],
+        *,
+        footprint: bool,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        """Add the diffraction colours of all samples and lights."""
+        spreads: list[Any] = [None] * len(self._lights)
+        if footprint:
+            if self._samples > 1:
+                self._cast(0, 1)
+            spreads = [self.spread(light) for light in self._lights]
+        for index, share in self._passes(progress):
+            seen = (self._deflections, self._to_lights, self._gains)
+            integrator.add(*seen, illuminants[index], self._xyz, footprints=spreads[index], progress=share)
+
+    def sum_directly(
+        self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
+    ) -> None:
+        """The same by the direct sum."""
+        for index, share in self._passes(progress):
+            added = direct_colour(hf, *self.directions(), plan, illuminants[index], progress=share)
+            self._xyz.assign((self._xyz.numpy() + added).astype(np.float32))
 
     def light_arguments(
         self, light: DirectionalLight, window: Coherence, area_um2: float, *, pigment: float, shadows: bool
@@ -249,10 +296,6 @@ class _Frame:
         """Send one ray through every pixel."""
         self._cast(sample, self._samples)
 
-    def cast_centres(self) -> None:
-        """Send one ray through every pixel's centre."""
-        self._cast(0, 1)
-
     def _cast(self, sample: int, samples: int) -> None:
         from warpdiff.kernels import raycast
 
@@ -274,27 +317,19 @@ class _Frame:
             ],
         )
 
-    def count_hits(self) -> None:
-        """Add the last rays' hits to the coverage."""
-        self._hits += self._pixels.hit.numpy()
-
-    def deflect(self, light: Any, reflection: Any) -> None:
+    def deflect(self, light: Any) -> None:
         """Compute the deflections and gains under one light, and add its pigment."""
         from warpdiff.kernels import directions
 
         self._launch(
             directions.deflect_pixels,
-            [self._pixels, light, reflection, 1.0 / self._samples],
+            [self._pixels, light, self._reflection, 1.0 / self._samples],
             [self._deflections, self._to_lights, self._gains, self._xyz],
         )
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
         return self._deflections.numpy(), self._to_lights.numpy().astype(np.float64), self._gains.numpy()
-
-    def count_lit(self) -> None:
-        """Add the last light's pixels to those that are lit."""
-        self._lit |= self._gains.numpy() > 0.0
 
     def spread(self, light: Any) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
@@ -307,19 +342,6 @@ class _Frame:
         inputs = [self._pixels, wp.vec3f(*light.to_light), self._view.width, deviation]
         self._launch(directions.spread_pixels, inputs, [result])
         return result
-
-    def integrate(self, integrator: Integrator, illuminant: str, footprints: wp.array | None, **options: Any) -> None:
-        """Add the diffraction colours of the last deflections."""
-        seen = (self._deflections, self._to_lights, self._gains)
-        integrator.add(*seen, illuminant, self._xyz, footprints=footprints, **options)
-
-    def add(self, xyz: np.ndarray) -> None:
-        """Add colours that were computed on the host."""
-        self._xyz.assign((self._xyz.numpy() + xyz).astype(np.float32))
-
-    def clear(self) -> None:
-        """Forget the colours so far."""
-        self._xyz.zero_()
 
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
