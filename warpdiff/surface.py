@@ -188,7 +188,7 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     normals = np.array(mesh.vertex_normals, dtype=np.float64)
     if normals.shape != vertices.shape:
         return None
-    computed = _unit(_angle_weighted(vertices, faces, np.arange(len(vertices)))[0])
+    computed = _unit(_angle_weighted(vertices, faces, _corner_angles(vertices, faces), np.arange(len(vertices)))[0])
     normals = _unit(np.where(np.isfinite(normals), normals, 0.0))
     return None if np.allclose(normals, computed, atol=1e-6) else normals
 
@@ -310,7 +310,8 @@ def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
     """Drop what has no area, then normals, tangents and the arrays for the device."""
     given = _check_tangents(part, tangents)
     faces = part.faces
-    low, high = part.vertices[faces].min(axis=(0, 1)), part.vertices[faces].max(axis=(0, 1))
+    corners = part.vertices[np.unique(faces)].T
+    low, high = corners.min(axis=1), corners.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
     # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
@@ -320,8 +321,8 @@ def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
     # float32 first: what has no area in the kernels shall have none here.
     vertices = ((part.vertices - centre) / radius).astype(np.float32).astype(np.float64)
     edges = np.roll(vertices[faces], -1, axis=1) - vertices[faces]
-    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    keep = twice_area > ZERO_AREA * np.max(np.sum(edges**2, axis=2), axis=1)
+    twice_area = _length(np.cross(edges[:, 0], edges[:, 1]))
+    keep = twice_area > ZERO_AREA * _length(edges).max(axis=1) ** 2
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ValueError(f"mesh must have a face with an area, got {dropped} without")
@@ -343,14 +344,15 @@ def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
     uvs = None if part.uvs is None else part.uvs[index]
 
     weld = _weld(vertices)
-    normals = _normals(vertices, faces, weld, None if part.normals is None else part.normals[index])
+    angles = _corner_angles(vertices, faces)
+    normals = _normals(vertices, faces, angles, weld, None if part.normals is None else part.normals[index])
     if given is not None:
         scale = np.max(np.abs(given), initial=0.0)
         field = _unit(_tangential(given[part.source[index]] / (scale if scale > 0.0 else 1.0), normals))
         field = _fill(field, normals, faces, weld, "tangents")
     else:
         assert uvs is not None  # noqa: S101 - told to mypy; refused above
-        field = _tangents_from_uvs(vertices, faces, uvs, normals)
+        field = _tangents_from_uvs(vertices, faces, angles, uvs, normals)
         field = _join_seams(field, weld, handedness)
         field = _fill(_unit(_tangential(field, normals)), normals, faces, weld, "mesh's texture coordinates")
 
@@ -392,15 +394,25 @@ def _check_tangents(part: _Part, tangents: ArrayLike | None) -> NDArray[np.float
     return None
 
 
+def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scalar products along the last axis."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths along the last axis."""
+    return np.asarray(np.sqrt(_dot(vectors, vectors)))
+
+
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors at unit length; those that are zero but for rounding become zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = _length(vectors)[..., None]
     return np.asarray(np.where(length > 1e-9, vectors / np.where(length > 1e-9, length, 1.0), 0.0))
 
 
 def _tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
     """The part of each vector at right angles to the unit normal."""
-    return np.asarray(vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals)
+    return np.asarray(vectors - _dot(vectors, normals)[:, None] * normals)
 
 
 def _sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -421,41 +433,42 @@ def _corner_angles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     corners = vertices[faces]
     ahead = np.roll(corners, -1, axis=1) - corners
     behind = np.roll(corners, 1, axis=1) - corners
-    across = np.linalg.norm(np.cross(ahead, behind), axis=2)
-    return np.asarray(np.arctan2(across, np.sum(ahead * behind, axis=2)))
+    return np.asarray(np.arctan2(_length(np.cross(ahead, behind)), _dot(ahead, behind)))
 
 
 def _angle_weighted(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], group: NDArray[np.int64]
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], angles: NDArray[np.float64], group: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Angle-weighted sums of face normals over groups of vertices, (n, 3), and of the weights, (n,)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    length = _length(cross)[:, None]
     face_normals = np.where(length > 0.0, cross / np.where(length > 0.0, length, 1.0), 0.0)
-    angles = _corner_angles(vertices, faces).ravel()
     corner_group = group[faces.ravel()]
     count = int(group.max()) + 1
-    total = _sum_at(corner_group, angles[:, None] * np.repeat(face_normals, 3, axis=0), count)
-    return total[group], np.asarray(np.bincount(corner_group, angles, count)[group], dtype=np.float64)
+    total = _sum_at(corner_group, (angles[:, :, None] * face_normals[:, None]).reshape(-1, 3), count)
+    return total[group], np.asarray(np.bincount(corner_group, angles.ravel(), count)[group], dtype=np.float64)
 
 
 def _normals(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int64],
+    angles: NDArray[np.float64],
     weld: NDArray[np.int64],
     own: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
     """Unit vertex normals, shape (n, 3): given ones, on the side that the winding faces, else computed ones."""
-    total, weight = _angle_weighted(vertices, faces, weld)
-    # Two faces back to back cancel out at a welded vertex but not at their own vertices.
-    apart, _ = _angle_weighted(vertices, faces, np.arange(len(vertices)))
-    cancelled = np.linalg.norm(total, axis=1) <= 1e-6 * weight
-    computed = _unit(np.where(cancelled[:, None], apart, total))
+    total, weight = _angle_weighted(vertices, faces, angles, weld)
+    cancelled = _length(total) <= 1e-6 * weight
+    if cancelled.any():
+        # Two faces back to back cancel out at a welded vertex but not at their own vertices.
+        apart, _ = _angle_weighted(vertices, faces, angles, np.arange(len(vertices)))
+        total = np.where(cancelled[:, None], apart, total)
+    computed = _unit(total)
     if own is None:
         return computed
     own = _unit(np.nan_to_num(own))
-    own = np.where(np.sum(own * computed, axis=1, keepdims=True) < 0.0, -own, own)
+    own = np.where(_dot(own, computed)[:, None] < 0.0, -own, own)
     return np.where(np.any(own != 0.0, axis=1, keepdims=True), own, computed)
 
 
@@ -466,7 +479,7 @@ def _uv_edges(
     one = uvs[faces[:, 1]] - uvs[faces[:, 0]]
     two = uvs[faces[:, 2]] - uvs[faces[:, 0]]
     determinant = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    longest = np.maximum(np.sum(one**2, axis=1), np.sum(two**2, axis=1))
+    longest = np.maximum(_dot(one, one), _dot(two, two))
     return one, two, np.where(np.abs(determinant) > ZERO_AREA * longest, determinant, 0.0)
 
 
@@ -480,6 +493,7 @@ def _mirrored(uvs: NDArray[np.float64], faces: NDArray[np.int64], count: int) ->
 def _tangents_from_uvs(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int64],
+    angles: NDArray[np.float64],
     uvs: NDArray[np.float64],
     normals: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -490,11 +504,10 @@ def _tangents_from_uvs(
     # Only the direction counts; scaling by the largest component keeps the texture's scale out of _unit's bound.
     size = np.max(np.abs(along_u), axis=1, keepdims=True)
     along_u = along_u / np.where(size > 0.0, size, 1.0) * np.sign(determinant)[:, None]
-    angles = _corner_angles(vertices, faces).ravel()
     corner = faces.ravel()
     # Turned into each vertex's tangent plane before the mean, so that curvature does not shorten a face's share.
     turned = _unit(_tangential(np.repeat(_unit(along_u), 3, axis=0), normals[corner]))
-    return _sum_at(corner, angles[:, None] * turned, len(vertices))
+    return _sum_at(corner, angles.reshape(-1, 1) * turned, len(vertices))
 
 
 def _join_seams(
@@ -511,7 +524,7 @@ def _join_seams(
     step = 1
     while len(start):
         a, b = order[start], order[start + step]
-        agree = np.sum(unit[a] * unit[b], axis=1) > SEAM_COSINE
+        agree = _dot(unit[a], unit[b]) > SEAM_COSINE
         # Within one step each vertex appears once on either side.
         result[a[agree]] += field[b[agree]]
         result[b[agree]] += field[a[agree]]
@@ -581,9 +594,9 @@ def _is_convex(vertices: NDArray[np.float64], faces: NDArray[np.int64], weld: ND
     # The face beyond each edge must not rise above the plane of the one on this side.
     face = np.tile(np.arange(len(faces)), 3)
     rise = vertices[opposite[reverse]] - a[face[order]]
-    return bool(np.all(np.sum(rise * outward[face[order]], axis=1) <= 1e-6))
+    return bool(np.all(_dot(rise, outward[face[order]]) <= 1e-6))
 
 
 def _unit_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Nonzero vectors of any size at unit length."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+    return np.asarray(vectors / _length(vectors)[:, None])
