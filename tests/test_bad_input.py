@@ -92,6 +92,7 @@ SHARED = [
     ("pigment", "brown", TypeError, "pigment must be a number, got str"),
     ("shadows", "off", TypeError, "shadows must be True or False, got 'off'"),
     ("smooth", 2, TypeError, "smooth must be True or False, got 2"),
+    ("footprint", "on", TypeError, "footprint must be True or False, got 'on'"),
     ("samples_per_pixel", 0, ValueError, "samples_per_pixel must be an integer >= 1, got 0"),
     ("samples_per_pixel", 4.0, TypeError, "samples_per_pixel must be an integer, got float"),
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),

@@ -19,9 +19,9 @@ SM = 90
 FUNCTIONS_ONLY = {"optics"}
 KERNELS = {
     "raycast": {"cast"},
-    "directions": {"deflect_directions", "deflect_pixels"},
+    "directions": {"deflect_directions", "deflect_pixels", "spread_pixels"},
     "spectral": {"integrate", "sample"},
-    "polar": {"integrate", "interpolate", "resample"},
+    "polar": {"blur", "integrate", "interpolate", "resample"},
 }
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [

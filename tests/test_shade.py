@@ -47,7 +47,7 @@ def judge(mesh, hf, light, view, coherence, tolerances, *, pixels):
     body = reference.Body.of(prepare_surface(mesh))
     found, truth, chosen = [], None, None
     for tolerance in tolerances:
-        image = wd.shade(mesh, hf, light, view, tolerance=tolerance, coherence=coherence)
+        image = wd.shade(mesh, hf, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
         if truth is None:
             chosen = reference.stratified(image.mask, pixels)
             truth = reference.reference_picture(
@@ -98,7 +98,8 @@ def test_a_flat_mirror_is_white(tolerance):
 
 def test_the_illuminant_changes_the_white():
     for name in ("A", "D50"):
-        image = wd.shade(whole_disc(), FLAT, wd.DirectionalLight((0, 0, 1), illuminant=name), mirror_view())
+        light = wd.DirectionalLight((0, 0, 1), illuminant=name)
+        image = wd.shade(whole_disc(), FLAT, light, mirror_view(), footprint=False)
         np.testing.assert_allclose(
             image.xyz, np.broadcast_to(reference.products(name).sum(axis=0), image.xyz.shape), rtol=1e-5
         )
@@ -329,7 +330,7 @@ def test_facets():
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 def test_the_direct_method_agrees(kind, snake, fingers):
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=8, height=6)
-    options = {"coherence": wd.Coherence(kind, 3.0), "tolerance": 1e-2}
+    options = {"coherence": wd.Coherence(kind, 3.0), "tolerance": 1e-2, "footprint": False}
     auto = wd.shade(snake, fingers, SNAKE_LIGHT, view, **options)
     exact = wd.shade(snake, fingers, SNAKE_LIGHT, view, method="direct", **options)
     assert exact.plan.method == "direct"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -81,10 +82,15 @@ def launch(
             if progress is not None:
                 progress(done / len(firsts))
 
-    if threads == 1:
+    if threads == 1 or len(firsts) == 1:
         for first in firsts:
             run(first)
         return
-    with ThreadPoolExecutor(max_workers=threads) as pool:
-        for _ in pool.map(run, firsts):
-            pass
+    for _ in _pool(threads).map(run, firsts):
+        pass
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that stay: to start them takes as long as a small launch."""
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warpdiff")

@@ -78,6 +78,8 @@ _SEARCHED_COST = 5.0
 _REPEATS = 3.0
 # Fewer directions are evaluated as they are: to search would take longer than it saves.
 _FEWEST_PILOTS = 16
+# A plan holds a little further than the directions that it was made for: its ranges are rounded up.
+_LITTLE = 0.03
 _SEED = 0
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 
@@ -556,7 +558,7 @@ def warn_outside(plan: Plan, hf: HeightField, scope: Scope) -> None:
             ("1/λ [1/µm] up to", 1e3 / scope.lambda_min_nm, 1e3 / plan.lambda_min_nm),
             ("a height range [µm] of", hf.height_range_um, plan.height_range_um),
         )
-        if value > planned * (1.0 + 1e-6) + 1e-9
+        if value > planned * (1.0 + _LITTLE) + 1e-9
     ]
     if beyond and plan.method != "direct":
         warnings.warn(

@@ -61,6 +61,7 @@ MIN_NODES, MAX_NODES = 4, 512
 MOST_MEGABYTES = 200.0
 # Samples of the colour curves from one node to the next.
 _PROJECTED = 64
+_BLURRED = 16
 # Errors of the colour curves count relative to them, down to this share of the largest: they vanish at both ends.
 _DIM = 0.005
 
@@ -364,32 +365,59 @@ def colour_weights(nodes: int, illuminant: str, ratio: float = 0.0) -> NDArray[n
         is where the red end lies between the second node behind the margin and its neighbours, from −½ to ½.
     """
     step = math.log(2.0) / nodes
-    margin = math.ceil(2.5 * ratio / step)
-    count = node_count(nodes) + 2 * margin
+    margin = math.ceil(_REACHED * ratio / step)
     products = spectrum.colour_products(illuminant)
-    lambdas = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64)
-    # Nodes beyond the band see darkness there, and their splines' share of it.
-    places = (np.arange((count + 4) * _PROJECTED) + 0.5) / _PROJECTED - 2.0
-    result = np.empty((_FRACTIONS, count, 3))
-    for index in range(_FRACTIONS):
-        fraction = (index + 0.5) / _FRACTIONS - 0.5
-        at = 1e3 * np.exp(-(_LOG_RED + (places - 1.0 - margin - fraction) * step))
-        # dλ = λ d ln λ.
-        curves = at[:, None] * np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
-        if ratio > 0.0:
-            away = np.arange(-margin * _PROJECTED, margin * _PROJECTED + 1) / _PROJECTED
-            gaussian = np.exp(-0.5 * (away * step / ratio) ** 2)
-            gaussian /= gaussian.sum()
-            curves = np.stack([np.convolve(c, gaussian, mode="same") for c in curves.T], axis=1)
-        size = np.linalg.norm(curves, axis=1)
-        weights = 1.0 / np.maximum(size, _DIM * size.max())[:, None]
-        splines = _spline(places[:, None] - np.arange(count)) * weights
-        gram = splines.T @ splines
-        gram += 1e-12 * np.trace(gram) * np.eye(count)
-        result[index] = np.linalg.solve(gram, splines.T @ (curves * weights))
+    fractions = (np.arange(_FRACTIONS) + 0.5) / _FRACTIONS - 0.5
+    if ratio == 0.0:
+        result = np.stack([_projected(products, nodes, fraction) for fraction in fractions])
+    else:
+        result = _blurred_and_interpolated(products, nodes, ratio, margin, fractions)
     # A spectrum without features keeps its colour to rounding.
     result *= products.sum(axis=0) / (step * result.sum(axis=1, keepdims=True))
     return result.astype(np.float32)
+
+
+def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """Colour curves over ln λ at so many nodes from the red end; darkness beyond either end."""
+    at = 1e3 * np.exp(-(_LOG_RED + places * step))
+    lambdas = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64)
+    # dλ = λ d ln λ.
+    return at[:, None] * np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
+
+
+def _projected(products: NDArray[np.float64], nodes: int, fraction: float) -> NDArray[np.float64]:
+    """The splines' coefficients that come closest to the colour curves, shape (node_count(nodes), 3)."""
+    count = node_count(nodes)
+    # Nodes beyond the band see darkness there, and their splines' share of it.
+    places = (np.arange((count + 4) * _PROJECTED) + 0.5) / _PROJECTED - 2.0
+    curves = _curves(products, places - 1.0 - fraction, math.log(2.0) / nodes)
+    size = np.linalg.norm(curves, axis=1)
+    weights = 1.0 / np.maximum(size, _DIM * size.max())[:, None]
+    splines = _spline(places[:, None] - np.arange(count)) * weights
+    gram = splines.T @ splines
+    gram += 1e-12 * np.trace(gram) * np.eye(count)
+    return np.asarray(np.linalg.solve(gram, splines.T @ (curves * weights)))
+
+
+def _blurred_and_interpolated(
+    products: NDArray[np.float64], nodes: int, ratio: float, margin: int, fractions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The splines through blurred colour curves, shape (fractions, node_count(nodes) + 2 margin, 3)."""
+    step = math.log(2.0) / nodes
+    count = node_count(nodes) + 2 * margin
+    beyond = margin + 8
+    fine = np.arange(-beyond * _BLURRED, (count - margin + 8) * _BLURRED + 1) / _BLURRED
+    away = np.arange(-margin * _BLURRED, margin * _BLURRED + 1) / _BLURRED
+    gaussian = np.exp(-0.5 * (away * step / ratio) ** 2)
+    curves = _curves(products, fine, step)
+    blurred = [np.convolve(c, gaussian / gaussian.sum(), mode="same") for c in curves.T]
+    taps = np.arange(-6, 7)
+    # The interpolating filter of the quadratic spline.
+    inverse = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** np.abs(taps)
+    places = np.arange(count)[:, None] + taps - 1.0 - margin
+    return np.stack(
+        [np.stack([np.interp(places - fraction, fine, c) @ inverse for c in blurred], axis=1) for fraction in fractions]
+    )
 
 
 def _spline(x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,109 @@
+"""Footprints: a pixel shows the mean of what its filter sees, as the same picture of many rays a pixel does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff import meshes
+
+SHORT = wd.Coherence(sigma_um=3.25)
+LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
+RAYS = 144
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+@pytest.fixture(scope="module")
+def tube():
+    return meshes.tube(segments_along=64, segments_around=48)
+
+
+def view():
+    return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
+
+
+@pytest.fixture(scope="module")
+def pictures(tube, fingers):
+    """With footprints, with points, and with many points."""
+    blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT)
+    plan = dataclasses.replace(blurred.plan, footprint=False)
+    points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
+    finer = dataclasses.replace(plan, nodes=64, rays_per_width=2.0)
+    return blurred, points, wd.shade(tube, fingers, LIGHT, view(), plan=finer, samples_per_pixel=RAYS)
+
+
+def errors(image, exact):
+    """Of pixels that lie wholly inside the lit surface."""
+    inside = (exact.coverage == 1.0) & image.lit
+    size = np.linalg.norm(exact.xyz[inside], axis=1)
+    floor = 1e-3 * np.percentile(exact.xyz[inside][:, 1], 99.0)
+    return np.linalg.norm(image.xyz[inside] - exact.xyz[inside], axis=1) / np.maximum(size, floor)
+
+
+def test_it_is_on_where_it_is_not_said(pictures):
+    blurred, points, _ = pictures
+    assert blurred.plan.footprint
+    assert "range of (u, v)" in str(blurred.plan)
+    assert not points.plan.footprint
+
+
+def test_a_pixel_shows_its_mean(pictures):
+    blurred, points, exact = pictures
+    ours, theirs = errors(blurred, exact), errors(points, exact)
+    assert len(ours) > 500
+    # So few pixels see (u, v) turn by a tenth of themselves and more; larger pictures are judged in bench/.
+    assert np.median(ours) < 4e-2
+    assert np.median(ours) < 0.2 * np.median(theirs)
+    assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
+
+
+def test_a_flat_surface_has_none(fingers):
+    disc = meshes.disc(inner_radius=0.0, outer_radius=1.0, segments=32, rings=3)
+    along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
+    camera = wd.View.orthographic((0.3, 0, 2), (0, 0, 0), extent_y=0.5, width=16, height=12)
+    plan = wd.shade(disc, fingers, LIGHT, camera, coherence=SHORT, tangents=along_x).plan
+    images = [wd.shade(disc, fingers, LIGHT, camera, plan=plan, tangents=along_x, footprint=on) for on in (True, False)]
+    np.testing.assert_allclose(images[0].xyz, images[1].xyz, rtol=2e-3)
+
+
+def test_more_rays_share_the_footprint(tube, fingers, pictures):
+    blurred, _, exact = pictures
+    both = wd.shade(tube, fingers, LIGHT, view(), plan=blurred.plan, samples_per_pixel=4)
+    rays = wd.shade(tube, fingers, LIGHT, view(), plan=blurred.plan, samples_per_pixel=4, footprint=False)
+    assert np.median(errors(both, exact)) < 0.7 * np.median(errors(rays, exact))
+
+
+def test_neither_threads_nor_silhouettes_matter(tube, fingers, pictures):
+    blurred = pictures[0]
+    assert np.all(np.isfinite(blurred.xyz))
+    assert np.all(blurred.xyz >= 0.0)
+    one = wd.shade(tube, fingers, LIGHT, view(), plan=blurred.plan, threads=1)
+    three = wd.shade(tube, fingers, LIGHT, view(), plan=blurred.plan, threads=3)
+    np.testing.assert_array_equal(one.xyz, three.xyz)
+    np.testing.assert_array_equal(one.xyz, blurred.xyz)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "low-rank"}, "use method='auto' or 'low-rank/table'"),
+        ({"method": "direct"}, "footprint=True takes a table"),
+        ({"coherence": wd.Coherence("replicas", copies=(2, 2))}, "asks for a table"),
+    ],
+)
+def test_what_has_no_table_has_no_footprints(tube, fingers, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        wd.shade(tube, fingers, LIGHT, view(), footprint=True, **arguments)
+
+
+def test_a_plan_without_a_table_has_none(tube, fingers):
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank")
+    with pytest.raises(ValueError, match="footprint=True takes a table"):
+        wd.shade(tube, fingers, LIGHT, view(), plan=plan, footprint=True)
