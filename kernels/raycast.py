@@ -208,7 +208,7 @@ def cast(
         surface: The mesh.
         sampling: Where in the pixel.
         first: The first thread's pixel.
-        hit_out: 1 where the mesh is met, else 0; the outputs below are then zero vectors.
+        hit_out: 1 where the mesh is met, else 0; the vectors below are then left as they are.
         face_out: The face that is met, or −1.
         tangent_out: t, unit.
         bitangent_out: b, unit.
@@ -220,12 +220,6 @@ def cast(
     pixel = first + wp.tid()
     hit_out[pixel] = 0
     face_out[pixel] = -1
-    tangent_out[pixel] = wp.vec3f()
-    bitangent_out[pixel] = wp.vec3f()
-    normal_out[pixel] = wp.vec3f()
-    to_view_out[pixel] = wp.vec3f()
-    shadow_origin_out[pixel] = wp.vec3f()
-    base_colour_out[pixel] = wp.vec3f()
 
     # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
     one = wp.float64(1.0)
@@ -243,7 +237,12 @@ def cast(
         origin = camera.origin + across
         along = -camera.back
     along = wp.normalize(along)
-    near = wp.max(-wp.dot(origin, along) - two, wp.float64(0.0))
+    # The mesh lies in the unit sphere: most rays beside it end here.
+    ahead = -wp.dot(origin, along)
+    aside = origin + ahead * along
+    if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
+        return
+    near = wp.max(ahead - two, wp.float64(0.0))
     start = wp.vec3f(origin + near * along)
     direction = wp.normalize(wp.vec3f(along))
 

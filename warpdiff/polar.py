@@ -382,7 +382,8 @@ def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: fl
     at = 1e3 * np.exp(-(_LOG_RED + places * step))
     lambdas = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64)
     # dλ = λ d ln λ.
-    return at[:, None] * np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
+    found = np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
+    return np.asarray(at[:, None] * found)
 
 
 def _projected(products: NDArray[np.float64], nodes: int, fraction: float) -> NDArray[np.float64]:

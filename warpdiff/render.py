@@ -213,10 +213,10 @@ class _Frame:
             self.cast(sample)
             for light in self._lights:
                 self.deflect(light)
-                deflections, to_lights, gains = self.directions()
-                lit = gains > 0.0
-                scope = scope.joined(Scope.of(hf, window, deflections, to_lights, lit))
-                count += int(np.count_nonzero(lit))
+                lit = np.flatnonzero(self._gains.numpy() > 0.0)
+                deflections, to_lights, gains = (each[lit].astype(np.float64) for each in self.directions())
+                scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
+                count += len(lit)
                 if sample == 0:
                     seen.append(Pilots.among(deflections, to_lights, gains).arrays)
         count = count * self._samples // surveyed
@@ -261,7 +261,8 @@ class _Frame:
     ) -> None:
         """The same by the direct sum."""
         for index, share in self._passes(progress):
-            added = direct_colour(hf, *self.directions(), plan, illuminants[index], progress=share)
+            deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
+            added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[index], progress=share)
             self._xyz.assign((self._xyz.numpy() + added).astype(np.float32))
 
     def light_arguments(
@@ -336,7 +337,7 @@ class _Frame:
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
-        return self._deflections.numpy(), self._to_lights.numpy().astype(np.float64), self._gains.numpy()
+        return self._deflections.numpy(), self._to_lights.numpy(), self._gains.numpy()
 
     def spread(self, light: Any) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
