@@ -68,8 +68,8 @@ def launch(
         return
     if slice_size is None:
         slice_size = min(max(size // (_SLICES_A_THREAD * threads), _LEAST_SLICE), _MOST_SLICE)
-    # Compiling is not safe to race for.
-    kernel.module.load(device)
+    # Threads must not race to compile; what launches on the CPU take is the module for blocks of one.
+    kernel.module.load(device, 1)
     firsts = range(0, size, slice_size)
     lock = threading.Lock()
     done = 0

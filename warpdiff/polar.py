@@ -186,17 +186,22 @@ def multiply_adds(plan: Plan) -> float:
 def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> tuple[Any, Any]:
     """The kernel that integrates, and the struct that it reads, for a plan and for what a call has beyond it."""
     reached = tables.Reached.by(plan.scope.joined(scope))
-    layout = Layout.of(plan, reached.frequency)
-    key = (device.alias, plan.method, plan.coherence, plan.terms, plan.least_weight, reached, layout)
     held = tables.kept(hf).polar
-    if key in held:
-        held[key] = held.pop(key)
-        return held[key]
 
-    held[key] = _made(hf, plan, scope, reached, layout, device=device, threads=threads)
+    def key(footprint: bool) -> Any:
+        numbers = (plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width)
+        return device.alias, plan.method, plan.coherence, numbers, reached, footprint
+
+    if key(plan.footprint) in held:
+        held[key(plan.footprint)] = held.pop(key(plan.footprint))
+        return held[key(plan.footprint)]
+    layout = Layout.of(plan, reached.frequency)
+    # Levels are added to a table that has none.
+    sharp = held.get(key(False))
+    held[key(plan.footprint)] = _made(hf, plan, scope, reached, layout, sharp, device=device, threads=threads)
     while len(held) > tables.KEPT:
         held.pop(next(iter(held)))
-    return held[key]
+    return held[key(plan.footprint)]
 
 
 def _made(
@@ -205,11 +210,12 @@ def _made(
     scope: Scope,
     reached: tables.Reached,
     layout: Layout,
+    sharp: tuple[Any, Any] | None,
     *,
     device: wp.Device,
     threads: int,
 ) -> tuple[Any, Any]:
-    """A new table."""
+    """A new table; its first level may be at hand."""
     import warp as wp
 
     from warpdiff.kernels import polar as kernels
@@ -244,32 +250,23 @@ def _made(
         bases[: len(at_nodes), :terms] = found.basis_at(at_nodes)[:, :terms]
     struct.basis = wp.array(basis, dtype=target.row, device=device)
     struct.rows = wp.empty(layout.rows, dtype=target.row, device=device)
+    if sharp is not None:
+        wp.copy(struct.rows, sharp[1].rows, count=len(sharp[1].rows))
     at_kappas = wp.array(bases, dtype=base.arguments.rows.dtype, device=device)
-    _fill(struct, base.arguments, at_kappas, layout, kernels.resampler(lanes, powers, width), device, threads)
-    return target.integrate, struct
-
-
-def _fill(
-    struct: Any, coefficients: Any, at_kappas: Any, layout: Layout, resample: Any, device: wp.Device, threads: int
-) -> None:
-    """Sample the spectrum, and blur it level by level."""
-    import warp as wp
-
-    from warpdiff.kernels import polar as kernels
-
-    row = struct.rows.dtype
-    target = kernels.lookup(row._length_)
-    values = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=row, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    values = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads}
     for octave, divisions in enumerate(layout.divisions):
         for level, rays in enumerate(layout.rays):
-            if level == 0:
-                inputs = [coefficients, at_kappas, struct, octave, divisions, layout.highest]
-                launch(resample, rays[octave], inputs, [values], **options)
-            else:
+            if level == 0 and sharp is None:
+                inputs = [base.arguments, at_kappas, struct, octave, divisions, layout.highest]
+                resample = kernels.resampler(lanes, powers, width)
+                launch(resample, rays[octave], inputs, [values], slice_size=_SLICE, **options)
+            elif level > 0:
                 launch(target.blur, rays[octave], [struct, level, octave], [values], **options)
-            repeated = rays[octave] + 2 * kernels.REACH
-            launch(target.interpolate, repeated, [values, struct, level, octave], [struct.rows], **options)
+            if level > 0 or sharp is None:
+                repeated = rays[octave] + 2 * kernels.REACH
+                launch(target.interpolate, repeated, [values, struct, level, octave], [struct.rows], **options)
+    return target.integrate, struct
 
 
 def weights_for(plan: Plan, illuminant: str, *, device: wp.Device) -> Any:

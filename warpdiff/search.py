@@ -103,7 +103,7 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     """The smallest polar table that keeps the tolerance on the pilots, or the best of those within reach.
 
-    A table is made for each attempt, with or without levels for footprints, and found again by the call that follows.
+    A table is made for each attempt and found again by the call that follows, which adds the levels for footprints.
     None where all are too large.
     """
     target = plan.tolerance / SAFETY
@@ -112,12 +112,13 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     best = None
     while rungs:
         nodes, rays_per_width = rungs.pop(0)
-        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width, footprint=footprint)
+        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
         if polar.megabytes(trial.hf, tried) > polar.MOST_MEGABYTES:
             break
         error = trial.error(trial.run(tried), trial.exact)
         best = dataclasses.replace(
             tried,
+            footprint=footprint,
             truncation=SAFETY * truncation,
             neighbourhood=0.0,
             quadrature=max(0.0, SAFETY * (error - truncation) - rounding),
