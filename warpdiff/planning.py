@@ -411,12 +411,12 @@ def plan_for(
     if method == "auto" and wavelengths_nm is None and not tabled:
         tabled = _pays(hf, found, count)
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
-    # Bounds that were cut short, for a source at the horizon, are none.
+    # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
     cut_short = ample.max_lateral < scope.max_lateral
     trial = None
     if len(pilots) >= _FEWEST_PILOTS or ((cut_short or tabled) and len(pilots)):
         trial = search.Trial(found, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
-    if trial is not None and trial.any_light:
+    if trial is not None and (trial.any_light or cut_short):
         best = search.tabled(found, trial, footprint=footprint) if tabled else None
         if best is None or (best.error > tolerance and integration != "table"):
             best = search.refined(found, trial, automatic=method == "auto")

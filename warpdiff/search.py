@@ -77,6 +77,7 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         automatic: Whether the method may change.
     """
     target = plan.tolerance / SAFETY
+    plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
     fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
     if rounding > target and automatic:
         # Powers of coefficients that vanish with a high power of κ cancel in float32; amplitudes do not.
@@ -86,7 +87,10 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     quadrature = 0.0
     if trial.integrates:
         plan, quadrature = _fewer_wavelengths(plan, trial, _QUADRATURE_SHARE * target)
-    plan, whole = _enough_of_all(plan, trial, target)
+    grown, whole = _enough_of_all(plan, trial, target)
+    if grown is not plan:
+        # Both were measured before there was more of either.
+        plan, neighbourhood, quadrature = grown, min(neighbourhood, whole), min(quadrature, whole)
     # Directions that err by one source and by another add up to more of them: the whole is what counts.
     rest = max(0.0, SAFETY * whole - SAFETY * (truncation + neighbourhood + quadrature) - rounding)
     return dataclasses.replace(
@@ -179,23 +183,33 @@ class Trial:
         if wavelengths_nm is not None:
             some = np.linspace(0, len(wavelengths_nm) - 1, min(_SPECTRAL_SAMPLES, len(wavelengths_nm))).astype(int)
             self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
-        # How bright the call is, from more directions and fewer wavelengths.
-        crowd, pilots = pilots, pilots.fewer()
-        self._load(crowd)
-        coarse = plan
-        if wavelengths_nm is None:
-            coarse = dataclasses.replace(plan, wavelengths=plan.wavelengths // 2 + 1)
-        brightness = np.percentile(_luminance(self.run(coarse)), 99.0, axis=1, keepdims=True)
-        floor = np.maximum(1e-3 * brightness, DARK)
-        self._load(pilots)
+        self._crowd, pilots = pilots, pilots.fewer()
+        self._pilots = pilots
         self.lateral = lateral(hf, plan.coherence, pilots.deflections, pilots.to_lights)
         self.w = np.abs(pilots.deflections[:, 2])
         # Jacobi and Anger's amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
         low, high = scope.kappas
         terms = coefficients.series_terms(hf, (low, high))
-        self.finest = dataclasses.replace(plan, method="jacobi-anger", terms=terms)
-        if wavelengths_nm is None:
-            self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1, adaptive=False)
+        self.finest = dataclasses.replace(plan, method="jacobi-anger", terms=terms, adaptive=False)
+        self.sharpen(plan)
+
+    def sharpen(self, plan: Plan) -> None:
+        """Judge by twice the wavelengths of a plan."""
+        # How bright the call is, from more directions and fewer wavelengths.
+        self._load(self._crowd)
+        coarse = plan
+        if self.integrates:
+            coarse = dataclasses.replace(plan, wavelengths=plan.wavelengths // 2 + 1)
+        brightness = np.percentile(_luminance(self.run(coarse)), 99.0, axis=1, keepdims=True)
+        floor = np.maximum(1e-3 * brightness, DARK)
+        if plan.coherence.adds_powers:
+            # The mirror's coefficient, of power 1, must not show in what is far darker.
+            gain = float(np.percentile(self._crowd.gains, 99.0))
+            needed = _NEIGHBOUR_SHARE * plan.tolerance * float(floor.min()) / gain
+            self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
+        self._load(self._pilots)
+        if self.integrates:
+            self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
         self.exact = self.run(self.finest)
         # The error of a picture, as the README defines it; a spectrum's points are its pixels.
         luminance, size = _luminance(self.exact), np.linalg.norm(self.exact, axis=2)
@@ -356,6 +370,8 @@ def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[
         return exact, trial.error(trial.run(tried), exact)
 
     exact, error = against_twice(plan)
+    # For a source at the horizon bounds were cut short: what is too sparse to see an order need not err less at once.
+    bound = wavelength_count(plan, float(trial.lateral.max()), float(trial.w.max()))
     for _ in range(_WIDENINGS):
         if error <= share:
             break
@@ -363,10 +379,12 @@ def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[
         more = tables.set_size(2.0 * plan.wavelengths)
         wider = dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more)
         values, left = against_twice(wider)
-        if left > error / 2.0:
+        if left > error / 2.0 and wider.wavelengths >= bound:
             # What does not fall is float32's.
             break
         plan, exact, error = wider, values, left
+    if plan.wavelengths > 1.5 * trial.finest.wavelengths:
+        trial.sharpen(plan)
     return plan, exact
 
 

@@ -129,6 +129,12 @@ def test_automatic_choice_towards_the_horizon(elevation, spread):
         assert case.error_of(single @ weights) > TOLERANCE
 
 
+def test_a_mirror_far_brighter_than_what_is_seen():
+    """All that is seen at the horizon is a millionth of the mirror, whose Gaussian's tail must not show."""
+    hf = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
+    assert Case(hf, methods.at_elevation(64, 0.1)).automatic <= TOLERANCE
+
+
 @pytest.mark.parametrize("elevation", [0.1, 0.5, 3.0, 30.0])
 @pytest.mark.parametrize("spread", [0.1, None])
 def test_sources_towards_the_horizon(elevation, spread):
@@ -140,6 +146,13 @@ def test_sources_towards_the_horizon(elevation, spread):
     assert methods.spectral_error(rho, exact) <= TOLERANCE
     if elevation >= 3.0 and spread is None:
         assert Case(hf, (lights, views), source).automatic <= TOLERANCE
+
+
+@pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), (0.5, 20, 1), (0.2, 8, 1)])
+def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
+    """Foreshortened some hundred times: bounds that are cut short are widened, and judged by what is finer still."""
+    hf = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
+    assert Case(hf, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic <= TOLERANCE
 
 
 @pytest.mark.parametrize("count", [8, 40])
