@@ -78,6 +78,8 @@ _SEARCHED_COST = 5.0
 _REPEATS = 3.0
 # Fewer directions are evaluated as they are: to search would take longer than it saves.
 _FEWEST_PILOTS = 16
+# |w| of directions that are searched for all the same.
+_GRAZING = 0.05
 # A plan holds a little further than the directions that it was made for: its ranges are rounded up.
 _LITTLE = 0.03
 _SEED = 0
@@ -413,8 +415,10 @@ def plan_for(
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
     # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
     cut_short = ample.max_lateral < scope.max_lateral
+    # Powers of coefficients that vanish with κ may cancel in float32, which only a trial tells.
+    grazing = 0.0 < scope.min_w < _GRAZING
     trial = None
-    if len(pilots) >= _FEWEST_PILOTS or ((cut_short or tabled) and len(pilots)):
+    if len(pilots) >= _FEWEST_PILOTS or ((cut_short or tabled or grazing) and len(pilots)):
         trial = search.Trial(found, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
     if trial is not None and (trial.any_light or cut_short):
         best = search.tabled(found, trial, footprint=footprint) if tabled else None
