@@ -59,6 +59,8 @@ RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2
 MIN_NODES, MAX_NODES = 4, 512
 # A table that is much larger than a processor's caches is no faster than sampling.
 MOST_MEGABYTES = 200.0
+# What a height field keeps of them: some for other lights and views, or a search's last attempts.
+_MOST_KEPT_MEGABYTES = 512.0
 # Samples of the colour curves from one node to the next.
 _PROJECTED = 64
 _BLURRED = 16
@@ -199,7 +201,7 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     # Levels are added to a table that has none.
     sharp = held.get(key(False))
     held[key(plan.footprint)] = _made(hf, plan, scope, reached, layout, sharp, device=device, threads=threads)
-    while len(held) > tables.KEPT:
+    while len(held) > 1 and sum(struct.rows.capacity for _, struct in held.values()) > _MOST_KEPT_MEGABYTES * 1e6:
         held.pop(next(iter(held)))
     return held[key(plan.footprint)]
 

@@ -310,7 +310,7 @@ def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
     """Drop what has no area, then normals, tangents and the arrays for the device."""
     given = _check_tangents(part, tangents)
     faces = part.faces
-    corners = part.vertices[np.unique(faces)].T
+    corners = part.vertices[_compacted(faces, len(part.vertices))[0]].T
     low, high = corners.min(axis=1), corners.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
@@ -336,8 +336,7 @@ def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
     mirrored = np.zeros(len(faces), dtype=np.int64)
     if given is None and part.uvs is not None:
         mirrored = _mirrored(part.uvs, faces, len(vertices))
-    used, corner = np.unique((faces * 2 + mirrored[:, None]).ravel(), return_inverse=True)
-    faces = corner.reshape(-1, 3)
+    used, faces = _compacted(faces * 2 + mirrored[:, None], 2 * len(vertices))
     index = used // 2
     handedness = np.where(used % 2 == 1, -1.0, 1.0)
     vertices = vertices[index]
@@ -375,6 +374,13 @@ def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
         centre=centre,
         radius=radius,
     )
+
+
+def _compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which of 0 … count − 1 are there, in order, and the indices among these."""
+    taken = np.zeros(count, dtype=np.bool_)
+    taken[indices] = True
+    return np.flatnonzero(taken), (np.cumsum(taken) - 1)[indices]
 
 
 def _check_tangents(part: _Part, tangents: ArrayLike | None) -> NDArray[np.float64] | None:
@@ -579,6 +585,10 @@ def _is_convex(vertices: NDArray[np.float64], faces: NDArray[np.int64], weld: ND
     outward = _unit_rows(np.cross(b - a, c - a))
     if np.all(np.abs((vertices - a[0]) @ outward[0]) <= 1e-6):
         return True
+    # Most bodies are not, which a few faces tell: something lies above them.
+    some = np.arange(0, len(faces), len(faces) // 16 + 1)
+    if np.any(vertices @ outward[some].T > _dot(a[some], outward[some]) + 1e-5):
+        return False
     welded = weld[faces]
     count = int(weld.max()) + 1
     start = np.concatenate([welded[:, k] for k in range(3)])
