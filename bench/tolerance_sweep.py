@@ -13,6 +13,7 @@ import argparse
 import dataclasses
 import hashlib
 import itertools
+import math
 import os
 import platform
 import sys
@@ -26,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import demo
+from warpdiff import demo, planning
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -55,6 +56,7 @@ class Outcome(NamedTuple):
     predicted: float  # predicted error over tolerance; 0 without a plan
     white: float  # percentile 99 of Y
     refusal: str  # the exception or the warning in place of a result
+    tabled: bool  # whether a table was taken
     seconds: float
     truth_seconds: float
 
@@ -95,7 +97,7 @@ def true_colours(case: configurations.Configuration, tolerance: float, kept: Pat
 def run(index: int, seed: int, scan: wd.HeightField | None, kept: Path | None) -> Outcome:
     """Compute a configuration and its truth."""
     case = configurations.configuration(index, seed, scan)
-    refusal, predicted, xyz = "", 0.0, None
+    refusal, predicted, xyz, tabled = "", 0.0, None, False
     begin = time.perf_counter()
     warnings.simplefilter("error", wd.WarpdiffWarning)
     try:
@@ -105,22 +107,25 @@ def run(index: int, seed: int, scan: wd.HeightField | None, kept: Path | None) -
     seconds = time.perf_counter() - begin
     if xyz is not None:
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
-        predicted = wd.plan(**case.arguments, threads=1, strict=False).error / case.tolerance
+        plan = wd.plan(**case.arguments, threads=1, strict=False)
+        predicted, tabled = plan.error / case.tolerance, plan.nodes > 0
     begin = time.perf_counter()
     truth = true_colours(case, configurations.truth_tolerance(case.tolerance), kept)
     truth_seconds = time.perf_counter() - begin
     found = configurations.figure(np.full_like(truth, np.inf) if xyz is None else xyz, truth)
     return Outcome(
         index, case.stratum, str(case), found.value / case.tolerance, found.bright / case.tolerance,
-        found.dim / case.tolerance, found.share_dim, predicted, found.white, refusal, seconds, truth_seconds,
+        found.dim / case.tolerance, found.share_dim, predicted, found.white, refusal, tabled, seconds, truth_seconds,
     )  # fmt: skip
 
 
 _worker: dict[str, object] = {}
 
 
-def start_worker(seed: int, data: str | None, kept: Path | None) -> None:
+def start_worker(seed: int, data: str | None, kept: Path | None, many: bool) -> None:
     """Give a process what all its configurations share."""
+    if many:
+        planning._REPEATS = math.inf
     _worker.update(seed=seed, scan=load_scan(data), kept=kept)
 
 
@@ -256,6 +261,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes, each of one thread (one a core)")
     parser.add_argument("--data", help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
     parser.add_argument("--truths", type=Path, help="folder that keeps what the reference computed for the next run")
+    parser.add_argument("--many", action="store_true", help="plan as for so many directions that a table pays")
     options = parser.parse_args()
     if options.truths:
         options.truths.mkdir(parents=True, exist_ok=True)
@@ -277,7 +283,7 @@ def main() -> int:
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     with ProcessPoolExecutor(
-        options.jobs, get_context("spawn"), start_worker, (options.seed, options.data, options.truths)
+        options.jobs, get_context("spawn"), start_worker, (options.seed, options.data, options.truths, options.many)
     ) as pool:
         for done in pool.map(work, indices):
             outcomes.append(done)
@@ -297,7 +303,8 @@ def main() -> int:
     )
     circumstances = (
         f"{'With' if scan else 'Without'} crops of the scan. Directions a configuration: {configurations.DIRECTIONS}. "
-        f"Dark: percentile 99 of Y below {DARK:g}, and no part of the bar. {time.perf_counter() - begin:.0f} s with "
+        f"Dark: percentile 99 of Y below {DARK:g}, and no part of the bar. {time.perf_counter() - begin:.0f} s. "
+        f"{sum(each.tabled for each in outcomes)} took a table. "
         f"{options.jobs} processes on {platform.machine()}; calls {library:.0f} s, truths {truth:.0f} s."
     )
     lines = [
