@@ -62,10 +62,10 @@ def main() -> None:
             coherence = wd.Coherence(kind, options.sigma_um if kind in ("averaged", "centred") else None)
             truth = chosen = None
             for tolerance in options.tolerances:
-                image = wd.shade(mesh, hf, LIGHT, view, tolerance=tolerance, coherence=coherence)
+                image = wd.shade(mesh, hf, LIGHT, view, tolerance=tolerance, coherence=coherence, footprint=False)
                 # The second call has its kernels and coefficients at hand; its time includes the rays.
                 begin = time.perf_counter()
-                wd.shade(mesh, hf, LIGHT, view, tolerance=tolerance, coherence=coherence)
+                wd.shade(mesh, hf, LIGHT, view, tolerance=tolerance, coherence=coherence, footprint=False)
                 seconds = time.perf_counter() - begin
                 if truth is None:
                     chosen = reference.stratified(image.mask, options.pixels)
