@@ -275,6 +275,10 @@ def lookup(lanes: int) -> types.SimpleNamespace:
             reach = blending.reaches[step]
             position = turns * wp.float32(rays)
             ray = wp.int32(wp.rint(position))
+            if ray >= rays:
+                # Half a distance before a full turn; rays are repeated to REACH − 1 beyond.
+                ray = ray - rays
+                position = position - wp.float32(rays)
             steps = blending.weights.shape[1]
             f = wp.min(wp.int32((position - wp.float32(ray) + 0.5) * wp.float32(steps)), steps - 1)
             offset = node - octave * polar.nodes
@@ -366,10 +370,12 @@ def lookup(lanes: int) -> types.SimpleNamespace:
                     change = (u * u + v * v) / wp.max(at_u * at_u + at_v * at_v, polar.least_uv * polar.least_uv)
                     part_angle2 = angle2 * change
                     part_ratio2 = ratio2 * change
+                # What is seen around the mirror direction spreads over more than a ratio can say.
+                dilution = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
                 part_angle2 = wp.min(part_angle2, _WIDEST_ANGLE * _WIDEST_ANGLE)
                 part_ratio2 = wp.min(part_ratio2, _WIDEST_RATIO * _WIDEST_RATIO)
                 part = colour_at(polar, colours, blending, at_u, at_v, log_w, part_angle2, part_ratio2)
-                colour += blending.parts[count - 1, 2, k] * part
+                colour += blending.parts[count - 1, 2, k] * dilution * part
             xyz_out[i] = xyz_out[i] + gain * colour
 
     return types.SimpleNamespace(row=row_t, Polar=Polar, interpolate=interpolate, blur=blur, integrate=integrate)

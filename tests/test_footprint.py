@@ -6,9 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+import warp as wp
 
 import warpdiff as wd
 from warpdiff import meshes
+from warpdiff.integration import Integrator
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
@@ -62,6 +64,26 @@ def test_a_pixel_shows_its_mean(pictures):
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
+
+
+@pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
+def test_rays_are_a_circle(fingers, angle_deg):
+    """A full turn meets what a turn begins with, however wide the footprint."""
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+    plan = dataclasses.replace(plan, footprint=True)
+    device = wp.get_device("cpu")
+    integrator = Integrator(fingers, plan, plan.scope, device=device, threads=1)
+    found = []
+    for degrees in (angle_deg, angle_deg + 0.05):
+        angle = np.radians(degrees)
+        uv = 0.6 * np.array([np.cos(angle), np.sin(angle)])
+        deflection = wp.array([[*uv, -1.6]], dtype=wp.vec3d, device=device)
+        spread = wp.array([[*(0.03 * uv[::-1] * [-1.0, 1.0]), 0.0, 0.0]], dtype=wp.vec4f, device=device)
+        xyz = wp.zeros(1, dtype=wp.vec3f, device=device)
+        gain = wp.ones(1, dtype=wp.float32, device=device)
+        integrator.add(deflection, None, gain, "D65", xyz, footprints=spread)
+        found.append(xyz.numpy()[0])
+    np.testing.assert_allclose(found[0], found[1], rtol=0.05)
 
 
 def test_a_flat_surface_has_none(fingers):
