@@ -2,10 +2,12 @@
 
 import warp as wp
 
+from warpdiff.kernels import spectral
+
 from warpdiff.kernels.optics import gain, schlick
 from warpdiff.kernels.raycast import occluded
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(spectral.OPTIONS)
 
 
 @wp.struct

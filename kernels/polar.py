@@ -19,7 +19,8 @@ import warp as wp
 
 from warpdiff.kernels import spectral
 
-OPTIONS = spectral.OPTIONS
+# Loops that stay loops compile faster.
+OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
 # Rays on either side of one that a look-up may need; as many are repeated beyond a turn.
 REACH = 4
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
@@ -146,33 +147,33 @@ def lookup(lanes: int) -> types.SimpleNamespace:
         count = polar.rays[level, octave]
         begin = polar.firsts[level, octave] + ray * polar.nodes
         for k in range(polar.nodes):
-            factor = wp.float32(wp.static(2.0**0.5))
-            total = factor * values[cyclic(ray, count) * polar.nodes + k]
-            for away in range(1, wp.static(_FILTER_REACH + 1)):
-                factor = factor * wp.static(2.0 * 2.0**0.5 - 3.0)
-                after = cyclic(ray + away, count) * polar.nodes + k
-                before = cyclic(ray - away, count) * polar.nodes + k
-                total += factor * (values[after] + values[before])
-            rows_out[begin + k] = total
+            rows_out[begin + k] = row_t()
+        for away in range(-wp.static(_FILTER_REACH), wp.static(_FILTER_REACH + 1)):
+            factor = wp.static(2.0**0.5) * wp.pow(wp.static(2.0 * 2.0**0.5 - 3.0), wp.float32(wp.abs(away)))
+            row = cyclic(ray + away, count) * polar.nodes
+            for k in range(polar.nodes):
+                rows_out[begin + k] += factor * values[row + k]
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def blur(
         # In:
         polar: Polar,
+        source: wp.int32,
         level: wp.int32,
         octave: wp.int32,
         first: wp.int32,
         # Out:
         values_out: wp.array(dtype=row_t),
     ):
-        """Values on the rays of a level: those of level 0, blurred."""
+        """Values on the rays of a level: those of another, blurred by what it lacks."""
         ray = first + wp.tid()
-        count = polar.rays[0, octave]
-        start = polar.firsts[0, octave]
+        count = polar.rays[source, octave]
+        start = polar.firsts[source, octave]
         spacing = wp.float32(2.0 * wp.PI) / wp.float32(count)
         # The variance of the spline itself is a quarter of the distance of rays, squared.
-        relative = polar.widths[level, octave] / spacing
-        variance = relative * relative + 0.25
+        width = polar.widths[level, octave]
+        given = polar.widths[source, octave]
+        variance = (width * width - given * given) / (spacing * spacing) + 0.25
         reach = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), count // 2)
         place = wp.float32(ray) / wp.float32(polar.rays[level, octave]) * wp.float32(count)
         nearest = wp.int32(wp.rint(place))
@@ -183,9 +184,9 @@ def lookup(lanes: int) -> types.SimpleNamespace:
             distance = wp.float32(nearest + away) - place
             weight = wp.exp(-0.5 * distance * distance / variance)
             total_weight += weight
-            source = start + cyclic(nearest + away, count) * polar.nodes
+            row = start + cyclic(nearest + away, count) * polar.nodes
             for k in range(polar.nodes):
-                values_out[ray * polar.nodes + k] += weight * polar.rows[source + k]
+                values_out[ray * polar.nodes + k] += weight * polar.rows[row + k]
         for k in range(polar.nodes):
             values_out[ray * polar.nodes + k] = (1.0 / total_weight) * values_out[ray * polar.nodes + k]
 

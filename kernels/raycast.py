@@ -7,7 +7,8 @@ float32 is as fine for a mesh of a nanometre as for one of a kilometre, wherever
 import warp as wp
 
 # No fast-math: whether a ray hits is decided with infinities and signed zeros.
-wp.set_module_options({"enable_backward": False})
+from warpdiff.kernels import spectral
+wp.set_module_options(spectral.OPTIONS)
 
 # Beyond any distance between two points of the unit sphere.
 FAR = wp.constant(wp.float32(4.0))

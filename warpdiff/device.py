@@ -5,19 +5,21 @@ from __future__ import annotations
 import functools
 import os
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import checks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import warp as wp
 
 # Enough slices that threads finish together and progress is smooth, and no smaller than what a launch costs.
 _SLICES_A_THREAD = 12
 _LEAST_SLICE, _MOST_SLICE = 512, 32_768
+_LOADERS = 2
+_loading: dict[Any, Future[Any]] = {}
 
 
 def resolve_device(device: Any) -> wp.Device:
@@ -38,6 +40,20 @@ def resolve_threads(threads: Any) -> int:
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return checks.count(threads, "threads")
+
+
+def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
+    """Begin to compile kernels for the CPU, or to load them where they are compiled, side by side with what follows.
+
+    The first time a thread compiles it takes seconds for Warp's headers, and two threads do so at the same time.
+    """
+    if not device.is_cpu:
+        return []
+    for kernel in kernels:
+        if kernel.module not in _loading:
+            # What launches on the CPU take is the module for blocks of one.
+            _loading[kernel.module] = _loaders().submit(kernel.module.load, device, 1)
+    return [_loading[kernel.module] for kernel in kernels]
 
 
 def launch(
@@ -68,8 +84,8 @@ def launch(
         return
     if slice_size is None:
         slice_size = min(max(size // (_SLICES_A_THREAD * threads), _LEAST_SLICE), _MOST_SLICE)
-    # Threads must not race to compile; what launches on the CPU take is the module for blocks of one.
-    kernel.module.load(device, 1)
+    # Threads must not race to compile.
+    load([kernel], device)[0].result()
     firsts = range(0, size, slice_size)
     lock = threading.Lock()
     done = 0
@@ -88,6 +104,11 @@ def launch(
         return
     for _ in _pool(threads).map(run, firsts):
         pass
+
+
+@functools.cache
+def _loaders() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=_LOADERS, thread_name_prefix="warpdiff-load")
 
 
 @functools.cache

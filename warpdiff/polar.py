@@ -16,7 +16,7 @@ import numpy as np
 
 from warpdiff import spectrum, tables
 from warpdiff.coefficients import holds_powers
-from warpdiff.device import launch
+from warpdiff.device import launch, load
 
 if TYPE_CHECKING:
     import warp as wp
@@ -57,6 +57,8 @@ _LOG_RED, _LOG_BLUE = (math.log(1e3 / end) for end in (spectrum.LAMBDA_MAX_NM, s
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1))
 MIN_NODES, MAX_NODES = 4, 512
+# Orders so many standard deviations of the blur apart hardly touch.
+_APART = 4.0
 # A table that is much larger than a processor's caches is no faster than sampling.
 MOST_MEGABYTES = 200.0
 # What a height field keeps of them: some for other lights and views, or a search's last attempts.
@@ -128,6 +130,13 @@ class Layout:
         first = np.append(np.full(len(counts), REACH * self.nodes), 0)
         return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
 
+    def source(self, level: int, octave: int) -> int:
+        """The widest level that another can be made from: what it lacks of the blur spans its rays."""
+        width = self.widths[level][octave]
+        spacings = [2.0 * math.pi / rays[octave] for rays in self.rays[:level]]
+        lacking = [width**2 - each[octave] ** 2 for each in self.widths[:level]]
+        return max((k for k in range(level) if lacking[k] >= spacings[k] ** 2), default=0)
+
     @property
     def rows(self) -> int:
         """Rows of the table."""
@@ -154,9 +163,15 @@ def node_count(nodes: int) -> int:
     return math.ceil((_LOG_BLUE - _LOG_RED) / math.log(2.0) * nodes) + 3
 
 
-def expected_error(nodes: int) -> float:
-    """Error of colours from a table of a surface with many orders in sight; with a few it is three times as much."""
-    return float(0.008 * (20.0 / nodes) ** 1.7)
+def expected_error(nodes: int, *, few: bool = False) -> float:
+    """Error of colours from a table of a surface with many orders in sight, or with a few that stand apart."""
+    return float((0.024 if few else 0.008) * (20.0 / nodes) ** 1.7)
+
+
+def stand_apart(hf: HeightField, coherence: Coherence) -> bool:
+    """Whether a patch is so small that its orders are further apart than the spectrum's blur spreads them."""
+    lengths = [length for n, length in zip(hf.shape, hf.size_um, strict=True) if n > 1]
+    return max(lengths, default=0.0) * _APART * blur(coherence.sigma_um or 0.0) < 1.0
 
 
 def rungs_for(tolerance: float) -> tuple[tuple[int, float], ...]:
@@ -176,8 +191,24 @@ def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
 def megabytes(hf: HeightField, plan: Plan) -> float:
     """Size of a table."""
     reached = tables.Reached.by(plan.scope)
+    return Layout.of(plan, reached.frequency).rows * _width(hf, plan, reached) * 4e-6
+
+
+def _width(hf: HeightField, plan: Plan, reached: tables.Reached) -> int:
+    """Length of a row."""
     terms = plan.terms if plan.coherence.adds_powers else len(_chebyshev_kappas(hf, _kappas(reached)))
-    return Layout.of(plan, reached.frequency).rows * tables.lanes_of(terms) * 4e-6
+    return tables.lanes_of(terms)
+
+
+def load_kernels(hf: HeightField, plan: Plan, scope: Scope, device: wp.Device) -> None:
+    """Begin to load the kernels that make a plan's table and look it up."""
+    from warpdiff.kernels import polar as kernels
+
+    width = _width(hf, plan, tables.Reached.by(plan.scope.joined(scope)))
+    target = kernels.lookup(width)
+    resample = kernels.resampler(tables.lanes_of(plan.terms), plan.coherence.adds_powers, width)
+    needed = [resample, target.integrate, target.interpolate]
+    load([*needed, target.blur] if plan.footprint else needed, device)
 
 
 def multiply_adds(plan: Plan) -> float:
@@ -230,6 +261,7 @@ def _made(
     at_nodes = np.zeros(0) if powers else _chebyshev_kappas(hf, kappas)
     width = lanes if powers else tables.lanes_of(len(at_nodes))
     target = kernels.lookup(width)
+    resample = kernels.resampler(lanes, powers, width)
     struct = target.Polar()
     struct.nodes, struct.log_low, struct.entries = layout.nodes, layout.log_low, _ENTRIES
     struct.per_log = per_log = layout.nodes / math.log(2.0)
@@ -261,10 +293,10 @@ def _made(
         for level, rays in enumerate(layout.rays):
             if level == 0 and sharp is None:
                 inputs = [base.arguments, at_kappas, struct, octave, divisions, layout.highest]
-                resample = kernels.resampler(lanes, powers, width)
                 launch(resample, rays[octave], inputs, [values], slice_size=_SLICE, **options)
             elif level > 0:
-                launch(target.blur, rays[octave], [struct, level, octave], [values], **options)
+                source = layout.source(level, octave)
+                launch(target.blur, rays[octave], [struct, source, level, octave], [values], **options)
             if level > 0 or sharp is None:
                 repeated = rays[octave] + 2 * kernels.REACH
                 launch(target.interpolate, repeated, [values, struct, level, octave], [struct.rows], **options)

@@ -11,7 +11,7 @@ import numpy as np
 
 from warpdiff import checks, optics, spectrum
 from warpdiff.coherence import Coherence
-from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.device import launch, load, resolve_device, resolve_threads
 from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.integration import Integrator
@@ -117,6 +117,10 @@ def shade(
     if plan is not None:
         plan = replace(plan, footprint=blurred)
     target, workers = resolve_device(device), resolve_threads(threads)
+    _load_ray_kernels(target)
+    names = [each.illuminant for each in lights]
+    for index, name in enumerate(names):
+        spectrum.check_illuminant(name, f"light[{index}].illuminant")
     surface = prepare_surface(mesh, tangents=tangents)
 
     frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
@@ -126,7 +130,6 @@ def shade(
         frame.reflection(normal, window, masking=masking),
     )
     scope, count, pilots = frame.survey(hf, window)
-    names = [each.illuminant for each in lights]
     if plan is not None:
         warn_outside(plan, hf, scope)
     else:
@@ -140,6 +143,13 @@ def shade(
         integrator = Integrator(hf, plan, scope, device=target, threads=workers)
         frame.integrate(integrator, names, footprint=plan.footprint, progress=progress)
     return frame.image(plan)
+
+
+def _load_ray_kernels(device: wp.Device) -> None:
+    """Begin to load what every picture needs: even to name an illuminant takes a library that is slow to import."""
+    from warpdiff.kernels import directions, raycast
+
+    load([raycast.cast, directions.deflect_pixels], device)
 
 
 def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
@@ -370,7 +380,6 @@ def _check_lights(light: Any) -> list[DirectionalLight]:
         raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
     for index, each in enumerate(lights):
         checks.instance(each, DirectionalLight, f"light[{index}]")
-        spectrum.check_illuminant(each.illuminant, f"light[{index}].illuminant")
     return list(lights)
 
 

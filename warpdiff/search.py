@@ -16,7 +16,7 @@ import numpy as np
 
 from warpdiff import coefficients, polar, tables
 from warpdiff.coefficients import holds_powers
-from warpdiff.device import launch
+from warpdiff.device import launch, load
 from warpdiff.expansions import EXPANSIONS
 from warpdiff.integration import Integrator
 from warpdiff.scope import lateral
@@ -46,6 +46,8 @@ _LATERAL_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
 _TRIES = 6
+# A table is made for each try: of those that are expected to err by about the target, the next larger one.
+_LIKELY = 0.85
 _WIDENINGS = 3
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SLACK = 1.2
@@ -111,8 +113,13 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     None where all are too large.
     """
     target = plan.tolerance / SAFETY
-    plan, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
-    rungs = list(polar.rungs_for(plan.tolerance) or polar.RUNGS[-1:])
+    exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
+    plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
+    rounding = _rounding(plan)
+    trial.load_table_kernels(dataclasses.replace(plan, nodes=polar.MAX_NODES, rays_per_width=1.0, footprint=footprint))
+    few = polar.stand_apart(trial.hf, plan.coherence)
+    likely = [rung for rung in polar.RUNGS if polar.expected_error(rung[0], few=few) <= _LIKELY * target]
+    rungs = likely or [polar.RUNGS[-1]]
     best = None
     while rungs:
         nodes, rays_per_width = rungs.pop(0)
@@ -133,9 +140,29 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
         if error <= target:
             break
         # The next one is the smallest that may do by what this one errs.
-        needed = polar.expected_error(nodes) * target / error
+        needed = _LIKELY * polar.expected_error(nodes) * target / error
         rungs = [rung for rung in rungs if polar.expected_error(rung[0]) <= needed]
     return best
+
+
+def _likely_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]) -> tuple[Plan, float]:
+    """The fewest terms within their share and what they leave out, by one try and the residuals of the fitted basis.
+
+    More terms are another kernel, which a table does not need.
+    """
+    if plan.method in EXPANSIONS:
+        return _fewest_terms(plan, trial, share, exact)
+    left_out = trial.fitted(plan).left_out
+    most = len(left_out) - 1
+    if most <= tables.LANES:
+        return dataclasses.replace(plan, terms=most), 0.0
+    tried = dataclasses.replace(plan, terms=tables.LANES)
+    error = trial.error(trial.run(tried), exact)
+    for terms in range(tables.LANES, most, tables.LANES):
+        expected = error * float(left_out[terms] / left_out[tables.LANES])
+        if expected <= share:
+            return dataclasses.replace(plan, terms=terms), expected
+    return dataclasses.replace(plan, terms=most), 0.0
 
 
 def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
@@ -191,15 +218,17 @@ class Trial:
         low, high = scope.kappas
         terms = coefficients.series_terms(hf, (low, high))
         self.finest = dataclasses.replace(plan, method="jacobi-anger", terms=terms, adaptive=False)
+        kernels = [tables.kernels_for(self.finest, terms), tables.kernels_for(plan, min(plan.terms, tables.LANES))]
+        load([each.integrate if self.integrates else each.sample for each in kernels], device)
         self.sharpen(plan)
 
     def sharpen(self, plan: Plan) -> None:
         """Judge by twice the wavelengths of a plan."""
         # How bright the call is, from more directions and fewer wavelengths.
         self._load(self._crowd)
-        coarse = plan
+        coarse = self.finest
         if self.integrates:
-            coarse = dataclasses.replace(plan, wavelengths=plan.wavelengths // 2 + 1)
+            coarse = dataclasses.replace(coarse, wavelengths=plan.wavelengths // 2 + 1)
         brightness = np.percentile(_luminance(self.run(coarse)), 99.0, axis=1, keepdims=True)
         floor = np.maximum(1e-3 * brightness, DARK)
         if plan.coherence.adds_powers:
@@ -247,13 +276,17 @@ class Trial:
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
-    def fitted_terms(self, plan: Plan) -> int:
-        """As many terms as the plan's fitted basis has."""
+    def load_table_kernels(self, plan: Plan) -> None:
+        """Begin to load what a table takes."""
+        polar.load_kernels(self.hf, plan, self._scope, self._device)
+
+    def fitted(self, plan: Plan) -> coefficients.Coefficients:
+        """The coefficients of a plan with a fitted basis."""
         found, _, _ = tables.coefficients_for(
             self.hf, plan.method, plan.coherence, self._scope, plan.reach(self.hf), terms=plan.terms,
             threads=self._threads,
         )  # fmt: skip
-        return found.terms
+        return found
 
     def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
         """The error of each pilot, shape (illuminants, n)."""
@@ -329,16 +362,28 @@ def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, flo
 def _fewer_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float, float]:
     """The fewest terms within their share, in whole SIMD registers; what they leave out, and float32's error."""
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
-    rounding = _ROUNDING_OF_POWERS if plan.coherence.adds_powers else _ROUNDING_OF_AMPLITUDES
-    most = plan.terms if plan.method in EXPANSIONS else trial.fitted_terms(plan)
+    found, truncation = _fewest_terms(plan, trial, share, exact)
+    rounding = _rounding(plan)
+    if not truncation:
+        # As many terms as there are leave out nothing that shows: the rest is float32's.
+        rounding = max(rounding, trial.error(trial.run(found), exact))
+    return found, truncation, rounding
+
+
+def _rounding(plan: Plan) -> float:
+    """Error of a basis in float32 as a rule."""
+    return _ROUNDING_OF_POWERS if plan.coherence.adds_powers else _ROUNDING_OF_AMPLITUDES
+
+
+def _fewest_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]) -> tuple[Plan, float]:
+    """The fewest terms within their share, in whole SIMD registers, and what they leave out: all that there are, 0."""
+    most = plan.terms if plan.method in EXPANSIONS else trial.fitted(plan).terms
     for registers in range(1, math.ceil(most / tables.LANES)):
         tried = dataclasses.replace(plan, terms=registers * tables.LANES)
         error = trial.error(trial.run(tried), exact)
         if error <= share:
-            return tried, error, rounding
-    # As many terms as there are leave out nothing that shows: the rest is float32's.
-    fullest = dataclasses.replace(plan, terms=most)
-    return fullest, 0.0, max(rounding, trial.error(trial.run(fullest), exact))
+            return tried, error
+    return dataclasses.replace(plan, terms=most), 0.0
 
 
 def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:

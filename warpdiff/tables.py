@@ -155,11 +155,17 @@ def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
     return fourier.fine_grid(hf, lambda nu: interpolation.kernel_transform(nu, spectral.TAPS))
 
 
+def kernels_for(plan: Plan, terms: int) -> Any:
+    """The kernels for rows of so many terms."""
+    from warpdiff.kernels import spectral
+
+    powers = coefficients.holds_powers(plan.method, adds_powers=plan.coherence.adds_powers)
+    return spectral.kernels(lanes_of(terms), plan.coherence.kind, powers)
+
+
 def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> Table:
     """The table for a plan, and for what a call has beyond it, built or found again."""
     import warp as wp
-
-    from warpdiff.kernels import spectral
 
     coherence = plan.coherence
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
@@ -167,10 +173,9 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     found, block, grid = coefficients_for(
         hf, plan.method, coherence, scope, plan.reach(hf), terms=plan.terms, threads=threads
     )
-    powers = coefficients.holds_powers(plan.method, adds_powers=coherence.adds_powers)
     terms = min(plan.terms, found.terms)
     lanes = lanes_of(terms)
-    kernels = spectral.kernels(lanes, coherence.kind, powers)
+    kernels = kernels_for(plan, terms)
     table = kernels.Table()
     moved = coherence if coherence.kind == "centred" else None
     key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)

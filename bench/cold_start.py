@@ -1,0 +1,61 @@
+"""Cold start: what a new process takes to import the package and to its first picture.
+
+A process imports the package, makes synthetic fingers of 25.6 µm and a tube, shades and saves 640 × 480 pixels, and
+ends. Processes with an empty folder for compiled kernels take turns with those that find it filled. Plotting libraries
+that other extras may have installed are hidden, as colour-science imports them where they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+HIDE = "import sys; sys.modules['matplotlib'] = None; "
+IMPORT = HIDE + "import warpdiff"
+PICTURE = HIDE + (
+    "import warpdiff as wd; from pathlib import Path; "
+    "hf = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2); "
+    "view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=640, height=480); "
+    "image = wd.shade(wd.meshes.tube(), hf, wd.DirectionalLight((0.1, 0.9, 1.2)), view); "
+    "image.save(Path(sys.argv[1]) / 'first.png')"
+)
+
+
+def seconds(code: str, cache: Path) -> float:
+    """Time of a process from its start to its end."""
+    begin = time.perf_counter()
+    environment = os.environ | {"WARP_CACHE_PATH": str(cache)}
+    subprocess.run([sys.executable, "-c", code, str(cache)], env=environment, check=True)  # noqa: S603
+    return time.perf_counter() - begin
+
+
+def main() -> None:
+    """Time a few of each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=5, help="processes of each kind (5)")
+    rounds = parser.parse_args().rounds
+    taken: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        with tempfile.TemporaryDirectory() as folder:
+            cache = Path(folder)
+            for name, code in (
+                ("Python alone", "pass"),
+                ("import warpdiff", IMPORT),
+                ("first picture, no kernel compiled", PICTURE),
+                ("first picture, kernels compiled before", PICTURE),
+            ):
+                taken.setdefault(name, []).append(seconds(code, cache))
+    print("| process | s, median | least | most |\n| --- | --- | --- | --- |")
+    for name, each in taken.items():
+        print(f"| {name} | {np.median(each):.2f} | {min(each):.2f} | {max(each):.2f} |")
+
+
+if __name__ == "__main__":
+    main()
