@@ -3,7 +3,6 @@
 import warp as wp
 
 from warpdiff.kernels import spectral
-
 from warpdiff.kernels.optics import gain, schlick
 from warpdiff.kernels.raycast import occluded
 

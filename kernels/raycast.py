@@ -8,6 +8,7 @@ import warp as wp
 
 # No fast-math: whether a ray hits is decided with infinities and signed zeros.
 from warpdiff.kernels import spectral
+
 wp.set_module_options(spectral.OPTIONS)
 
 # Beyond any distance between two points of the unit sphere.
