@@ -183,7 +183,7 @@ class _Frame:
         self._samples = samples
         self._device = device
         self._threads = threads
-        self._scene = scene.SceneArrays(surface, smooth=smooth, device=device)
+        self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
         self._camera = scene.camera(view, surface)
         self._needs_shadow_rays = scene.needs_shadow_rays(surface, view)
         self._has_base_colour = surface.has_base_colour
@@ -224,7 +224,7 @@ class _Frame:
             for light in self._lights:
                 self.deflect(light)
                 lit = np.flatnonzero(self._gains.numpy() > 0.0)
-                deflections, to_lights, gains = (each[lit].astype(np.float64) for each in self.directions())
+                deflections, to_lights, gains = (each[lit] for each in self.directions())
                 scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
                 count += len(lit)
                 if sample == 0:

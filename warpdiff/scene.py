@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from warpdiff.kernels import raycast
 if TYPE_CHECKING:
     from warpdiff.surface import Surface
     from warpdiff.view import View
+
+
+_kept: weakref.WeakKeyDictionary[Surface, dict[Any, SceneArrays]] = weakref.WeakKeyDictionary()
 
 
 class SceneArrays:
@@ -48,6 +52,15 @@ class SceneArrays:
         self.mesh_id = self._mesh.id
         arrays.mesh_id = self.mesh_id
         self.arrays = arrays
+
+
+def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
+    """The arrays of a surface, made or found again."""
+    kept = _kept.setdefault(surface, {})
+    key = (str(device), smooth)
+    if key not in kept:
+        kept[key] = SceneArrays(surface, smooth=smooth, device=device)
+    return kept[key]
 
 
 def camera(view: View, surface: Surface) -> Any:

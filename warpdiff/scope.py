@@ -98,17 +98,15 @@ class Scope:
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
-        used = deflections[lit]
-        if not len(used):
+        if not lit.all():
+            deflections, to_lights = deflections[lit], to_lights[lit]
+        if not len(deflections):
             return cls(0.0, 0.0, 0.0, 0.0, *band)
-        w = np.abs(used[:, 2])
-        return cls(
-            float(np.max(np.hypot(used[:, 0], used[:, 1]))),
-            float(np.max(lateral(hf, coherence, used, to_lights[lit]))),
-            float(w.min()),
-            float(w.max()),
-            *band,
-        )
+        u, v, w = deflections.T
+        max_uv = max_lateral = math.sqrt(float(np.max(u * u + v * v)))
+        if coherence.sigma_um is None:
+            max_lateral = float(np.max(lateral(hf, coherence, deflections, to_lights)))
+        return cls(max_uv, max_lateral, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: Scope) -> Scope:
         """The scope of both; one without lit directions adds nothing."""

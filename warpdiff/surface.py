@@ -5,11 +5,12 @@ Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with 
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from warpdiff.errors import WarpdiffWarning
 from warpdiff.spectrum import srgb_decode
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import trimesh
     from numpy.typing import ArrayLike, NDArray
 
@@ -32,6 +35,10 @@ HOW_TO_GET_TANGENTS = (
     "give tangents= (world frame, shape (n, 3), one per vertex, along the height field's x axis), "
     "or a mesh with texture coordinates, whose u axis then is the direction"
 )
+
+
+_T = TypeVar("_T")
+_MOST_KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +99,35 @@ def prepare_surface(
         ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
             vertices it lacks; there is no tangent field; several textures would have to be used at once.
     """
-    parts = [_part(geometry, transform) for geometry, transform in _geometries(mesh)]
-    return _build(_join(parts), tangents)
+    part = _join([_part(geometry, transform) for geometry, transform in _geometries(mesh)])
+    given = _check_tangents(part, tangents)
+    key = _digest(
+        part.vertices, part.faces, part.source, part.normals, part.uvs, part.texture, part.colours, given
+    )  # fmt: skip
+    return _found_again(_kept, key, lambda: _build(part, given))
+
+
+def _found_again(kept: dict[bytes, _T], key: bytes, make: Callable[[], _T]) -> _T:
+    """What was made before, or is made now: a light or a view that moves asks for the same mesh again."""
+    result = kept.pop(key) if key in kept else make()
+    kept[key] = result
+    while len(kept) > _MOST_KEPT:
+        kept.pop(next(iter(kept)))
+    return result
+
+
+def _digest(*arrays: NDArray[Any] | None) -> bytes:
+    """What tells arrays from others."""
+    found = hashlib.sha256()
+    for array in arrays:
+        found.update(b"none" if array is None else repr((array.shape, array.dtype)).encode())
+        if array is not None:
+            found.update(np.ascontiguousarray(array).data)
+    return found.digest()
+
+
+_kept: dict[bytes, Surface] = {}
+_are_given: dict[bytes, bool] = {}
 
 
 @dataclass
@@ -188,9 +222,14 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     normals = np.array(mesh.vertex_normals, dtype=np.float64)
     if normals.shape != vertices.shape:
         return None
-    computed = _unit(_angle_weighted(vertices, faces, _corner_angles(vertices, faces), np.arange(len(vertices)))[0])
     normals = _unit(np.where(np.isfinite(normals), normals, 0.0))
-    return None if np.allclose(normals, computed, atol=1e-6) else normals
+
+    def are_given() -> bool:
+        angles = _corner_angles(vertices, faces)
+        computed = _unit(_angle_weighted(vertices, faces, angles, np.arange(len(vertices)))[0])
+        return not np.allclose(normals, computed, atol=1e-6)
+
+    return normals if _found_again(_are_given, _digest(vertices, faces, normals), are_given) else None
 
 
 def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
@@ -306,9 +345,8 @@ def _join(parts: list[_Part]) -> _Part:
     )
 
 
-def _build(part: _Part, tangents: ArrayLike | None) -> Surface:
+def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     """Drop what has no area, then normals, tangents and the arrays for the device."""
-    given = _check_tangents(part, tangents)
     faces = part.faces
     corners = part.vertices[_compacted(faces, len(part.vertices))[0]].T
     low, high = corners.min(axis=1), corners.max(axis=1)
