@@ -15,6 +15,8 @@ wp.set_module_options(spectral.OPTIONS)
 FAR = wp.constant(wp.float32(4.0))
 # How far a shadow ray starts above the surface: some hundred roundings of a position.
 LIFT = wp.constant(wp.float32(1.0e-5))
+# Of a pixel that no face covers.
+UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 # The least cosine between the shading normal and the view.
 LEAST_COSINE = wp.constant(wp.float32(0.01))
 
@@ -182,12 +184,134 @@ def above_tangent_plane(point: wp.vec3f, vertex: wp.vec3f, normal: wp.vec3f) -> 
     return point - wp.min(wp.float32(0.0), wp.dot(point - vertex, normal)) * normal
 
 
+# Atomic, as slices of a launch run on several threads.
+_KEEP_NEAREST = """
+    unsigned long long* place = (unsigned long long*)values.data + index;
+    union { float number; unsigned int bits; } key;
+    key.number = distance;
+    unsigned long long candidate = ((unsigned long long)key.bits << 32) | (unsigned int)face;
+#if defined(__CUDA_ARCH__)
+    atomicMin(place, candidate);
+#else
+    unsigned long long found = __atomic_load_n(place, __ATOMIC_RELAXED);
+    while (candidate < found
+        && !__atomic_compare_exchange_n(place, &found, candidate, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
+#endif
+"""
+
+
+@wp.func_native(_KEEP_NEAREST)
+def keep_nearest(values: wp.array(dtype=wp.uint64), index: wp.int32, distance: wp.float32, face: wp.int32): ...
+
+
+@wp.func
+def in_picture(camera: Camera, position: wp.vec3f) -> wp.vec3d:
+    """Column and row of a point, in pixels, and its distance along the view."""
+    away = wp.vec3d(position) - camera.origin
+    depth = -wp.dot(away, camera.back)
+    scale = wp.float64(1.0)
+    if not camera.orthographic:
+        scale = wp.float64(1.0) / depth
+    x = wp.dot(away, camera.right) * scale / camera.half_width
+    y = wp.dot(away, camera.up) * scale / camera.half_height
+    half = wp.float64(0.5)
+    one = wp.float64(1.0)
+    return wp.vec3d(half * (one + x) * wp.float64(camera.width), half * (one - y) * wp.float64(camera.height), depth)
+
+
+@wp.func
+def beside(a: wp.vec3d, b: wp.vec3d, is_first: wp.bool, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Twice the area between an edge and a point of the picture; that of the edge reversed is its exact negative."""
+    if is_first:
+        return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+    return (a[1] - b[1]) * (x - b[0]) - (a[0] - b[0]) * (y - b[1])
+
+
+@wp.func
+def clipped(span: wp.vec2d, a: wp.vec3d, b: wp.vec3d, side: wp.float64, y: wp.float64) -> wp.vec2d:
+    """The part of a row's span that may lie inside an edge."""
+    rise = -side * (b[1] - a[1])
+    value = side * ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (span[0] - a[0]))
+    result = span
+    if rise > wp.float64(0.0):
+        result[0] = wp.max(span[0], span[0] - value / rise)
+    elif rise < wp.float64(0.0):
+        result[1] = wp.min(span[1], span[0] - value / rise)
+    return result
+
+
+@wp.kernel
+def cover(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    first: wp.int32,
+    # Out:
+    nearest_out: wp.array(dtype=wp.uint64),
+):
+    """Which face each pixel's centre sees, face by face, of a mesh that lies wholly in front of the eye.
+
+    A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
+
+    Args:
+        camera: The view.
+        surface: The mesh.
+        first: The first thread's face.
+        nearest_out: For each pixel the distance along the view, as the bits of a float32, and the face below them; the
+            smallest is kept. All bits set is none.
+    """
+    face = first + wp.tid()
+    i0 = surface.faces[face, 0]
+    i1 = surface.faces[face, 1]
+    i2 = surface.faces[face, 2]
+    p0 = in_picture(camera, surface.positions[i0])
+    p1 = in_picture(camera, surface.positions[i1])
+    p2 = in_picture(camera, surface.positions[i2])
+    zero = wp.float64(0.0)
+    half = wp.float64(0.5)
+    side = wp.float64(1.0)
+    if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
+        side = wp.float64(-1.0)
+    # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
+    nearest = wp.dot(camera.origin, camera.back) - wp.float64(1.0)
+    if nearest < zero:
+        nearest = zero
+    low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
+    high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
+    least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
+    most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
+    if low_y > high_y or least_x > most_x:
+        return
+    for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
+        y = wp.float64(row) + half
+        # A pixel's width of slack: what counts is tested below.
+        span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
+        span = clipped(clipped(clipped(span, p1, p2, side, y), p2, p0, side, y), p0, p1, side, y)
+        start = wp.max(wp.floor(span[0] - half), least_x)
+        end = wp.min(wp.ceil(span[1] - half), most_x)
+        for column in range(wp.int32(start), wp.int32(end) + 1):
+            x = wp.float64(column) + half
+            e0 = side * beside(p1, p2, i1 < i2, x, y)
+            e1 = side * beside(p2, p0, i2 < i0, x, y)
+            e2 = side * beside(p0, p1, i0 < i1, x, y)
+            total = e0 + e1 + e2
+            if e0 >= zero and e1 >= zero and e2 >= zero and total > zero:
+                depth = zero
+                if camera.orthographic:
+                    depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
+                else:
+                    depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
+                distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
+                keep_nearest(nearest_out, row * camera.width + column, distance, face)
+
+
 @wp.kernel
 def cast(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,
+    nearest: wp.array(dtype=wp.uint64),
     first: wp.int32,
     # Out:
     hit_out: wp.array(dtype=wp.int32),
@@ -209,6 +333,7 @@ def cast(
         camera: The view.
         surface: The mesh.
         sampling: Where in the pixel.
+        nearest: What :func:`cover` found for pixels' centres; empty asks the hierarchy.
         first: The first thread's pixel.
         hit_out: 1 where the mesh is met, else 0; the vectors below are then left as they are.
         face_out: The face that is met, or −1.
@@ -239,28 +364,36 @@ def cast(
         origin = camera.origin + across
         along = -camera.back
     along = wp.normalize(along)
-    # The mesh lies in the unit sphere: most rays beside it end here.
-    ahead = -wp.dot(origin, along)
-    aside = origin + ahead * along
-    if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
-        return
-    near = wp.max(ahead - two, wp.float64(0.0))
-    start = wp.vec3f(origin + near * along)
+    face = wp.int32(-1)
+    b0 = wp.float32(1.0)
+    b1 = wp.float32(0.0)
     direction = wp.normalize(wp.vec3f(along))
-
-    query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
-    if not query.result:
-        return
-    face = query.face
+    if nearest.shape[0] > 0:
+        found = nearest[pixel]
+        if found == UNSEEN:
+            return
+        face = wp.int32(found & wp.uint64(0xFFFFFFFF))
+    else:
+        # The mesh lies in the unit sphere: most rays beside it end here.
+        ahead = -wp.dot(origin, along)
+        aside = origin + ahead * along
+        if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
+            return
+        near = wp.max(ahead - two, wp.float64(0.0))
+        start = wp.vec3f(origin + near * along)
+        query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
+        if not query.result:
+            return
+        face = query.face
+        # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
+        b0 = query.u
+        b1 = query.v
     i0 = surface.faces[face, 0]
     i1 = surface.faces[face, 1]
     i2 = surface.faces[face, 2]
     p0 = surface.positions[i0]
     p1 = surface.positions[i1]
     p2 = surface.positions[i2]
-    # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
-    b0 = query.u
-    b1 = query.v
     # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
     # 1e-5, which a window of many wavelengths sees in what lies between its orders.
     edge1 = wp.vec3d(p1) - wp.vec3d(p0)

@@ -16,21 +16,27 @@ from trimesh.visual.material import SimpleMaterial
 
 from warpdiff import meshes
 from warpdiff.kernels import raycast
-from warpdiff.scene import SceneArrays, camera, needs_shadow_rays
+from warpdiff.scene import SceneArrays, camera, lies_ahead, needs_shadow_rays
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
 OUTPUTS = ("hit", "face", "tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour")
 
 
-def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None):
-    """The kernel's outputs by name, (height * width, ...) each."""
+def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None, covers=False):
+    """The kernels' outputs by name, (height * width, ...) each, by rays or face by face."""
     scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
     sampling = raycast.Sampling()
     sampling.sample, sampling.samples, sampling.seed = sample, samples, seed
     count = view.width * view.height
     outputs = [wp.zeros(count, dtype=wp.int32 if k < 2 else wp.vec3f, device="cpu") for k in range(8)]
-    inputs = [camera(view, surface), scene.arrays, sampling]
+    nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    if covers:
+        assert lies_ahead(surface, view)
+        inputs = [camera(view, surface), scene.arrays]
+        for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
+            wp.launch(raycast.cover, dim=int(end - begin), inputs=[*inputs, int(begin)], outputs=[nearest])
+    inputs = [camera(view, surface), scene.arrays, sampling, nearest]
     bounds = np.linspace(0, count, slices + 1).astype(int)
     for begin, end in itertools.pairwise(bounds):
         wp.launch(raycast.cast, dim=int(end - begin), inputs=[*inputs, int(begin)], outputs=outputs, device="cpu")
@@ -76,11 +82,12 @@ def the_bottle(request):
 
 @pytest.mark.parametrize("make", [a_tube, a_disc, a_sphere, the_bottle])
 @pytest.mark.parametrize("smooth", [True, False])
-def test_rays_and_frames_equal_brute_force(make, smooth, request):
+@pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
+def test_rays_and_frames_equal_brute_force(make, covers, smooth, request):
     mesh, view = make(request)
     tangents = [[0.2, 1.0, 0.3]] * len(mesh.vertices) if make is a_sphere else None
     surface = torn(prepare_surface(mesh, tangents=tangents))
-    got = cast(surface, view, smooth=smooth)
+    got = cast(surface, view, smooth=smooth, covers=covers)
 
     fov = None if view.extent_y else view.fov_y_deg
     size = {"width": view.width, "height": view.height, "fov_y_deg": fov, "extent_y": view.extent_y}
@@ -154,23 +161,44 @@ def test_orthographic_pixel_centres():
     np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) * 0.5)[:, None], (6, 8)), atol=1e-6)
 
 
-def test_a_distant_eye_loses_nothing():
+@pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
+def test_a_distant_eye_loses_nothing(covers):
     mesh = meshes.disc(segments=24, rings=2)
     surface = prepare_surface(mesh)
     frames = []
     for distance in (1e3, 1e7):
         fov = np.degrees(2.0 * np.arctan(1.2 / distance))
-        frames.append(cast(surface, View((0, 0, distance), (0, 0, 0), fov_y_deg=float(fov), width=64, height=64)))
+        view = View((0, 0, distance), (0, 0, 0), fov_y_deg=float(fov), width=64, height=64)
+        frames.append(cast(surface, view, covers=covers))
     assert np.mean(frames[0]["hit"] != frames[1]["hit"]) < 0.002
     both = (frames[0]["hit"] == 1) & (frames[1]["hit"] == 1)
     np.testing.assert_allclose(frames[0]["tangent"][both], frames[1]["tangent"][both], atol=3e-3)
 
 
-def test_slices_make_the_same_picture():
+def test_faces_leave_no_gap_where_they_meet():
+    # A vertex and four edges right in pixels' centres, seen head on, and turned so that no two products are alike.
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.0]])
+    mesh = trimesh.Trimesh(vertices, [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], process=False)
+    surface = prepare_surface(mesh, tangents=[[1.0, 0.0, 0.0]] * 5)
+    for eye in ((0, 0, 3.0), (0.3, -0.2, 2.0), (1.1, 0.9, 1.7)):
+        got = cast(surface, View(eye, (0, 0, 0), fov_y_deg=10, width=65, height=65), covers=True)
+        assert np.all(got["hit"] == 1)
+
+
+def test_bodies_beside_and_behind_the_eye_are_left_to_rays():
+    surface = prepare_surface(meshes.tube(segments_along=12, segments_around=8))
+    assert lies_ahead(surface, View((0, 1, 4), (0, 0, 0)))
+    assert not lies_ahead(surface, View((0, 0.0, 0.1), (5, 0, 0)))
+    assert not lies_ahead(surface, View((0, 1, 4), (0, 2, 8)))
+
+
+@pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
+def test_slices_make_the_same_picture(covers):
     surface = prepare_surface(meshes.tube(segments_along=24, segments_around=12))
     view = View((0.5, 2, 2), (0, 0, 0), width=33, height=21)
     scene = SceneArrays(surface, device="cpu")
-    whole, parts = (cast(surface, view, scene=scene, slices=n, samples=4, sample=1) for n in (1, 7))
+    sampling = {} if covers else {"samples": 4, "sample": 1}
+    whole, parts = (cast(surface, view, scene=scene, slices=n, covers=covers, **sampling) for n in (1, 7))
     for name in OUTPUTS:
         np.testing.assert_array_equal(whole[name], parts[name])
 

@@ -186,6 +186,8 @@ class _Frame:
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
         self._camera = scene.camera(view, surface)
         self._needs_shadow_rays = scene.needs_shadow_rays(surface, view)
+        # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
+        self._covers = device.is_cpu and samples == 1 and scene.lies_ahead(surface, view)
         self._has_base_colour = surface.has_base_colour
         self._size = size = view.width * view.height
 
@@ -197,6 +199,7 @@ class _Frame:
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
             setattr(self._pixels, name, empty(wp.vec3f))
         self._face = empty(wp.int32)
+        self._nearest = wp.empty(size if self._covers else 0, dtype=wp.uint64, device=device)
         self._deflections = empty(wp.vec3d)
         self._to_lights = empty(wp.vec3f)
         self._gains = empty(wp.float32)
@@ -320,9 +323,15 @@ class _Frame:
         sampling = raycast.Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         found = self._pixels
+        if self._covers:
+            self._nearest.fill_(raycast.UNSEEN)
+            launch(
+                raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays], [self._nearest],
+                device=self._device, threads=self._threads,
+            )  # fmt: skip
         self._launch(
             raycast.cast,
-            [self._camera, self._scene.arrays, sampling],
+            [self._camera, self._scene.arrays, sampling, self._nearest],
             [
                 found.hit,
                 self._face,

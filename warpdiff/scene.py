@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from warpdiff.view import View
 
 
+# In front of the eye, in units of the surface.
+_LEAST_DEPTH = 1e-3
 _kept: weakref.WeakKeyDictionary[Surface, dict[Any, SceneArrays]] = weakref.WeakKeyDictionary()
 
 
@@ -25,6 +27,7 @@ class SceneArrays:
 
     Attributes:
         arrays: The struct for :func:`warpdiff.kernels.raycast.cast`.
+        face_count: Number of faces.
         mesh_id: Number of the mesh with its bounding volume hierarchy, for shadow rays.
     """
 
@@ -48,6 +51,7 @@ class SceneArrays:
         arrays.texture = wp.array(surface.texture, dtype=wp.vec3f, device=device)
         arrays.has_vertex_colours = surface.vertex_colours is not None
         arrays.smooth = bool(smooth)
+        self.face_count = len(surface.faces)
         self._mesh = wp.Mesh(points=arrays.positions, indices=arrays.faces.flatten())
         self.mesh_id = self._mesh.id
         arrays.mesh_id = self.mesh_id
@@ -78,6 +82,13 @@ def camera(view: View, surface: Surface) -> Any:
     result.width = view.width
     result.height = view.height
     return result
+
+
+def lies_ahead(surface: Surface, view: View) -> bool:
+    """Whether all of the surface is in front of the eye."""
+    frame = view.frame()
+    depth = (frame.origin - surface.centre) / surface.radius @ frame.back - surface.vertices @ frame.back
+    return bool(depth.min() > _LEAST_DEPTH)
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
