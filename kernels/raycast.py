@@ -201,7 +201,8 @@ _KEEP_NEAREST = """
 
 
 @wp.func_native(_KEEP_NEAREST)
-def keep_nearest(values: wp.array(dtype=wp.uint64), index: wp.int32, distance: wp.float32, face: wp.int32): ...
+def keep_nearest(values: wp.array(dtype=wp.uint64), index: wp.int32, distance: wp.float32, face: wp.int32):
+    """Keep a face if it is nearer than what is there."""
 
 
 @wp.func
@@ -273,9 +274,7 @@ def cover(
     if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
         side = wp.float64(-1.0)
     # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
-    nearest = wp.dot(camera.origin, camera.back) - wp.float64(1.0)
-    if nearest < zero:
-        nearest = zero
+    nearest = wp.max(wp.dot(camera.origin, camera.back) - wp.float64(1.0), zero)
     low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
     high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
     least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
