@@ -12,16 +12,19 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, polar, raycast, spectral
+from warpdiff.kernels import directions, lookup, polar, raycast, spectral
 
 SM = 90
+# Ampere, too, for what every frame launches.
+SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"optics"}
 KERNELS = {
-    "raycast": {"cast"},
+    "raycast": {"cast", "cover"},
     "directions": {"deflect_directions", "deflect_pixels", "spread_pixels"},
     "spectral": {"integrate", "sample"},
-    "polar": {"blur", "integrate", "interpolate", "resample"},
+    "lookup": {"blur", "integrate", "interpolate"},
+    "polar": {"project", "resample"},
 }
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [
@@ -39,8 +42,9 @@ def compiler():
     """Warp's compiler for CUDA, which its packages for Linux and Windows carry."""
     wp.config.log_level = wp.LOG_ERROR
     wp.init()
-    if SM not in wp.get_cuda_supported_archs():
-        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{SM}")
+    missing = set(SMS) - set(wp.get_cuda_supported_archs())
+    if missing:
+        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{missing.pop()}")
 
 
 @pytest.fixture
@@ -51,12 +55,12 @@ def cuda() -> str:
     return "cuda"
 
 
-def compile_to_ptx(module, folder: Path) -> str:
+def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
     """PTX of a Python module's kernels, or of a Warp module."""
-    paths = wp.compile_aot_module(module, device=None, arch=SM, module_dir=folder, use_ptx=True)
+    paths = wp.compile_aot_module(module, device=None, arch=arch, module_dir=folder, use_ptx=True)
     assert [path.suffix for path in paths] == [".ptx"]
     ptx = Path(paths[0]).read_text()
-    assert f".target sm_{SM}" in ptx
+    assert f".target sm_{arch}" in ptx
     return ptx
 
 
@@ -76,9 +80,10 @@ def test_every_kernel_module_is_compiled_here():
         assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
 
 
+@pytest.mark.parametrize("arch", SMS)
 @pytest.mark.parametrize("module", [raycast, directions], ids=["raycast", "directions"])
-def test_modules_compile(module, tmp_path):
-    assert entry_points(compile_to_ptx(module, tmp_path)) == KERNELS[module.__name__.rpartition(".")[2]]
+def test_modules_compile(module, arch, tmp_path):
+    assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 
 
 @pytest.mark.parametrize(("lanes", "form", "powers"), FORMS)
@@ -92,16 +97,22 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
     assert depots == (["28"] if form == "replicas" else [])
 
 
-@pytest.mark.parametrize("name", sorted(KERNELS["polar"] - {"resample"}))
-def test_kernels_of_a_table_compile_and_stay_in_registers(name, tmp_path):
-    ptx = compile_to_ptx(getattr(polar.lookup(16), name).module, tmp_path)
+@pytest.mark.parametrize("arch", SMS)
+@pytest.mark.parametrize("name", sorted(KERNELS["lookup"]))
+def test_kernels_of_a_table_compile_and_stay_in_registers(name, arch, tmp_path):
+    ptx = compile_to_ptx(getattr(lookup.lookup(8), name).module, tmp_path, arch)
     assert entry_points(ptx) == {name}
     assert "__local_depot" not in ptx
 
 
 @pytest.mark.parametrize(("lanes", "powers", "nodes"), [(8, True, 8), (8, False, 16)])
 def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
-    assert entry_points(compile_to_ptx(polar.resampler(lanes, powers, nodes).module, tmp_path)) == {"resample"}
+    resample = polar.resampler(lanes, powers, nodes).resample
+    assert entry_points(compile_to_ptx(resample.module, tmp_path)) == {"resample"}
+    project = polar.projector(nodes, 8).project
+    ptx = compile_to_ptx(project.module, tmp_path)
+    assert entry_points(ptx) == {"project"}
+    assert "__local_depot" not in ptx
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpdiff import polar, tables
+from warpdiff import colour_table, tables
 from warpdiff.device import launch
 
 if TYPE_CHECKING:
@@ -20,13 +20,13 @@ class Integrator:
 
     def __init__(self, hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> None:
         self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
+        self._scope = scope
         self._colours: dict[str, Any] = {}
         if plan.nodes:
             import warp as wp
 
-            self._blending = polar.blending(device)
+            self._blending = colour_table.blending(device)
             self._no_footprints = wp.empty(0, dtype=wp.vec4f, device=device)
-            self._kernel, self._arguments = polar.table_for(hf, plan, scope, device=device, threads=threads)
         else:
             table = tables.table_for(hf, plan, scope, device=device, threads=threads)
             self._kernel, self._arguments = table.integrate, table.arguments
@@ -53,15 +53,17 @@ class Integrator:
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
             options: Those of ``launch``.
         """
-        inputs = [self._arguments, deflections]
         if self._plan.nodes:
             if illuminant not in self._colours:
-                self._colours[illuminant] = polar.weights_for(self._plan, illuminant, device=self._device)
+                self._colours[illuminant] = colour_table.table_for(
+                    self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads
+                )
+            kernel, table = self._colours[illuminant]
             seen = self._no_footprints if footprints is None else footprints
-            inputs += [gains, seen, self._colours[illuminant], self._blending]
+            inputs = [table, deflections, gains, seen, self._blending]
         else:
             if illuminant not in self._colours:
                 made = tables.quadrature_for(self._hf, self._plan, illuminant, device=self._device)
                 self._colours[illuminant] = made
-            inputs += [to_lights, gains, self._colours[illuminant]]
-        launch(self._kernel, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)
+            kernel, inputs = self._kernel, [self._arguments, deflections, to_lights, gains, self._colours[illuminant]]
+        launch(kernel, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)

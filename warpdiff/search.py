@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff import coefficients, polar, tables
+from warpdiff import coefficients, colour_table, polar, tables
 from warpdiff.coefficients import holds_powers
 from warpdiff.device import launch, load
 from warpdiff.expansions import EXPANSIONS
@@ -116,7 +116,6 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
     rounding = _rounding(plan)
-    trial.load_table_kernels(dataclasses.replace(plan, nodes=polar.MAX_NODES, rays_per_width=1.0, footprint=footprint))
     few = polar.stand_apart(trial.hf, plan.coherence)
     likely = [rung for rung in polar.RUNGS if polar.expected_error(rung[0], few=few) <= _LIKELY * target]
     rungs = likely or [polar.RUNGS[-1]]
@@ -124,8 +123,9 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     while rungs:
         nodes, rays_per_width = rungs.pop(0)
         tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
-        if polar.megabytes(trial.hf, tried) > polar.MOST_MEGABYTES:
+        if polar.megabytes(tried) > polar.MOST_MEGABYTES:
             break
+        trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
         error = trial.error(trial.run(tried), trial.exact)
         best = dataclasses.replace(
             tried,
@@ -158,7 +158,7 @@ def _likely_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.floa
         return dataclasses.replace(plan, terms=most), 0.0
     tried = dataclasses.replace(plan, terms=tables.LANES)
     error = trial.error(trial.run(tried), exact)
-    for terms in range(tables.LANES, most, tables.LANES):
+    for terms in range(tables.LANES, most):
         expected = error * float(left_out[terms] / left_out[tables.LANES])
         if expected <= share:
             return dataclasses.replace(plan, terms=terms), expected
@@ -276,9 +276,11 @@ class Trial:
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
-    def load_table_kernels(self, plan: Plan) -> None:
-        """Begin to load what a table takes."""
-        polar.load_kernels(self.hf, plan, self._scope, self._device)
+    def begin_to_load(self, plan: Plan) -> None:
+        """Begin to load what a plan's table takes."""
+        colour_table.begin_to_load(
+            self.hf, plan, self._scope, self._illuminants[0], device=self._device, threads=self._threads
+        )
 
     def fitted(self, plan: Plan) -> coefficients.Coefficients:
         """The coefficients of a plan with a fitted basis."""

@@ -42,7 +42,9 @@ class _Kept:
     def __init__(self) -> None:
         self.coefficients: dict[Any, Coefficients] = {}
         self.rows: dict[Any, tuple[Any, Any, Coefficients]] = {}
-        self.polar: dict[Any, tuple[Any, Any]] = {}
+        self.prepared: dict[Any, tuple[Any, dict[str, Any]]] = {}
+        self.spectra: dict[Any, Any] = {}
+        self.colours: dict[Any, tuple[Any, Any, float]] = {}
 
 
 def kept(hf: HeightField) -> _Kept:

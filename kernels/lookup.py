@@ -1,0 +1,379 @@
+"""Colours from a table: the integral over λ is done once, for every (u, v) and every function of w.
+
+As λ goes from red to blue, (u, v)/λ runs along a ray of the frequency plane, over one octave. The power spectrum is
+taken on rays, at nodes of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
+ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's nodes, with weights that are the projection of the colour
+curves on the same splines, however many orders the ray passes. Where |(u, v)| takes the same ratios, these weights are
+the same at every node, and w comes in through a few functions that all share: the sum is done beforehand, and what is
+left of a colour is a spline between nodes and rays, and a scalar product with the functions at w.
+
+A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
+at all wavelengths: levels of the table are blurred in angle, with fewer rays, and in ratio look-ups take more nodes.
+"""
+
+import functools
+import types
+
+import warp as wp
+
+from warpdiff.kernels import spectral
+
+# Loops that stay loops compile faster.
+OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
+# Rays or nodes on either side of one that a look-up takes from the tables of weights; as many rays are repeated beyond
+# a turn.
+REACH = 6
+# Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
+FILTER_REACH = 6
+# A footprint is split where its direction turns by so much, or where its parts differ in ln |(u, v)| by so much.
+_MOST_TURN, _MOST_DRIFT = wp.constant(wp.float32(0.06)), wp.constant(wp.float32(0.005))
+# Parts of a footprint along its angle.
+MOST_PARTS = 12
+# Beyond these a footprint surrounds the mirror direction and is no range of angles.
+_WIDEST_ANGLE, _WIDEST_RATIO = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(0.35))
+
+
+@wp.struct
+class Blending:
+    """Weights of the rays, or nodes, around a place: the spline between them, blurred by a part of the footprint."""
+
+    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 REACH + 1)
+    reaches: wp.array(dtype=wp.int32)  # rays on either side that count
+    per_variance: wp.float32  # entries per unit of the variance, in distances of rays squared
+    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
+
+
+# Sums of rows are written as sums of the compiler's own vectors, as it makes none of plain loops over registers.
+CHUNKS_OF_ROWS = """
+#if defined(__CUDA_ARCH__)
+    typedef float chunk;
+    constexpr int SIZE = 1;
+#else
+    constexpr int SIZE = WIDTH % 8 == 0 ? 8 : 4;
+    typedef float chunk __attribute__((vector_size(SIZE * sizeof(float)), aligned(sizeof(float))));
+#endif
+    constexpr int CHUNKS = WIDTH / SIZE;
+"""
+
+# One octave's share of a colour.
+_RUN_SUM = """
+    const float* row = (const float*)rows.data + (long long)start * WIDTH;
+    const float* tap = (const float*)weights.data + turn;
+    const float* node = (const float*)weights.data + ratio;
+    chunk sum[CHUNKS];
+    for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+    for (int m = 0; m < count; ++m) {
+        float weight = scale;
+        if (falloff > 0.0f) {
+            const float distance = away + (float)m;
+            weight *= wp::exp(-falloff * distance * distance);
+        } else {
+            weight *= node[m];
+        }
+        const float* from = row;
+        for (int j = 0; j < taps; ++j) {
+            const float factor = weight * tap[j];
+#pragma unroll
+            for (int l = 0; l < CHUNKS; ++l) sum[l] += factor * ((const chunk*)from)[l];
+            from += (long long)stride * WIDTH;
+        }
+        row += WIDTH;
+    }
+    // The functions at w: cubics through four entries.
+    constexpr int EACH = CHUNKS / 3;
+    const chunk* entries = (const chunk*)functions.data + (long long)entry * EACH;
+    const float before = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
+    const float w0 = -t * after * beyond / 6.0f, w1 = 0.5f * before * after * beyond;
+    const float w2 = 0.5f * before * t * beyond, w3 = -before * t * after / 6.0f;
+    chunk colour[3] = {chunk{}, chunk{}, chunk{}};
+    for (int k = 0; k < EACH; ++k) {
+        const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
+            + w3 * entries[k + 3 * EACH];
+        for (int c = 0; c < 3; ++c) colour[c] += sum[c * EACH + k] * at_w;
+    }
+    wp::vec_t<3, float> result;
+    for (int c = 0; c < 3; ++c) {
+        float total = 0.0f;
+        for (int l = 0; l < SIZE; ++l) total += ((const float*)&colour[c])[l];
+        result[c] = total;
+    }
+    return result;
+"""
+
+
+@wp.func
+def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
+    """An index modulo the number of rays."""
+    result = index % count
+    if result < 0:
+        result = result + count
+    return result
+
+
+@functools.cache
+def lookup(functions: int) -> types.SimpleNamespace:
+    """The struct of a table of colours with so many functions of w, and the kernels that do not depend on its source.
+
+    Returns:
+        A namespace with the type ``row``, the struct ``Colours`` and the kernels ``interpolate``, ``blur`` and
+        ``integrate``.
+    """
+    width = 3 * functions
+    row_t = wp.types.vector(length=width, dtype=wp.float32)
+    functions_t = wp.types.vector(length=functions, dtype=wp.float32)
+
+    @wp.struct
+    class Colours:
+        rows: wp.array(dtype=row_t)  # X, Y and Z: level after level, octave after octave, ray after ray, node by node
+        functions: wp.array(dtype=functions_t)  # at equal steps in |w|
+        least_w: wp.float32  # |w| of the first of them
+        per_w: wp.float32  # entries per unit of |w|
+        firsts: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of ray 0
+        rays: wp.array2d(dtype=wp.int32)  # (levels, octaves), their number
+        widths: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
+        nodes: wp.int32  # nodes an octave
+        per_log: wp.float32  # nodes per unit of ln |(u, v)|
+        node_of_one: wp.float32  # the node where |(u, v)| is 1
+        least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def interpolate(
+        # In:
+        values: wp.array(dtype=row_t),
+        table: Colours,
+        level: wp.int32,
+        octave: wp.int32,
+        first: wp.int32,
+        # Out:
+        rows_out: wp.array(dtype=row_t),
+    ):
+        """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn."""
+        ray = first + wp.tid() - wp.static(REACH)
+        count = table.rays[level, octave]
+        begin = table.firsts[level, octave] + ray * table.nodes
+        for k in range(table.nodes):
+            rows_out[begin + k] = row_t()
+        for away in range(-wp.static(FILTER_REACH), wp.static(FILTER_REACH + 1)):
+            factor = wp.static(2.0**0.5) * wp.pow(wp.static(2.0 * 2.0**0.5 - 3.0), wp.float32(wp.abs(away)))
+            row = cyclic(ray + away, count) * table.nodes
+            for k in range(table.nodes):
+                rows_out[begin + k] += factor * values[row + k]
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def blur(
+        # In:
+        table: Colours,
+        source: wp.int32,
+        level: wp.int32,
+        octave: wp.int32,
+        first: wp.int32,
+        # Out:
+        values_out: wp.array(dtype=row_t),
+    ):
+        """Values on the rays of a level: those of another, blurred by what it lacks."""
+        ray = first + wp.tid()
+        count = table.rays[source, octave]
+        start = table.firsts[source, octave]
+        spacing = wp.float32(2.0 * wp.PI) / wp.float32(count)
+        # The variance of the spline itself is a quarter of the distance of rays, squared.
+        width_of = table.widths[level, octave]
+        given = table.widths[source, octave]
+        variance = (width_of * width_of - given * given) / (spacing * spacing) + 0.25
+        reach = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), count // 2)
+        place = wp.float32(ray) / wp.float32(table.rays[level, octave]) * wp.float32(count)
+        nearest = wp.int32(wp.rint(place))
+        total_weight = wp.float32(0.0)
+        for k in range(table.nodes):
+            values_out[ray * table.nodes + k] = row_t()
+        for away in range(-reach, reach + 1):
+            distance = wp.float32(nearest + away) - place
+            weight = wp.exp(-0.5 * distance * distance / variance)
+            total_weight += weight
+            row = start + cyclic(nearest + away, count) * table.nodes
+            for k in range(table.nodes):
+                values_out[ray * table.nodes + k] += weight * table.rows[row + k]
+        for k in range(table.nodes):
+            values_out[ray * table.nodes + k] = (1.0 / total_weight) * values_out[ray * table.nodes + k]
+
+    @wp.func_native((CHUNKS_OF_ROWS + _RUN_SUM).replace("WIDTH", str(width)))
+    def run_sum(
+        rows: wp.array(dtype=row_t),
+        weights: wp.array3d(dtype=wp.float32),
+        start: wp.int32,
+        stride: wp.int32,
+        count: wp.int32,
+        turn: wp.int32,
+        taps: wp.int32,
+        ratio: wp.int32,
+        scale: wp.float32,
+        falloff: wp.float32,
+        away: wp.float32,
+        functions: wp.array(dtype=functions_t),
+        entry: wp.int32,
+        t: wp.float32,
+    ) -> wp.vec3f:
+        """Rows of one octave times the weights of their rays and nodes, and times the functions at w."""
+
+    @wp.func
+    def colour_at(
+        table: Colours,
+        blending: Blending,
+        w: wp.float32,
+        u: wp.float32,
+        v: wp.float32,
+        angle2: wp.float32,
+        ratio2: wp.float32,
+    ) -> wp.vec3f:
+        """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|."""
+        log_uv = wp.log(wp.max(wp.sqrt(u * u + v * v), table.least_uv))
+        # The mean of ln |(u, v)|, to second order: what lies aside is further away.
+        log_uv = log_uv + 0.5 * (angle2 - ratio2)
+        turns = wp.atan2(v, u) * wp.float32(0.5 / wp.PI)
+        if turns < 0.0:
+            turns = turns + 1.0
+        entries = blending.weights.shape[0]
+        fractions = blending.weights.shape[1]
+        all_taps = blending.weights.shape[2]
+
+        # Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
+        place = log_uv * table.per_log + table.node_of_one
+        nearest = wp.int32(wp.rint(place))
+        variance = ratio2 * table.per_log * table.per_log
+        step = wp.int32(variance * blending.per_variance + 0.5)
+        reach = wp.int32(0)
+        ratio = wp.int32(0)
+        falloff = wp.float32(0.0)
+        scale = wp.float32(1.0)
+        if step < entries:
+            reach = blending.reaches[step]
+            f = wp.int32((place - wp.float32(nearest) + 0.5) * wp.float32(fractions))
+            f = wp.clamp(f, 0, fractions - 1)
+            ratio = (step * fractions + f) * all_taps + wp.static(REACH) - reach
+        else:
+            variance = variance + 0.25
+            reach = wp.int32(wp.ceil(3.2 * wp.sqrt(variance)))
+            falloff = 0.5 / variance
+            scale = wp.sqrt(falloff / wp.PI)
+        octaves = table.rays.shape[1]
+        node = wp.max(nearest - reach, 0)
+        end = wp.min(nearest + reach + 1, octaves * table.nodes)
+        ratio = ratio + node - (nearest - reach)
+
+        steps = wp.max((w - table.least_w) * table.per_w, 0.0)
+        entry = wp.clamp(wp.int32(steps) - 1, 0, table.functions.shape[0] - 4)
+        between = steps - wp.float32(entry) - 1.0
+
+        colour = wp.vec3f()
+        while node < end:
+            octave = node // table.nodes
+            # The level that is blurred by as much or less, and what is left of it.
+            level = wp.int32(0)
+            if angle2 > 0.0:
+                relative = angle2 / (table.widths[1, octave] * table.widths[1, octave])
+                if relative >= 1.0:
+                    level = wp.min(wp.int32(0.5 * wp.log2(relative)) + 1, table.rays.shape[0] - 1)
+            rays = table.rays[level, octave]
+            spacing = wp.float32(2.0 * wp.PI) / wp.float32(rays)
+            left = wp.max(angle2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
+            step = wp.int32(left / (spacing * spacing) * blending.per_variance + 0.5)
+            step = wp.min(step, entries - 1)
+            around = blending.reaches[step]
+            position = turns * wp.float32(rays)
+            ray = wp.int32(wp.rint(position))
+            if ray >= rays:
+                # Half a distance before a full turn; rays are repeated to REACH − 1 beyond.
+                ray = ray - rays
+                position = position - wp.float32(rays)
+            f = wp.min(wp.int32((position - wp.float32(ray) + 0.5) * wp.float32(fractions)), fractions - 1)
+            offset = node - octave * table.nodes
+            count = wp.min(end - node, table.nodes - offset)
+            colour += run_sum(
+                table.rows,
+                blending.weights,
+                table.firsts[level, octave] + (ray - around) * table.nodes + offset,
+                table.nodes,
+                count,
+                (step * fractions + f) * all_taps + wp.static(REACH) - around,
+                2 * around + 1,
+                ratio,
+                scale,
+                falloff,
+                wp.float32(node) - place,
+                table.functions,
+                entry,
+                between,
+            )
+            node = node + count
+            ratio = ratio + count
+        # Projected colour curves have shallow negative lobes.
+        return wp.max(colour, wp.vec3f())
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def integrate(
+        # In:
+        table: Colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: Blending,
+        first: wp.int32,
+        # Out:
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add the XYZ of each direction to ``xyz_out``; an empty array of footprints is none."""
+        i = first + wp.tid()
+        gain = gains[i]
+        if gain > 0.0:
+            deflection = deflections[i]
+            u = wp.float32(deflection[0])
+            v = wp.float32(deflection[1])
+            w = wp.float32(-deflection[2])
+            colour = wp.vec3f()
+            count = wp.int32(1)
+            angle2 = wp.float32(0.0)
+            ratio2 = wp.float32(0.0)
+            along = wp.vec2f()
+            if footprints.shape[0] > 0:
+                # Covariance along (u, v) and across, relative to |(u, v)|.
+                uv2 = wp.max(u * u + v * v, table.least_uv * table.least_uv)
+                x = u / uv2
+                y = v / uv2
+                f = footprints[i]
+                radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
+                tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
+                angle2 = wp.dot(tangential, tangential)
+                ratio2 = wp.dot(radial, radial)
+                if angle2 > 0.0:
+                    drift = wp.dot(radial, tangential) / wp.sqrt(angle2)
+                    needed = wp.max(wp.sqrt(angle2) / _MOST_TURN, wp.abs(drift) / _MOST_DRIFT)
+                    count = wp.clamp(wp.int32(wp.ceil(needed)), 1, wp.static(MOST_PARTS))
+                    # Parts lie along what goes with the angle.
+                    scale = 1.0 / wp.sqrt(angle2)
+                    along = scale * wp.vec2f(
+                        f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
+                    )
+                    within = blending.parts[count - 1, 0, 0]
+                    ratio2 = ratio2 - (1.0 - within) * drift * drift
+                    angle2 = within * angle2
+            for k in range(count):
+                away = blending.parts[count - 1, 1, k]
+                at_u = u + away * along[0]
+                at_v = v + away * along[1]
+                part_angle2 = angle2
+                part_ratio2 = ratio2
+                if count > 1:
+                    # Relative to the part's own |(u, v)|.
+                    change = (u * u + v * v) / wp.max(at_u * at_u + at_v * at_v, table.least_uv * table.least_uv)
+                    part_angle2 = angle2 * change
+                    part_ratio2 = ratio2 * change
+                # What is seen around the mirror direction spreads over more than a ratio can say.
+                dilution = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
+                part_angle2 = wp.min(part_angle2, _WIDEST_ANGLE * _WIDEST_ANGLE)
+                part_ratio2 = wp.min(part_ratio2, _WIDEST_RATIO * _WIDEST_RATIO)
+                part = colour_at(table, blending, w, at_u, at_v, part_angle2, part_ratio2)
+                colour += blending.parts[count - 1, 2, k] * dilution * part
+            xyz_out[i] = xyz_out[i] + gain * colour
+
+    return types.SimpleNamespace(
+        row=row_t, functions=functions_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate
+    )

@@ -1,0 +1,335 @@
+"""Tables of colours in polar coordinates of (u, v), made or found again."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff import tables
+from warpdiff.device import launch, load
+from warpdiff.polar import LOG_RED, Layout
+from warpdiff.projection import Projection, Terms, projection, spline
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield import HeightField
+    from warpdiff.planning import Plan
+    from warpdiff.scope import Scope
+
+# Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
+_REMAINDERS, _MOST_REMAINDER = 24, 4.4
+# Deviations of the blur that its taps reach.
+_REACHED = 2.7
+_POSITIONS = 64
+# Variance within one of several parts of a footprint, times their number.
+_WITHIN = 1.2
+# Of the largest |κ|: all but the mirror's coefficient vanish below.
+_SMALLEST_KAPPA = 1e-3
+# Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
+_SAMPLED, _LEAST_SIZE = 4096, 1e-3
+_SLICE = 32
+# What a height field keeps of tables: some for other lights and views, or a search's last attempts.
+_MOST_KEPT_MEGABYTES = 1000.0
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What a table is made from: coefficients, and the rows of the spectrum that they become.
+
+    Attributes:
+        key: What tells it from others.
+        layout: Where its nodes lie.
+        base: The table of coefficients.
+        terms: What rows consist of.
+        at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes).
+    """
+
+    key: Any
+    layout: Layout
+    base: tables.Table
+    terms: Terms
+    at_kappas: NDArray[np.float32]
+
+    @property
+    def sampler(self) -> Any:
+        """The kernel that samples the spectrum, and the type of its rows."""
+        from warpdiff.kernels import polar as kernels
+
+        width, lanes = self.at_kappas.shape
+        return kernels.resampler(lanes, self.base.coefficients.rows.shape[2] == 1, width)
+
+
+def table_for(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> tuple[Any, Any]:
+    """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
+    kept = tables.kept(hf)
+    held, spectra = kept.colours, kept.spectra
+    source, how = _prepared(hf, plan, scope, illuminant, device=device, threads=threads)
+    wanted, sharp = (*source.key, illuminant, plan.footprint), (*source.key, illuminant, False)
+    options: dict[str, Any] = {"device": device, "threads": threads}
+    if wanted not in held and sharp not in held:
+        _load_kernels(source, how, plan, device)
+        if source.key not in spectra:
+            # The last one serves other illuminants.
+            spectra.clear()
+            spectra[source.key] = _sampled(source, **options)
+        held[sharp] = _coloured(source, how, spectra[source.key], **options)
+    if wanted not in held:
+        # Levels are added to colours that have none.
+        held[wanted] = _blurred(source.layout.with_levels(plan), held[sharp][1], **options)
+    held[wanted] = held.pop(wanted)
+    while len(held) > 1 and sum(megabytes for _, _, megabytes in held.values()) > _MOST_KEPT_MEGABYTES:
+        held.pop(next(iter(held)))
+    return held[wanted][:2]
+
+
+def begin_to_load(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> None:
+    """Begin to load the kernels that make a plan's table and look it up."""
+    _load_kernels(*_prepared(hf, plan, scope, illuminant, device=device, threads=threads), plan, device)
+
+
+def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
+    from warpdiff.kernels import lookup, polar
+
+    count = how.functions.shape[1]
+    target = lookup.lookup(count)
+    project = polar.projector(len(source.at_kappas), count).project
+    needed = [source.sampler.resample, project, target.interpolate, target.integrate]
+    load([*needed, target.blur] if plan.footprint else needed, device)
+
+
+def _prepared(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> tuple[_Source, Projection]:
+    """What comes before the rows: layout, terms and projection."""
+    reached = tables.Reached.by(plan.scope.joined(scope))
+    numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.tolerance
+    key = device.alias, plan.method, plan.coherence, numbers, reached
+    kept = tables.kept(hf).prepared
+    if key not in kept:
+        while len(kept) >= tables.KEPT:
+            kept.pop(next(iter(kept)))
+        kept[key] = _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
+    source, projections = kept[key]
+    if illuminant not in projections:
+        projections[illuminant] = projection(plan, source.terms, illuminant)
+    return source, projections[illuminant]
+
+
+def _source(
+    hf: HeightField, plan: Plan, scope: Scope, key: Any, reached: tables.Reached, *, device: wp.Device, threads: int
+) -> _Source:
+    """The source of a plan's table."""
+    base = tables.table_for(hf, plan, scope, device=device, threads=threads)
+    found = base.coefficients
+    count = min(plan.terms, found.terms)
+    lanes = tables.lanes_of(count)
+    kappas = _kappas(reached)
+    if plan.coherence.adds_powers:
+
+        def basis_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
+            return found.basis_at(at)[:, :count]
+
+        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]))
+        at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
+    else:
+        nodes = _chebyshev_kappas(hf, kappas)
+        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)))
+        at_kappas = np.zeros((tables.lanes_of(len(nodes)), lanes), dtype=np.float32)
+        at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
+    layout = Layout.of(replace(plan, footprint=False), reached.frequency)
+    return _Source(key, layout, base, terms, at_kappas)
+
+
+def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    """How much each term matters, relative to rows (my, mx, terms)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    some = flat[:: max(1, len(flat) // _SAMPLED)].astype(np.float64)
+    norms = np.linalg.norm(some, axis=1, keepdims=True)
+    sizes = np.sqrt(np.mean((some / np.where(norms > 0.0, norms, 1.0)) ** 2, axis=0))
+    return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max()))
+
+
+def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
+    """The spectrum's rows, octave after octave, ray after ray."""
+    import warp as wp
+
+    layout, sampler = source.layout, source.sampler
+    at_kappas = wp.array(source.at_kappas, dtype=source.base.arguments.rows.dtype, device=device)
+    values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
+    for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
+        log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
+        inputs = [source.base.arguments, at_kappas, rays, layout.nodes, log_low, divisions, layout.highest, start]
+        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_SLICE)
+    return values
+
+
+def _coloured(
+    source: _Source, how: Projection, values: Any, *, device: wp.Device, threads: int
+) -> tuple[Any, Any, float]:
+    """The kernel, the table of colours without levels, and its size."""
+    import warp as wp
+
+    from warpdiff.kernels import lookup, polar
+
+    layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
+    target = lookup.lookup(count)
+    table = target.Colours()
+    table.functions = wp.array(how.functions, dtype=target.functions, device=device)
+    table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
+    table.nodes = layout.nodes
+    table.per_log = per_log = layout.nodes / math.log(2.0)
+    table.node_of_one = (LOG_RED - layout.log_low) * per_log
+    # The spline there begins one before it.
+    table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
+    projector = polar.projector(len(source.at_kappas), count)
+    matrices = wp.array(how.matrices.reshape(-1, 3 * count), dtype=target.row, device=device)
+    refined = wp.empty(layout.rays[0][-1] * layout.nodes, dtype=values.dtype, device=device)
+    starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
+    rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
+
+    def fill(_level: int, octave: int, on_rays: Any) -> None:
+        inputs = [values, starts, rays, matrices, terms, how.before, layout.nodes, octave, refined]
+        size = layout.rays[0][octave] // projector.abreast
+        launch(projector.project, size, inputs, [on_rays], device=device, threads=threads, slice_size=_SLICE)
+
+    _fill(table, target, layout, 0, fill, device=device, threads=threads)
+    return target.integrate, table, table.rows.capacity * 1e-6
+
+
+def _blurred(layout: Layout, sharp: Any, *, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
+    """The same with levels, from a table without."""
+    from warpdiff.kernels import lookup
+
+    target = lookup.lookup(sharp.functions.dtype._length_)
+    table = target.Colours()
+    for name in ("functions", "least_w", "per_w", "nodes", "per_log", "node_of_one", "least_uv"):
+        setattr(table, name, getattr(sharp, name))
+
+    def fill(level: int, octave: int, on_rays: Any) -> None:
+        inputs = [table, layout.source(level, octave), level, octave]
+        launch(target.blur, layout.rays[level][octave], inputs, [on_rays], device=device, threads=threads)
+
+    _fill(table, target, layout, 1, fill, device=device, threads=threads, begun=sharp.rows)
+    return target.integrate, table, table.rows.capacity * 1e-6
+
+
+def _fill(
+    table: Any,
+    target: Any,
+    layout: Layout,
+    first_level: int,
+    fill: Callable[[int, int, Any], None],
+    *,
+    device: wp.Device,
+    threads: int,
+    begun: Any = None,
+) -> None:
+    """Make the rows of levels from what ``fill`` puts on the rays of a level and an octave."""
+    import warp as wp
+
+    from warpdiff.kernels import lookup
+
+    table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
+    table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
+    table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
+    table.rows = wp.empty(layout.rows, dtype=target.row, device=device)
+    if begun is not None:
+        wp.copy(table.rows, begun, count=len(begun))
+    on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
+    for level in range(first_level, len(layout.rays)):
+        for octave, rays in enumerate(layout.rays[level]):
+            fill(level, octave, on_rays)
+            inputs = [on_rays, table, level, octave]
+            repeated = rays + 2 * lookup.REACH
+            launch(target.interpolate, repeated, inputs, [table.rows], device=device, threads=threads)
+
+
+def blending(device: wp.Device) -> Any:
+    """The struct ``Blending`` of the kernels."""
+    import warp as wp
+
+    from warpdiff.kernels import lookup as kernels
+
+    result = kernels.Blending()
+    weights, reaches = _blends(kernels.REACH)
+    result.weights = wp.array(weights, dtype=wp.float32, device=device)
+    result.reaches = wp.array(reaches, dtype=wp.int32, device=device)
+    result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
+    result.parts = wp.array(_parts(kernels.MOST_PARTS), dtype=wp.float32, device=device)
+    return result
+
+
+@functools.cache
+def _parts(most: int) -> NDArray[np.float64]:
+    """The normal distribution as 1 … ``most`` narrower ones: their variance, places and weights, (most, 3, most).
+
+    Places and weights are those of Gauss and Hermite, so that moments up to 2 count − 1 are kept.
+    """
+    result = np.zeros((most, 3, most))
+    for count in range(1, most + 1):
+        within = min(1.0, _WITHIN / count)
+        places, weights = np.polynomial.hermite_e.hermegauss(count)
+        result[count - 1, 0] = within
+        result[count - 1, 1, :count] = math.sqrt(1.0 - within) * places
+        result[count - 1, 2, :count] = weights / weights.sum()
+    return result
+
+
+@functools.cache
+def _blends(reach: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Weights of the rays around an angle, (variances, fractions, 2 reach + 1), and how far those reach that count."""
+    fine = np.arange(-512, 513) / 64.0
+    sharp = spline(fine)
+    offsets = np.arange(-reach, reach + 1)
+    weights = np.zeros((_REMAINDERS, _POSITIONS, 2 * reach + 1))
+    reaches = np.zeros(_REMAINDERS, dtype=np.int32)
+    for index in range(_REMAINDERS):
+        variance = index / (_REMAINDERS - 1) * _MOST_REMAINDER
+        blurred = sharp
+        if variance > 0.0:
+            gaussian = np.exp(-0.5 * fine**2 / variance)
+            blurred = np.convolve(sharp, gaussian / gaussian.sum(), mode="same")
+        reaches[index] = 1 if index == 0 else min(math.ceil(_REACHED * math.sqrt(variance + 0.25)), reach)
+        for position in range(_POSITIONS):
+            f = (position + 0.5) / _POSITIONS - 0.5
+            each = np.interp(offsets - f, fine, blurred) * (np.abs(offsets) <= reaches[index])
+            weights[index, position] = each / each.sum()
+    return weights, reaches
+
+
+def _kappas(reached: tables.Reached) -> tuple[float, float]:
+    """The range of |κ| of the basis."""
+    return max(reached.kappa_low, _SMALLEST_KAPPA * reached.kappa_high), reached.kappa_high
+
+
+def _chebyshev_kappas(hf: HeightField, kappas: tuple[float, float]) -> NDArray[np.float64]:
+    """The |κ| between which a power is a polynomial: Chebyshev's nodes, as many as its oscillations take."""
+    low, high = kappas
+    argument = math.pi * (high - low) * hf.height_range_um
+    count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
+    angles = math.pi * (np.arange(count) + 0.5) / count
+    return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * np.cos(angles))
+
+
+def _cardinals(kappas: NDArray[np.float64], nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Polynomials that are 1 at one of Chebyshev's nodes and 0 at the others, shape (len(kappas), len(nodes))."""
+    count = len(nodes)
+    order = np.arange(count)
+    half = (nodes.max() - nodes.min()) / (2.0 * math.cos(math.pi / (2 * count))) if count > 1 else 1.0
+    middle = (nodes.max() + nodes.min()) / 2.0
+    transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
+    transform[0] /= 2.0
+    position = np.clip((kappas - middle) / half, -1.0, 1.0)
+    return np.asarray(np.cos(np.arccos(position)[:, None] * order) @ transform)
