@@ -161,11 +161,11 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
         shares[name] = float(call(0).mask.mean())
 
     for tolerance in plans:
-        for distance in (0.36, 0.5, 1.0, 2.0, 4.0):
+        for distance in (0.25, 0.5, 1.0, 2.0, 4.0):
             frame(f"tolerance {tolerance:g}, distance {distance:g}", tolerance, distance)
-    frame("tolerance 0.03, distance 0.36, one thread", 3e-2, 0.36, workers=1)
-    frame("tolerance 0.03, distance 0.36, 320 × 240", 3e-2, 0.36, width=320)
-    frame("tolerance 0.03, distance 0.36, 1280 × 960", 3e-2, 0.36, width=1280)
+    frame("tolerance 0.03, distance 0.25, one thread", 3e-2, 0.25, workers=1)
+    frame("tolerance 0.03, distance 0.25, 320 × 240", 3e-2, 0.25, width=320)
+    frame("tolerance 0.03, distance 0.25, 1280 × 960", 3e-2, 0.25, width=1280)
     print("\n| frame, 640 × 480 | share filled | ms |\n| --- | --- | --- |")
     for name, ms in median_ms(whole, rounds).items():
         print(f"| {name} | {shares[name]:.2f} | {ms:.0f} |", flush=True)

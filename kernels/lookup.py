@@ -29,6 +29,8 @@ FILTER_REACH = 6
 _MOST_TURN, _MOST_DRIFT = wp.constant(wp.float32(0.06)), wp.constant(wp.float32(0.005))
 # Parts of a footprint along its angle.
 MOST_PARTS = 12
+# In variances of the mirror's lobe: exp(−24) is 4e-11.
+_FAR_IN_LOBES = wp.constant(wp.float32(48.0))
 # Beyond these a footprint surrounds the mirror direction and is no range of angles.
 _WIDEST_ANGLE, _WIDEST_RATIO = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(0.35))
 
@@ -135,6 +137,13 @@ def lookup(functions: int) -> types.SimpleNamespace:
         per_log: wp.float32  # nodes per unit of ln |(u, v)|
         node_of_one: wp.float32  # the node where |(u, v)| is 1
         least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
+        spread: wp.float32  # of a single coefficient's lobe in |(u, v)|, at a middle wavelength
+        mirror: wp.array(dtype=wp.float32)  # the power of the mean plane's coefficient, which rows leave out, by |κ|
+        least_kappa: wp.float32  # |κ| of the first of them
+        per_kappa: wp.float32  # entries per unit of |κ|
+        lobe2: wp.float32  # variance of its lobe in frequency
+        wavenumbers: wp.array(dtype=wp.float32)  # for its integral over λ
+        weights: wp.array(dtype=wp.vec3f)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
@@ -308,6 +317,30 @@ def lookup(functions: int) -> types.SimpleNamespace:
         # Projected colour curves have shallow negative lobes.
         return wp.max(colour, wp.vec3f())
 
+    @wp.func
+    def mirror_at(
+        table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, xx: wp.float32, xy: wp.float32, yy: wp.float32
+    ) -> wp.vec3f:
+        """XYZ of what the mean plane reflects, over a covariance of (u, v): a Gaussian at each wavelength."""
+        colour = wp.vec3f()
+        tau = table.wavenumbers[0]
+        if u * u + v * v > _FAR_IN_LOBES * (table.lobe2 / (tau * tau) + xx + yy):
+            return colour
+        for k in range(table.wavenumbers.shape[0]):
+            tau = table.wavenumbers[k]
+            lobe2 = table.lobe2 / (tau * tau)
+            a = lobe2 + xx
+            d = lobe2 + yy
+            determinant = a * d - xy * xy
+            exponent = (d * u * u - 2.0 * xy * u * v + a * v * v) / determinant
+            if exponent < _FAR_IN_LOBES:
+                steps = wp.max((w * tau - table.least_kappa) * table.per_kappa, 0.0)
+                entry = wp.min(wp.int32(steps), table.mirror.shape[0] - 2)
+                t = steps - wp.float32(entry)
+                power = (1.0 - t) * table.mirror[entry] + t * table.mirror[entry + 1]
+                colour += (power * lobe2 / wp.sqrt(determinant) * wp.exp(-0.5 * exponent)) * table.weights[k]
+        return colour
+
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
         # In:
@@ -333,12 +366,18 @@ def lookup(functions: int) -> types.SimpleNamespace:
             angle2 = wp.float32(0.0)
             ratio2 = wp.float32(0.0)
             along = wp.vec2f()
+            xx = wp.float32(0.0)
+            xy = wp.float32(0.0)
+            yy = wp.float32(0.0)
             if footprints.shape[0] > 0:
-                # Covariance along (u, v) and across, relative to |(u, v)|.
-                uv2 = wp.max(u * u + v * v, table.least_uv * table.least_uv)
+                # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
+                uv2 = u * u + v * v + table.spread * table.spread
                 x = u / uv2
                 y = v / uv2
                 f = footprints[i]
+                xx = f[0] * f[0] + f[2] * f[2]
+                xy = f[0] * f[1] + f[2] * f[3]
+                yy = f[1] * f[1] + f[3] * f[3]
                 radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
                 tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
                 angle2 = wp.dot(tangential, tangential)
@@ -363,15 +402,16 @@ def lookup(functions: int) -> types.SimpleNamespace:
                 part_ratio2 = ratio2
                 if count > 1:
                     # Relative to the part's own |(u, v)|.
-                    change = (u * u + v * v) / wp.max(at_u * at_u + at_v * at_v, table.least_uv * table.least_uv)
+                    spread2 = table.spread * table.spread
+                    change = (u * u + v * v + spread2) / (at_u * at_u + at_v * at_v + spread2)
                     part_angle2 = angle2 * change
                     part_ratio2 = ratio2 * change
-                # What is seen around the mirror direction spreads over more than a ratio can say.
-                dilution = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
                 part_angle2 = wp.min(part_angle2, _WIDEST_ANGLE * _WIDEST_ANGLE)
                 part_ratio2 = wp.min(part_ratio2, _WIDEST_RATIO * _WIDEST_RATIO)
                 part = colour_at(table, blending, w, at_u, at_v, part_angle2, part_ratio2)
-                colour += blending.parts[count - 1, 2, k] * dilution * part
+                colour += blending.parts[count - 1, 2, k] * part
+            if table.mirror.shape[0] > 0:
+                colour += mirror_at(table, u, v, w, xx, xy, yy)
             xyz_out[i] = xyz_out[i] + gain * colour
 
     return types.SimpleNamespace(

@@ -66,8 +66,10 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
     out_t = wp.types.vector(length=nodes, dtype=wp.float32)
 
     @wp.func
-    def power_row(table: coefficients_t, qy: wp.float64, qx: wp.float64, bases: wp.array(dtype=row_t)) -> out_t:
-        """⟨|P|²⟩ at a frequency in coefficients, as a row."""
+    def power_row(
+        table: coefficients_t, qy: wp.float64, qx: wp.float64, bases: wp.array(dtype=row_t), left_out: wp.int32
+    ) -> out_t:
+        """⟨|P|²⟩ at a frequency in coefficients, as a row, but for the coefficient ``left_out``."""
         iy = wp.int32(wp.rint(qy))
         ix = wp.int32(wp.rint(qx))
         fy = wp.float32(qy - wp.float64(iy))
@@ -92,7 +94,8 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             x = wrapped(ix + first_x + table.origin_x, table.count_x)
             for _i in range(first_x, last_x + 1):
                 if wp.static(powers):
-                    total += g * table.rows[row + x]
+                    if row + x != left_out:
+                        total += g * table.rows[row + x]
                 else:
                     total_re += g * table.rows[2 * (row + x)]
                     total_im += g * table.rows[2 * (row + x) + 1]
@@ -118,6 +121,7 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         log_low: wp.float64,
         divisions: wp.int32,
         highest: wp.float64,
+        left_out: wp.int32,
         start: wp.int32,
         first: wp.int32,
         # Out:
@@ -144,7 +148,7 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             place = wp.float64(node) + wp.float64(f)
             t = wp.exp(log_low + place / wp.float64(nodes_an_octave) * wp.float64(wp.static(math.log(2.0))))
             if t <= highest:
-                value = scale * power_row(table, t * sine, t * cosine, bases)
+                value = scale * power_row(table, t * sine, t * cosine, bases, left_out)
                 if node > 0:
                     values_out[begin + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
                 if node >= 0 and node < nodes_an_octave:

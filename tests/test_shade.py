@@ -137,7 +137,7 @@ def test_both_sides_are_seen(fingers):
     flip = np.array([1.0, 1.0, -1.0])
     images = [
         wd.shade(
-            whole_disc(), fingers, wd.DirectionalLight(light * side), coherence=SHORT,
+            whole_disc(), fingers, wd.DirectionalLight(light * side), coherence=SHORT, footprint=False,
             view=wd.View(eye * side, (0, 0, 0), up=(1, 0, 0), width=33, height=33),
         )
         for side in (1.0, flip)

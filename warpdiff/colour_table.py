@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import tables
+from warpdiff import spectrum, tables
 from warpdiff.device import launch, load
 from warpdiff.polar import LOG_RED, Layout
 from warpdiff.projection import Projection, Terms, projection, spline
@@ -35,6 +35,8 @@ _WITHIN = 1.2
 _SMALLEST_KAPPA = 1e-3
 # Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
 _SAMPLED, _LEAST_SIZE = 4096, 1e-3
+# The mean plane's lobe: entries over |κ|, linear between them, and wavelengths; that of its size among small ones.
+_MIRROR_ENTRIES, _MIRROR_WAVELENGTHS, _MIDDLE_UM = 2048, 40, 0.55
 _SLICE = 32
 # What a height field keeps of tables: some for other lights and views, or a search's last attempts.
 _MOST_KEPT_MEGABYTES = 1000.0
@@ -50,6 +52,8 @@ class _Source:
         base: The table of coefficients.
         terms: What rows consist of.
         at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes).
+        mirror: Of powers, the mean plane's, which rows leave out, at ``_MIRROR_ENTRIES`` equally spaced |κ|.
+        lobe2: Variance of a coefficient's lobe in frequency [1/µm²].
     """
 
     key: Any
@@ -57,6 +61,14 @@ class _Source:
     base: tables.Table
     terms: Terms
     at_kappas: NDArray[np.float32]
+    mirror: NDArray[np.float32]
+    lobe2: float
+
+    @property
+    def left_out(self) -> int:
+        """Where the mean plane's coefficient lies among the rows of ``base``; −1 where it stays in."""
+        found = self.base.arguments
+        return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
 
     @property
     def sampler(self) -> Any:
@@ -82,7 +94,7 @@ def table_for(
             # The last one serves other illuminants.
             spectra.clear()
             spectra[source.key] = _sampled(source, **options)
-        held[sharp] = _coloured(source, how, spectra[source.key], **options)
+        held[sharp] = _coloured(source, how, spectra[source.key], illuminant, **options)
     if wanted not in held:
         # Levels are added to colours that have none.
         held[wanted] = _blurred(source.layout.with_levels(plan), held[sharp][1], **options)
@@ -142,14 +154,19 @@ def _source(
             return found.basis_at(at)[:, :count]
 
         terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]))
+        own = found.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
+        mirror = np.maximum(basis_at(np.linspace(*kappas, _MIRROR_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
+        # Amplitudes of the mean plane and of others do not come apart.
+        mirror = np.zeros(0, dtype=np.float32)
         nodes = _chebyshev_kappas(hf, kappas)
         terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)))
         at_kappas = np.zeros((tables.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
     layout = Layout.of(replace(plan, footprint=False), reached.frequency)
-    return _Source(key, layout, base, terms, at_kappas)
+    lobe2 = 0.5 / tables.falloff_um2(plan.coherence)
+    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2)
 
 
 def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -170,13 +187,16 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
     for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
-        inputs = [source.base.arguments, at_kappas, rays, layout.nodes, log_low, divisions, layout.highest, start]
+        inputs = [
+            source.base.arguments, at_kappas, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            start,
+        ]  # fmt: skip
         launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_SLICE)
     return values
 
 
 def _coloured(
-    source: _Source, how: Projection, values: Any, *, device: wp.Device, threads: int
+    source: _Source, how: Projection, values: Any, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
     """The kernel, the table of colours without levels, and its size."""
     import warp as wp
@@ -193,6 +213,14 @@ def _coloured(
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
+    table.spread = math.sqrt(source.lobe2) * _MIDDLE_UM
+    table.mirror = wp.array(source.mirror, dtype=wp.float32, device=device)
+    table.least_kappa, highest = source.terms.kappas
+    table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)
+    table.lobe2 = source.lobe2
+    wavenumbers, weights = spectrum.uniform_quadrature(_MIRROR_WAVELENGTHS, illuminant)
+    table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
+    table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
     projector = polar.projector(len(source.at_kappas), count)
     matrices = wp.array(how.matrices.reshape(-1, 3 * count), dtype=target.row, device=device)
     refined = wp.empty(layout.rays[0][-1] * layout.nodes, dtype=values.dtype, device=device)
@@ -214,8 +242,9 @@ def _blurred(layout: Layout, sharp: Any, *, device: wp.Device, threads: int) -> 
 
     target = lookup.lookup(sharp.functions.dtype._length_)
     table = target.Colours()
-    for name in ("functions", "least_w", "per_w", "nodes", "per_log", "node_of_one", "least_uv"):
-        setattr(table, name, getattr(sharp, name))
+    for name in target.Colours.vars:
+        if name not in ("rows", "firsts", "rays", "widths"):
+            setattr(table, name, getattr(sharp, name))
 
     def fill(level: int, octave: int, on_rays: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
