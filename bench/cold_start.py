@@ -31,7 +31,7 @@ PICTURE = HIDE + (
 def seconds(code: str, cache: Path) -> float:
     """Time of a process from its start to its end."""
     begin = time.perf_counter()
-    environment = os.environ | {"WARP_CACHE_PATH": str(cache)}
+    environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}
     subprocess.run([sys.executable, "-c", code, str(cache)], env=environment, check=True)
     return time.perf_counter() - begin
 

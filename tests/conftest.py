@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+# What tests compute is not kept in the user's folder.
+os.environ["WARPDIFF_CACHE_DIR"] = ""
 DATA = Path(os.environ.get("WARPDIFF_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import coefficients, fourier, interpolation, spectrum
+from warpdiff import coefficients, disk, fourier, interpolation, spectrum
+from warpdiff.coefficients import Coefficients
 from warpdiff.expansions import EXPANSIONS, check_cycles
 
 if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-    from warpdiff.coefficients import Coefficients
     from warpdiff.coherence import Coherence
     from warpdiff.fourier import Block, Grid
     from warpdiff.heightfield import HeightField
@@ -137,11 +137,16 @@ def coefficients_for(
     if key in held:
         held[key] = held.pop(key)
         return held[key], block, grid
-    if method in EXPANSIONS:
-        made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
-    else:
-        series, _, _ = coefficients_for(hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads)
-        made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
+
+    def make() -> dict[str, Any]:
+        if method in EXPANSIONS:
+            made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
+        else:
+            series, _, _ = coefficients_for(hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads)
+            made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
+        return vars(made)
+
+    made = Coefficients(**disk.kept_on_disk((key, hf.pitch_um), hf.heights_um, make))
     held[key] = made
     while len(held) > KEPT:
         held.pop(next(iter(held)))
