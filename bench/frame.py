@@ -1,11 +1,11 @@
 """Frames with footprints: their time, their error against many rays a pixel, and what other ways of that error cost.
 
-The scene is the tube at 640 × 480 with a surface of one's choice. Times are of whole calls of ``shade``, rays, frames
-and surface included, medians of rounds in which everything takes turns; light, view and the body's pose change in every
-frame, and the plan is one for the whole hemisphere, which depends on none of them. Errors are the design's, against the
-mean of many rays a pixel under the same filter, over pixels that lie wholly inside the lit surface. The bar counts
-those whose |(u, v)| is above four deviations of their footprint and whose light stands higher than cos θi = 0.3; the
-rest is tabled beside them.
+The scene is the tube at 640 × 480 with a surface of one's choice. Times are of whole calls of ``shade``, rays and
+frames included, medians of rounds in which everything takes turns; light and view change in every frame, where it says
+so the mesh, too, and the plan is one for the whole hemisphere, which depends on none of them. Errors are the design's,
+against the mean of many rays a pixel under the same filter, over pixels that lie wholly inside the lit surface. The bar
+counts those whose |(u, v)| is above four deviations of their footprint and whose light stands higher than cos θi = 0.3;
+the rest is tabled beside them.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 sys.path[:0] = [str(ROOT / "bench")]
 
+import multiply_adds  # noqa: E402
 import numba_published  # noqa: E402
 
 BAR = 3e-2
@@ -40,6 +41,7 @@ LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 PUBLISHED = {"wavelengths": 272, "terms": 16, "reach": 2, "centred": True, "rounded": False}
 SMALL_UM, SMALL = 40.0, {"reach": 1, "rounded": True}
 ROUNDS = 7
+RATE_ROUNDS = 200_000
 
 
 def surface_of(name: str, data: Path) -> wd.HeightField:
@@ -145,17 +147,20 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
     poses = [mesh.copy() for _ in range(rounds + 1)]
     for k, each in enumerate(poses):
         each.apply_translation((1e-3 * k, 0.0, 0.0))
+    still = mesh.copy()
     whole: dict[str, Any] = {}
     shares: dict[str, float] = {}
 
-    def frame(name: str, tolerance: float, distance: float, width: int = 640, workers: int = threads) -> None:
+    def frame(
+        name: str, tolerance: float, distance: float, width: int = 640, workers: int = threads, moves: bool = False
+    ) -> None:
         plan = dataclasses.replace(plans[tolerance], footprint=True)
 
         def call(k: int) -> wd.Image:
-            turned = poses[k % len(poses)]
+            body = poses[k % len(poses)] if moves else still
             light = wd.DirectionalLight((0.1 + 0.02 * k, 0.9, 1.2))
             view = camera(distance, 0.03 * k, width)
-            return wd.shade(turned, hf, light, view, plan=plan, threads=workers)
+            return wd.shade(body, hf, light, view, plan=plan, threads=workers)
 
         whole[name] = call
         shares[name] = float(call(0).mask.mean())
@@ -163,6 +168,7 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
     for tolerance in plans:
         for distance in (0.25, 0.5, 1.0, 2.0, 4.0):
             frame(f"tolerance {tolerance:g}, distance {distance:g}", tolerance, distance)
+    frame("tolerance 0.01, distance 0.25, a mesh that moves", 1e-2, 0.25, moves=True)
     frame("tolerance 0.03, distance 0.25, one thread", 3e-2, 0.25, workers=1)
     frame("tolerance 0.03, distance 0.25, 320 × 240", 3e-2, 0.25, width=320)
     frame("tolerance 0.03, distance 0.25, 1280 × 960", 3e-2, 0.25, width=1280)
@@ -172,36 +178,58 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
 
 
 def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int) -> None:
-    """Times of the shading kernels alone on the frame's lit pixels, beside the published algorithm's."""
+    """Times of the shading kernels alone on the frame's lit pixels, beside the published algorithm's; their bound."""
     import warp as wp
 
     device = resolve_device(None)
-    xyz = wp.zeros(len(scene.gains), dtype=wp.vec3f, device=device)
-    parts = scene.frame._deflections, scene.frame._to_lights, scene.frame._gains
-    lit = scene.gains > 0.0
+    lit = np.flatnonzero(scene.gains > 0.0)
+    xyz = wp.zeros(len(lit), dtype=wp.vec3f, device=device)
+    to_lights = wp.array(scene.to_lights[lit], dtype=wp.vec3f, device=device)
+    gains = wp.array(scene.gains[lit], dtype=wp.float32, device=device)
+    spread = wp.array(scene.spread.numpy()[lit], dtype=wp.vec4f, device=device)
+
+    def look_up(made: Integrator, deflections: Any, footprints: Any = None) -> Any:
+        on_device = wp.array(deflections, dtype=wp.vec3d, device=device)
+        return lambda _: made.add(on_device, to_lights, gains, "D65", xyz, footprints=footprints)
+
+    seen = scene.deflections[lit]
     calls: dict[str, Any] = {}
     for tolerance in (3e-2, 1e-2):
         plan = dataclasses.replace(wd.plan(hf, tolerance=tolerance, method="low-rank/table"), footprint=True)
         for workers in (threads, 1):
             made = Integrator(hf, plan, scene.scope, device=device, threads=workers)
-            for name, spread in (("points", None), ("footprints", scene.spread)):
-                calls[f"table, tolerance {tolerance:g}, {name}, {workers} threads"] = (
-                    lambda _, made=made, spread=spread: made.add(*parts, "D65", xyz, footprints=spread)
-                )
+            for name, footprints in (("points", None), ("footprints", spread)):
+                label = f"table of {plan.nodes} nodes, tolerance {tolerance:g}, {name}, {workers} threads"
+                calls[label] = look_up(made, seen, footprints)
         sampled = wd.plan(hf, tolerance=tolerance, method="low-rank")
         of_samples = Integrator(hf, sampled, scene.scope, device=device, threads=threads)
-        calls[f"sampled, tolerance {tolerance:g}, points"] = lambda _, of=of_samples: of.add(*parts, "D65", xyz)
-    frequency = float(np.max(np.hypot(scene.deflections[:, 0], scene.deflections[:, 1]))) / 0.38
+        calls[f"sampled, tolerance {tolerance:g}, points, {threads} threads"] = look_up(of_samples, seen)
+    calls["the last table, points in random order, 1 threads"] = look_up(
+        made, np.random.default_rng(0).permutation(seen)
+    )
+    calls["the last table, all points alike, 1 threads"] = look_up(made, np.tile(seen[len(seen) // 2], (len(seen), 1)))
+    frequency = float(np.max(np.hypot(seen[:, 0], seen[:, 1]))) / 0.38
     setting = PUBLISHED | (SMALL if max(hf.size_um) < SMALL_UM else {})
     series = numba_published.tables(hf, terms=setting.pop("terms"), centred=setting.pop("centred"), frequency=frequency)
-    some = np.flatnonzero(lit)[:: max(1, np.count_nonzero(lit) // 8000)]
+    some = lit[:: max(1, len(lit) // 8000)]
     calls["published, 272 λ, 16 terms"] = lambda _: numba_published.shade(
         series, scene.deflections[some], scene.gains[some], powers=True, **setting
     )
+    sums = wp.zeros(1, dtype=wp.float32, device=device)
+    calls["rate"] = lambda _: wp.launch(
+        multiply_adds.multiply_add_rate, dim=1, inputs=[RATE_ROUNDS, 0], outputs=[sums], device=device
+    )
     print("\n| kernel | µs a lit pixel |\n| --- | --- |")
     for name, ms in median_ms(calls, rounds).items():
-        count = len(some) if name.startswith("published") else np.count_nonzero(lit)
-        print(f"| {name} | {1e3 * ms / count:.3f} |", flush=True)
+        if name == "rate":
+            per_second = multiply_adds.SUMS * RATE_ROUNDS / (1e-3 * ms)
+            print(
+                f"\nA core does {per_second / 1e9:.1f} G multiply-adds of 16 floats a second: the 9 rows of 24 numbers "
+                f"that a point takes are {1e9 * 9 * 24 / 16 / per_second:.1f} ns."
+            )
+        else:
+            count = len(some) if name.startswith("published") else len(lit)
+            print(f"| {name} | {1e3 * ms / count:.3f} |", flush=True)
 
 
 def main() -> None:
