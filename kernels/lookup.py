@@ -25,8 +25,8 @@ OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
 REACH = 6
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
-# A footprint is split where its direction turns by so much, or where its parts differ in ln |(u, v)| by so much.
-_MOST_TURN, _MOST_DRIFT = wp.constant(wp.float32(0.06)), wp.constant(wp.float32(0.005))
+# A footprint is split where its direction turns by so much: its parts are straight.
+_MOST_TURN = wp.constant(wp.float32(0.06))
 # Parts of a footprint along its angle.
 MOST_PARTS = 12
 # In variances of the mirror's lobe: exp(−24) is 4e-11.
@@ -59,27 +59,34 @@ CHUNKS_OF_ROWS = """
 
 # One octave's share of a colour.
 _RUN_SUM = """
-    const float* row = (const float*)rows.data + (long long)start * WIDTH;
-    const float* tap = (const float*)weights.data + turn;
-    const float* node = (const float*)weights.data + ratio;
+    const float* const table = (const float*)rows.data + (long long)offset * WIDTH;
+    const float* const taps = (const float*)weights.data;
+    const int across = 2 * around + 1, all = weights.shape[2], fractions = weights.shape[1];
     chunk sum[CHUNKS];
     for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+    const float* tap = taps;
+    const float* row = table;
     for (int m = 0; m < count; ++m) {
-        float weight = scale;
-        if (falloff > 0.0f) {
-            const float distance = away + (float)m;
-            weight *= wp::exp(-falloff * distance * distance);
-        } else {
-            weight *= node[m];
+        const float distance = away + (float)m;
+        if (m == 0 || slope != 0.0f) {
+            // Rays around the direction that goes with this node.
+            const float position = place + slope * distance;
+            const float nearest = wp::rint(position);
+            int fraction = (int)((position - nearest + 0.5f) * (float)fractions);
+            fraction = fraction < fractions ? fraction : fractions - 1;
+            int ray = (int)nearest % rays;
+            ray = ray < 0 ? ray + rays : ray;
+            tap = taps + (step * fractions + fraction) * all + all / 2 - around;
+            row = table + (long long)(ray - around) * stride * WIDTH;
         }
-        const float* from = row;
-        for (int j = 0; j < taps; ++j) {
+        const float weight = falloff > 0.0f ? scale * wp::exp(-falloff * distance * distance) : taps[ratio + m];
+        const float* from = row + m * WIDTH;
+        for (int j = 0; j < across; ++j) {
             const float factor = weight * tap[j];
 #pragma unroll
             for (int l = 0; l < CHUNKS; ++l) sum[l] += factor * ((const chunk*)from)[l];
             from += (long long)stride * WIDTH;
         }
-        row += WIDTH;
     }
     // The functions at w: cubics through four entries.
     constexpr int EACH = CHUNKS / 3;
@@ -208,11 +215,14 @@ def lookup(functions: int) -> types.SimpleNamespace:
     def run_sum(
         rows: wp.array(dtype=row_t),
         weights: wp.array3d(dtype=wp.float32),
-        start: wp.int32,
+        offset: wp.int32,
         stride: wp.int32,
         count: wp.int32,
-        turn: wp.int32,
-        taps: wp.int32,
+        rays: wp.int32,
+        place: wp.float32,
+        slope: wp.float32,
+        step: wp.int32,
+        around: wp.int32,
         ratio: wp.int32,
         scale: wp.float32,
         falloff: wp.float32,
@@ -232,14 +242,13 @@ def lookup(functions: int) -> types.SimpleNamespace:
         v: wp.float32,
         angle2: wp.float32,
         ratio2: wp.float32,
+        both: wp.float32,
     ) -> wp.vec3f:
-        """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|."""
+        """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|, and by their covariance."""
         log_uv = wp.log(wp.max(wp.sqrt(u * u + v * v), table.least_uv))
-        # The mean of ln |(u, v)|, to second order: what lies aside is further away.
+        # The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
         log_uv = log_uv + 0.5 * (angle2 - ratio2)
-        turns = wp.atan2(v, u) * wp.float32(0.5 / wp.PI)
-        if turns < 0.0:
-            turns = turns + 1.0
+        turns = (wp.atan2(v, u) - both) * wp.float32(0.5 / wp.PI)
         entries = blending.weights.shape[0]
         fractions = blending.weights.shape[1]
         all_taps = blending.weights.shape[2]
@@ -263,6 +272,10 @@ def lookup(functions: int) -> types.SimpleNamespace:
             reach = wp.int32(wp.ceil(3.2 * wp.sqrt(variance)))
             falloff = 0.5 / variance
             scale = wp.sqrt(falloff / wp.PI)
+        # What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The spline
+        # between nodes has a variance of a quarter.
+        turn = both * table.per_log / (ratio2 * table.per_log * table.per_log + 0.25)
+        aside2 = wp.max(angle2 - turn * both * table.per_log, 0.0)
         octaves = table.rays.shape[1]
         node = wp.max(nearest - reach, 0)
         end = wp.min(nearest + reach + 1, octaves * table.nodes)
@@ -277,33 +290,28 @@ def lookup(functions: int) -> types.SimpleNamespace:
             octave = node // table.nodes
             # The level that is blurred by as much or less, and what is left of it.
             level = wp.int32(0)
-            if angle2 > 0.0:
-                relative = angle2 / (table.widths[1, octave] * table.widths[1, octave])
+            if aside2 > 0.0:
+                relative = aside2 / (table.widths[1, octave] * table.widths[1, octave])
                 if relative >= 1.0:
                     level = wp.min(wp.int32(0.5 * wp.log2(relative)) + 1, table.rays.shape[0] - 1)
             rays = table.rays[level, octave]
             spacing = wp.float32(2.0 * wp.PI) / wp.float32(rays)
-            left = wp.max(angle2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
+            left = wp.max(aside2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
             step = wp.int32(left / (spacing * spacing) * blending.per_variance + 0.5)
             step = wp.min(step, entries - 1)
-            around = blending.reaches[step]
-            position = turns * wp.float32(rays)
-            ray = wp.int32(wp.rint(position))
-            if ray >= rays:
-                # Half a distance before a full turn; rays are repeated to REACH − 1 beyond.
-                ray = ray - rays
-                position = position - wp.float32(rays)
-            f = wp.min(wp.int32((position - wp.float32(ray) + 0.5) * wp.float32(fractions)), fractions - 1)
             offset = node - octave * table.nodes
             count = wp.min(end - node, table.nodes - offset)
             colour += run_sum(
                 table.rows,
                 blending.weights,
-                table.firsts[level, octave] + (ray - around) * table.nodes + offset,
+                table.firsts[level, octave] + offset,
                 table.nodes,
                 count,
-                (step * fractions + f) * all_taps + wp.static(REACH) - around,
-                2 * around + 1,
+                rays,
+                turns * wp.float32(rays),
+                turn / spacing,
+                step,
+                blending.reaches[step],
                 ratio,
                 scale,
                 falloff,
@@ -365,6 +373,7 @@ def lookup(functions: int) -> types.SimpleNamespace:
             count = wp.int32(1)
             angle2 = wp.float32(0.0)
             ratio2 = wp.float32(0.0)
+            both = wp.float32(0.0)
             along = wp.vec2f()
             xx = wp.float32(0.0)
             xy = wp.float32(0.0)
@@ -382,33 +391,38 @@ def lookup(functions: int) -> types.SimpleNamespace:
                 tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
                 angle2 = wp.dot(tangential, tangential)
                 ratio2 = wp.dot(radial, radial)
+                both = wp.dot(radial, tangential)
                 if angle2 > 0.0:
-                    drift = wp.dot(radial, tangential) / wp.sqrt(angle2)
-                    needed = wp.max(wp.sqrt(angle2) / _MOST_TURN, wp.abs(drift) / _MOST_DRIFT)
-                    count = wp.clamp(wp.int32(wp.ceil(needed)), 1, wp.static(MOST_PARTS))
+                    count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
                     # Parts lie along what goes with the angle.
                     scale = 1.0 / wp.sqrt(angle2)
                     along = scale * wp.vec2f(
                         f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
                     )
                     within = blending.parts[count - 1, 0, 0]
-                    ratio2 = ratio2 - (1.0 - within) * drift * drift
+                    ratio2 = ratio2 - (1.0 - within) * both * both / angle2
                     angle2 = within * angle2
+                    both = within * both
             for k in range(count):
                 away = blending.parts[count - 1, 1, k]
                 at_u = u + away * along[0]
                 at_v = v + away * along[1]
                 part_angle2 = angle2
                 part_ratio2 = ratio2
+                part_both = both
                 if count > 1:
                     # Relative to the part's own |(u, v)|.
                     spread2 = table.spread * table.spread
                     change = (u * u + v * v + spread2) / (at_u * at_u + at_v * at_v + spread2)
                     part_angle2 = angle2 * change
                     part_ratio2 = ratio2 * change
-                part_angle2 = wp.min(part_angle2, _WIDEST_ANGLE * _WIDEST_ANGLE)
-                part_ratio2 = wp.min(part_ratio2, _WIDEST_RATIO * _WIDEST_RATIO)
-                part = colour_at(table, blending, w, at_u, at_v, part_angle2, part_ratio2)
+                    part_both = both * change
+                turn_share = wp.min(_WIDEST_ANGLE / wp.sqrt(wp.max(part_angle2, 1.0e-12)), 1.0)
+                ratio_share = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
+                part_angle2 = part_angle2 * turn_share * turn_share
+                part_ratio2 = part_ratio2 * ratio_share * ratio_share
+                part_both = part_both * turn_share * ratio_share
+                part = colour_at(table, blending, w, at_u, at_v, part_angle2, part_ratio2, part_both)
                 colour += blending.parts[count - 1, 2, k] * part
             if table.mirror.shape[0] > 0:
                 colour += mirror_at(table, u, v, w, xx, xy, yy)
