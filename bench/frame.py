@@ -52,17 +52,17 @@ def surface_of(name: str, data: Path) -> wd.HeightField:
     return wd.gratings.fingers(size_um=float(name), pitch_um=0.09, seed=2)
 
 
-def camera(distance: float = 1.0, angle: float = 0.0, width: int = 640) -> wd.View:
+def camera(distance: float = 1.0, angle: float = 0.0, size: tuple[int, int] = (640, 480)) -> wd.View:
     """The tube from above, an orbit's angle on."""
     eye = np.array([3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)]) * distance
-    return wd.View(tuple(eye), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=width * 3 // 4)
+    return wd.View(tuple(eye), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=size[0], height=size[1])
 
 
 class Scene:
     """A frame's geometry: what its pixels see."""
 
-    def __init__(self, hf: wd.HeightField, mesh: Any, view: wd.View, threads: int) -> None:
-        device, window = resolve_device(None), wd.Coherence()
+    def __init__(self, hf: wd.HeightField, mesh: Any, view: wd.View, threads: int, device: Any) -> None:
+        window = wd.Coherence()
         frame = render._Frame(prepare_surface(mesh), view, smooth=True, samples=1, device=device, threads=threads)
         light = frame.light_arguments(LIGHT, window, 1.0, pigment=0.0, shadows=True)
         frame.light_up([light], frame.reflection(0.04, window, masking=True))
@@ -76,13 +76,16 @@ class Scene:
         self.barred = ((uv > 4.0 * deviation) & (self.to_lights[:, 2] > 0.3)).reshape(view.height, view.width)
 
 
-def median_ms(calls: dict[str, Any], rounds: int) -> dict[str, float]:
+def median_ms(calls: dict[str, Any], rounds: int, device: Any) -> dict[str, float]:
     """Median times of calls that take a round's number, in turns [ms]."""
+    import warp as wp
+
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for k in range(rounds + 1):
         for name, call in calls.items():
             begin = time.perf_counter()
             call(k)
+            wp.synchronize_device(device)
             taken[name].append(1e3 * (time.perf_counter() - begin))
     return {name: float(np.median(each[1:])) for name, each in taken.items()}
 
@@ -141,7 +144,7 @@ def row(name: str, image: wd.Image, exact: wd.Image, scene: Scene) -> None:
     )
 
 
-def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
+def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any) -> None:
     """Times of whole frames, near and far, of kernels alone, and on one thread."""
     plans = {t: wd.plan(hf, tolerance=t, method="low-rank/table") for t in (3e-2, 1e-2)}
     poses = [mesh.copy() for _ in range(rounds + 1)]
@@ -152,15 +155,20 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
     shares: dict[str, float] = {}
 
     def frame(
-        name: str, tolerance: float, distance: float, width: int = 640, workers: int = threads, moves: bool = False
+        name: str,
+        tolerance: float,
+        distance: float,
+        size: tuple[int, int] = (640, 480),
+        workers: int = threads,
+        moves: bool = False,
     ) -> None:
         plan = dataclasses.replace(plans[tolerance], footprint=True)
 
         def call(k: int) -> wd.Image:
             body = poses[k % len(poses)] if moves else still
             light = wd.DirectionalLight((0.1 + 0.02 * k, 0.9, 1.2))
-            view = camera(distance, 0.03 * k, width)
-            return wd.shade(body, hf, light, view, plan=plan, threads=workers)
+            view = camera(distance, 0.03 * k, size)
+            return wd.shade(body, hf, light, view, plan=plan, threads=workers, device=device)
 
         whole[name] = call
         shares[name] = float(call(0).mask.mean())
@@ -169,19 +177,19 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int) -> None:
         for distance in (0.25, 0.5, 1.0, 2.0, 4.0):
             frame(f"tolerance {tolerance:g}, distance {distance:g}", tolerance, distance)
     frame("tolerance 0.01, distance 0.25, a mesh that moves", 1e-2, 0.25, moves=True)
-    frame("tolerance 0.03, distance 0.25, one thread", 3e-2, 0.25, workers=1)
-    frame("tolerance 0.03, distance 0.25, 320 × 240", 3e-2, 0.25, width=320)
-    frame("tolerance 0.03, distance 0.25, 1280 × 960", 3e-2, 0.25, width=1280)
+    if device.is_cpu:
+        frame("tolerance 0.01, distance 0.25, one thread", 1e-2, 0.25, workers=1)
+    for size in ((320, 240), (1280, 960)) if device.is_cpu else ((1920, 1080), (3840, 2160)):
+        frame(f"tolerance 0.01, distance 0.25, {size[0]} × {size[1]}", 1e-2, 0.25, size)
     print("\n| frame, 640 × 480 | share filled | ms |\n| --- | --- | --- |")
-    for name, ms in median_ms(whole, rounds).items():
+    for name, ms in median_ms(whole, rounds, device).items():
         print(f"| {name} | {shares[name]:.2f} | {ms:.0f} |", flush=True)
 
 
-def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int) -> None:
+def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device: Any) -> None:
     """Times of the shading kernels alone on the frame's lit pixels, beside the published algorithm's; their bound."""
     import warp as wp
 
-    device = resolve_device(None)
     lit = np.flatnonzero(scene.gains > 0.0)
     xyz = wp.zeros(len(lit), dtype=wp.vec3f, device=device)
     to_lights = wp.array(scene.to_lights[lit], dtype=wp.vec3f, device=device)
@@ -196,7 +204,7 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int) -> None
     calls: dict[str, Any] = {}
     for tolerance in (3e-2, 1e-2):
         plan = dataclasses.replace(wd.plan(hf, tolerance=tolerance, method="low-rank/table"), footprint=True)
-        for workers in (threads, 1):
+        for workers in (threads, 1) if device.is_cpu else (1,):
             made = Integrator(hf, plan, scene.scope, device=device, threads=workers)
             for name, footprints in (("points", None), ("footprints", spread)):
                 label = f"table of {plan.nodes} nodes, tolerance {tolerance:g}, {name}, {workers} threads"
@@ -216,11 +224,13 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int) -> None
         series, scene.deflections[some], scene.gains[some], powers=True, **setting
     )
     sums = wp.zeros(1, dtype=wp.float32, device=device)
-    calls["rate"] = lambda _: wp.launch(
-        multiply_adds.multiply_add_rate, dim=1, inputs=[RATE_ROUNDS, 0], outputs=[sums], device=device
-    )
+    # What is measured of a core says nothing of a GPU.
+    if device.is_cpu:
+        calls["rate"] = lambda _: wp.launch(
+            multiply_adds.multiply_add_rate, dim=1, inputs=[RATE_ROUNDS, 0], outputs=[sums], device=device
+        )
     print("\n| kernel | µs a lit pixel |\n| --- | --- |")
-    for name, ms in median_ms(calls, rounds).items():
+    for name, ms in median_ms(calls, rounds, device).items():
         if name == "rate":
             per_second = multiply_adds.SUMS * RATE_ROUNDS / (1e-3 * ms)
             print(
@@ -242,18 +252,20 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"timed rounds ({ROUNDS})")
     parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    parser.add_argument("--device", help="a CUDA device (default: the CPU)")
     given = parser.parse_args()
+    device = resolve_device(given.device)
     data = given.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
     threads = resolve_threads(given.threads)
     hf = surface_of(given.surface, data)
     mesh = meshes.tube(segments_along=128, segments_around=64)
     # Plans of a hemisphere are used a little beyond the sample that they were made from.
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
-    speed(hf, mesh, given.rounds, threads)
-    scene = Scene(hf, mesh, camera(), threads)
-    kernels(hf, scene, given.rounds, threads)
+    speed(hf, mesh, given.rounds, threads, device)
+    scene = Scene(hf, mesh, camera(), threads, device)
+    kernels(hf, scene, given.rounds, threads, device)
     if given.samples:
-        accuracy(hf, mesh, scene, given.samples, {"threads": threads})
+        accuracy(hf, mesh, scene, given.samples, {"threads": threads, "device": device})
 
 
 if __name__ == "__main__":

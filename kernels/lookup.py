@@ -272,8 +272,8 @@ def lookup(functions: int) -> types.SimpleNamespace:
             reach = wp.int32(wp.ceil(3.2 * wp.sqrt(variance)))
             falloff = 0.5 / variance
             scale = wp.sqrt(falloff / wp.PI)
-        # What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The spline
-        # between nodes has a variance of a quarter.
+        # What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
+        # spline between nodes has a variance of a quarter.
         turn = both * table.per_log / (ratio2 * table.per_log * table.per_log + 0.25)
         aside2 = wp.max(angle2 - turn * both * table.per_log, 0.0)
         octaves = table.rays.shape[1]

@@ -67,20 +67,24 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
 
     @wp.func
     def power_row(
-        table: coefficients_t, qy: wp.float64, qx: wp.float64, bases: wp.array(dtype=row_t), left_out: wp.int32
+        table: coefficients_t,
+        qy: wp.float64,
+        qx: wp.float64,
+        bases: wp.array(dtype=row_t),
+        left_out: wp.int32,
+        radius_y: wp.float32,
+        shrink: wp.float32,
     ) -> out_t:
         """⟨|P|²⟩ at a frequency in coefficients, as a row, but for the coefficient ``left_out``."""
         iy = wp.int32(wp.rint(qy))
         ix = wp.int32(wp.rint(qx))
         fy = wp.float32(qy - wp.float64(iy))
         fx = wp.float32(qx - wp.float64(ix))
-        radius_y = wp.sqrt(table.exponent / table.across)
         first_y = wp.int32(wp.ceil(fy - radius_y))
         last_y = wp.int32(wp.floor(fy + radius_y))
         total = out_t()
         total_re = row_t()
         total_im = row_t()
-        shrink = wp.exp(-2.0 * table.along)
         for j in range(first_y, last_y + 1):
             dy = wp.float32(j) - fy
             # A circle of neighbours, row by row.
@@ -141,20 +145,24 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         begin = start + ray * nodes_an_octave
         for k in range(nodes_an_octave):
             values_out[begin + k] = out_t()
+        radius_y = wp.sqrt(table.exponent / table.across)
+        shrink = wp.exp(-2.0 * table.along)
         # A node's spline begins one and a half nodes before it.
+        per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(nodes_an_octave * divisions)
+        t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
+        ratio = wp.exp(per_sample)
         for k in range((nodes_an_octave + 2) * divisions):
             node = k // divisions - 1
             f = (wp.float32(k - (node + 1) * divisions) + 0.5) * share - 0.5
-            place = wp.float64(node) + wp.float64(f)
-            t = wp.exp(log_low + place / wp.float64(nodes_an_octave) * wp.float64(wp.static(math.log(2.0))))
             if t <= highest:
-                value = scale * power_row(table, t * sine, t * cosine, bases, left_out)
+                value = scale * power_row(table, t * sine, t * cosine, bases, left_out, radius_y, shrink)
                 if node > 0:
                     values_out[begin + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
                 if node >= 0 and node < nodes_an_octave:
                     values_out[begin + node] += (0.75 - f * f) * value
                 if node + 1 < nodes_an_octave:
                     values_out[begin + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
+            t = t * ratio
 
     return types.SimpleNamespace(row=out_t, resample=resample)
 

@@ -101,7 +101,7 @@ def test_functions_of_w_serve_all_terms():
     plan = dataclasses.replace(
         wd.plan(wd.HeightField(np.zeros((8, 8)), 0.08), method="low-rank"), nodes=16, rays_per_width=1.1
     )
-    found = projection.projection(plan, projection.Terms(basis_at, kappas, np.ones(6)), "D65")
+    found = projection.projection(plan, projection.Terms(basis_at, kappas, np.ones(6), 0.2), "D65")
     weights = projection.colour_weights(16, "D65")
     node = 12
     per_um = 1e3 / 780.0 * 2.0 ** ((node - 1) / 16)

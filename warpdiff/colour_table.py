@@ -33,6 +33,8 @@ _POSITIONS = 64
 _WITHIN = 1.2
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
 _SMALLEST_KAPPA = 1e-3
+# What functions of w may leave out, as a share of the tolerance: cardinal polynomials add up to less than each of them.
+_SHARE, _SHARE_OF_CARDINALS = 0.2, 0.02
 # Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
 _SAMPLED, _LEAST_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths; that of its size among small ones.
@@ -153,7 +155,7 @@ def _source(
         def basis_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
             return found.basis_at(at)[:, :count]
 
-        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]))
+        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _SHARE)
         own = found.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
         mirror = np.maximum(basis_at(np.linspace(*kappas, _MIRROR_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
@@ -161,7 +163,7 @@ def _source(
         # Amplitudes of the mean plane and of others do not come apart.
         mirror = np.zeros(0, dtype=np.float32)
         nodes = _chebyshev_kappas(hf, kappas)
-        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)))
+        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)), _SHARE_OF_CARDINALS)
         at_kappas = np.zeros((tables.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
     layout = Layout.of(replace(plan, footprint=False), reached.frequency)

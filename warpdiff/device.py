@@ -77,9 +77,10 @@ def launch(
     if size == 0:
         return
     if not device.is_cpu:
+        # Launches of a frame queue up; whoever reads their results waits for them.
         wp.launch(kernel, dim=size, inputs=[*inputs, 0], outputs=outputs, device=device)
-        wp.synchronize_device(device)
         if progress is not None:
+            wp.synchronize_device(device)
             progress(1.0)
         return
     if slice_size is None:

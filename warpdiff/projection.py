@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
 _ENTRIES = 160
-# Functions of w come in these numbers; what they leave out is this share of the tolerance.
-_FUNCTIONS, _MOST_FUNCTIONS, _FUNCTION_SHARE = 4, 32, 0.2
+# Functions of w come in these numbers.
+_FUNCTIONS, _MOST_FUNCTIONS = 4, 32
 # Where colours are this share of the largest, errors count as there.
 _DIM_W = 1e-2
 # Samples of the colour curves from one node to the next.
@@ -41,11 +41,13 @@ class Terms:
         basis_at: The functions of |κ| that a row's numbers multiply, for |κ| (n,) of shape (n, terms).
         kappas: The range of |κ| [1/µm].
         sizes: How much each term matters, (terms,).
+        share: Of the tolerance, what functions of w may leave out.
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     kappas: tuple[float, float]
     sizes: NDArray[np.float64]
+    share: float
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     relative = 1.0 / np.maximum(norms, _DIM_W * norms.max())[:, None]
     left, singular, _ = np.linalg.svd(matrix * relative, full_matrices=False)
     remaining = np.sqrt(np.append(np.cumsum(singular[::-1] ** 2)[::-1], 0.0) / np.sum(singular**2))
-    needed = int(np.argmax(remaining <= _FUNCTION_SHARE * plan.tolerance))
+    needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = min(_FUNCTIONS * math.ceil(max(needed, 1) / _FUNCTIONS), _MOST_FUNCTIONS)
     functions = left[:, :m] / relative
     coefficients = np.einsum("wm,wil->ilm", left[:, :m] * relative, basis)
