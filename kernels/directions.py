@@ -4,7 +4,7 @@ import warp as wp
 
 from warpdiff.kernels import spectral
 from warpdiff.kernels.optics import gain, schlick
-from warpdiff.kernels.raycast import occluded
+from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)
 
@@ -29,19 +29,6 @@ class LightArguments:
     pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
     white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
     rgb_to_xyz: wp.mat33d
-
-
-@wp.struct
-class Pixels:
-    """What the rays found, one entry a pixel."""
-
-    hit: wp.array(dtype=wp.int32)
-    tangent: wp.array(dtype=wp.vec3f)
-    bitangent: wp.array(dtype=wp.vec3f)
-    normal: wp.array(dtype=wp.vec3f)
-    to_view: wp.array(dtype=wp.vec3f)
-    shadow_origin: wp.array(dtype=wp.vec3f)
-    base_colour: wp.array(dtype=wp.vec3f)
 
 
 @wp.func

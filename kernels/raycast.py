@@ -6,9 +6,9 @@ float32 is as fine for a mesh of a nanometre as for one of a kilometre, wherever
 
 import warp as wp
 
-# No fast-math: whether a ray hits is decided with infinities and signed zeros.
 from warpdiff.kernels import spectral
 
+# Infinities stay defined, by which the hierarchy decides whether a ray hits.
 wp.set_module_options(spectral.OPTIONS)
 
 # Beyond any distance between two points of the unit sphere.
@@ -68,6 +68,21 @@ class SurfaceArrays:
     texture: wp.array2d(dtype=wp.vec3f)
     has_vertex_colours: wp.bool
     smooth: wp.bool
+
+
+@wp.struct
+class Pixels:
+    """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
+
+    nearest: wp.array(dtype=wp.uint64)  # what :func:`cover` found; empty asks the hierarchy
+    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; the vectors are then left as they are
+    face: wp.array(dtype=wp.int32)  # the face that is met, or −1
+    tangent: wp.array(dtype=wp.vec3f)  # t, unit
+    bitangent: wp.array(dtype=wp.vec3f)  # b, unit
+    normal: wp.array(dtype=wp.vec3f)  # the shading normal n, unit, n·ωr >= 0.01
+    to_view: wp.array(dtype=wp.vec3f)  # ωr, unit
+    shadow_origin: wp.array(dtype=wp.vec3f)  # where shadow rays start
+    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB
 
 
 @wp.func
@@ -246,9 +261,8 @@ def cover(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
+    pixels: Pixels,
     first: wp.int32,
-    # Out:
-    nearest_out: wp.array(dtype=wp.uint64),
 ):
     """Which face each pixel's centre sees, face by face, of a mesh that lies wholly in front of the eye.
 
@@ -257,9 +271,9 @@ def cover(
     Args:
         camera: The view.
         surface: The mesh.
+        pixels: Of these ``nearest``: the distance along the view, as the bits of a float32, and the face below them;
+            the smallest is kept. All bits set is none.
         first: The first thread's face.
-        nearest_out: For each pixel the distance along the view, as the bits of a float32, and the face below them; the
-            smallest is kept. All bits set is none.
     """
     face = first + wp.tid()
     i0 = surface.faces[face, 0]
@@ -301,7 +315,7 @@ def cover(
                 else:
                     depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
                 distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
-                keep_nearest(nearest_out, row * camera.width + column, distance, face)
+                keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
 
 
 @wp.kernel
@@ -310,17 +324,8 @@ def cast(
     camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,
-    nearest: wp.array(dtype=wp.uint64),
+    pixels: Pixels,
     first: wp.int32,
-    # Out:
-    hit_out: wp.array(dtype=wp.int32),
-    face_out: wp.array(dtype=wp.int32),
-    tangent_out: wp.array(dtype=wp.vec3f),
-    bitangent_out: wp.array(dtype=wp.vec3f),
-    normal_out: wp.array(dtype=wp.vec3f),
-    to_view_out: wp.array(dtype=wp.vec3f),
-    shadow_origin_out: wp.array(dtype=wp.vec3f),
-    base_colour_out: wp.array(dtype=wp.vec3f),
 ):
     """One ray through the pixel ``first`` + thread, counted along rows from the top left.
 
@@ -332,20 +337,12 @@ def cast(
         camera: The view.
         surface: The mesh.
         sampling: Where in the pixel.
-        nearest: What :func:`cover` found for pixels' centres; empty asks the hierarchy.
+        pixels: What was and is found.
         first: The first thread's pixel.
-        hit_out: 1 where the mesh is met, else 0; the vectors below are then left as they are.
-        face_out: The face that is met, or −1.
-        tangent_out: t, unit.
-        bitangent_out: b, unit.
-        normal_out: The shading normal n, unit, n·ωr >= 0.01.
-        to_view_out: ωr, unit.
-        shadow_origin_out: Where shadow rays start.
-        base_colour_out: Linear RGB.
     """
     pixel = first + wp.tid()
-    hit_out[pixel] = 0
-    face_out[pixel] = -1
+    pixels.hit[pixel] = 0
+    pixels.face[pixel] = -1
 
     # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
     one = wp.float64(1.0)
@@ -367,8 +364,8 @@ def cast(
     b0 = wp.float32(1.0)
     b1 = wp.float32(0.0)
     direction = wp.normalize(wp.vec3f(along))
-    if nearest.shape[0] > 0:
-        found = nearest[pixel]
+    if pixels.nearest.shape[0] > 0:
+        found = pixels.nearest[pixel]
         if found == UNSEEN:
             return
         face = wp.int32(found & wp.uint64(0xFFFFFFFF))
@@ -449,11 +446,11 @@ def cast(
     if colour[0] < 0.0:
         colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
 
-    hit_out[pixel] = 1
-    face_out[pixel] = face
-    tangent_out[pixel] = tangent
-    bitangent_out[pixel] = surface.handedness[i0] * wp.cross(normal, tangent)
-    normal_out[pixel] = normal
-    to_view_out[pixel] = to_view
-    shadow_origin_out[pixel] = shadow_origin + LIFT * geometric
-    base_colour_out[pixel] = colour
+    pixels.hit[pixel] = 1
+    pixels.face[pixel] = face
+    pixels.tangent[pixel] = tangent
+    pixels.bitangent[pixel] = surface.handedness[i0] * wp.cross(normal, tangent)
+    pixels.normal[pixel] = normal
+    pixels.to_view[pixel] = to_view
+    pixels.shadow_origin[pixel] = shadow_origin + LIFT * geometric
+    pixels.base_colour[pixel] = colour

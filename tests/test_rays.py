@@ -29,18 +29,20 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     sampling = raycast.Sampling()
     sampling.sample, sampling.samples, sampling.seed = sample, samples, seed
     count = view.width * view.height
-    outputs = [wp.zeros(count, dtype=wp.int32 if k < 2 else wp.vec3f, device="cpu") for k in range(8)]
-    nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    pixels = raycast.Pixels()
+    for name in OUTPUTS:
+        dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
+        setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
+    pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    inputs = [camera(view, surface), scene.arrays]
+    launches = [(raycast.cast, count, [*inputs, sampling, pixels])]
     if covers:
         assert lies_ahead(surface, view)
-        inputs = [camera(view, surface), scene.arrays]
-        for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
-            wp.launch(raycast.cover, dim=int(end - begin), inputs=[*inputs, int(begin)], outputs=[nearest])
-    inputs = [camera(view, surface), scene.arrays, sampling, nearest]
-    bounds = np.linspace(0, count, slices + 1).astype(int)
-    for begin, end in itertools.pairwise(bounds):
-        wp.launch(raycast.cast, dim=int(end - begin), inputs=[*inputs, int(begin)], outputs=outputs, device="cpu")
-    return {name: array.numpy() for name, array in zip(OUTPUTS, outputs, strict=True)}
+        launches.insert(0, (raycast.cover, scene.face_count, [*inputs, pixels]))
+    for kernel, size, arguments in launches:
+        for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
+            wp.launch(kernel, dim=int(end - begin), inputs=[*arguments, int(begin)], device="cpu")
+    return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
 
 
 def world(surface):

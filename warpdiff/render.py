@@ -177,7 +177,7 @@ class _Frame:
         import warp as wp
 
         from warpdiff import scene
-        from warpdiff.kernels import directions
+        from warpdiff.kernels import raycast
 
         self._view = view
         self._samples = samples
@@ -194,12 +194,11 @@ class _Frame:
         def empty(dtype: Any) -> Any:
             return wp.empty(size, dtype=dtype, device=device)
 
-        self._pixels = directions.Pixels()
-        self._pixels.hit = empty(wp.int32)
+        self._pixels = raycast.Pixels()
+        self._pixels.nearest = wp.empty(size if self._covers else 0, dtype=wp.uint64, device=device)
+        self._pixels.hit, self._pixels.face = empty(wp.int32), empty(wp.int32)
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
             setattr(self._pixels, name, empty(wp.vec3f))
-        self._face = empty(wp.int32)
-        self._nearest = wp.empty(size if self._covers else 0, dtype=wp.uint64, device=device)
         self._deflections = empty(wp.vec3d)
         self._to_lights = empty(wp.vec3f)
         self._gains = empty(wp.float32)
@@ -322,27 +321,13 @@ class _Frame:
 
         sampling = raycast.Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
-        found = self._pixels
         if self._covers:
-            self._nearest.fill_(raycast.UNSEEN)
+            self._pixels.nearest.fill_(raycast.UNSEEN)
             launch(
-                raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays], [self._nearest],
+                raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays, self._pixels], [],
                 device=self._device, threads=self._threads,
             )  # fmt: skip
-        self._launch(
-            raycast.cast,
-            [self._camera, self._scene.arrays, sampling, self._nearest],
-            [
-                found.hit,
-                self._face,
-                found.tangent,
-                found.bitangent,
-                found.normal,
-                found.to_view,
-                found.shadow_origin,
-                found.base_colour,
-            ],
-        )
+        self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, self._pixels], [])
 
     def deflect(self, light: Any) -> None:
         """Compute the deflections and gains under one light, and add its pigment."""
