@@ -248,9 +248,10 @@ def projector(lanes: int, functions: int) -> Any:
             at = k - before + skipped
             here = wp.min(nodes - at, size - skipped)
             there = wp.min(size - skipped - here, nodes)
+            # A spectrum of few nodes an octave ends before the filter's last taps.
             further = wp.int32(0)
             if more > 0:
-                further = size - skipped - here - there
+                further = wp.min(size - skipped - here - there, nodes)
             projected(
                 refined, values, matrices, terms, skipped, begin + at, here, starts[octave + 1] + begin, there, beyond,
                 further, nodes, more * nodes, rows_out, begin + k,

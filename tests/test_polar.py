@@ -8,10 +8,13 @@ import itertools
 import numpy as np
 import pytest
 import reference
+import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import optics, projection, spectrum
+from warpdiff.kernels import polar as kernels
+from warpdiff.kernels.lookup import lookup
 
 KINDS = ("averaged", "centred")
 # Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
@@ -62,6 +65,42 @@ def test_more_nodes_and_rays_err_less(fingers, kind, rng):
     # The colour curves have kinks, which splines meet to first order or better.
     assert all(finer < 0.6 * coarser for coarser, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
+
+
+@pytest.mark.parametrize("nodes", [4, 5, 7])
+def test_the_smallest_tables_hold_the_colours_coarsely(fingers, nodes, rng):
+    lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
+    plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", tolerance=1e-2)
+    exact = wd.reflectance(fingers, lights, views, plan=plan)
+    sized = dataclasses.replace(plan, nodes=nodes, rays_per_width=1.1)
+    errors = picture_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
+    assert np.median(errors) < 0.2
+    assert errors.max() < 2.0
+
+
+@pytest.mark.parametrize("nodes", [4, 7, 8])
+def test_colours_end_with_the_spectrum(nodes):
+    """The filter's last taps reach beyond three octaves of few nodes; behind the last ray lies another's memory."""
+    rays, lanes = 16, 8
+    rows = np.full((4 * rays * nodes, lanes), np.nan, dtype=np.float32)
+    rows[: 3 * rays * nodes] = 1.0
+    projector = kernels.projector(lanes, 4)
+    row = lookup(4).row
+    taps = projection.projection(
+        dataclasses.replace(wd.plan(wd.HeightField([[0.0]], 1.0), method="low-rank"), nodes=nodes, rays_per_width=1.0),
+        projection.Terms(lambda at: np.ones((len(at), 1)), (0.5, 5.0), np.ones(1), 0.2),
+        "D65",
+    )
+    values = wp.array(rows, dtype=wp.types.vector(length=lanes, dtype=wp.float32), device="cpu")
+    found = wp.zeros(rays * nodes, dtype=row, device="cpu")
+    matrices = np.ones((len(taps.matrices), 12), dtype=np.float32)
+    inputs = [
+        values, wp.array(np.arange(3) * rays * nodes, dtype=wp.int32, device="cpu"),
+        wp.array([rays] * 3, dtype=wp.int32, device="cpu"), wp.array(matrices, dtype=row, device="cpu"), 1,
+        taps.before, nodes, 0, wp.empty_like(values), 0,
+    ]  # fmt: skip
+    wp.launch(projector.project, dim=rays // projector.abreast, inputs=inputs, outputs=[found], device="cpu")
+    assert np.all(np.isfinite(found.numpy()))
 
 
 def test_a_mirror_has_its_colour():
