@@ -231,7 +231,27 @@ def lookup(functions: int) -> types.SimpleNamespace:
         entry: wp.int32,
         t: wp.float32,
     ) -> wp.vec3f:
-        """Rows of one octave times the weights of their rays and nodes, and times the functions at w."""
+        """Rows of one octave times the weights of their rays and nodes, and times the functions at w.
+
+        Args:
+            rows: Those of the table.
+            weights: Those of ``Blending``.
+            offset: The row of ray 0 at the first node.
+            stride: Rows from one ray to the next.
+            count: Nodes.
+            rays: Of the octave and level.
+            place: The direction in rays, where the distance to a node is 0.
+            slope: Rays that it shifts by from one node to the next.
+            step: The entry of ``weights`` for the variance across rays.
+            around: Rays on either side that count.
+            ratio: Where ``weights`` hold the first node's weight, if ``falloff`` is 0.
+            scale: Else the weight at distance 0.
+            falloff: And its Gaussian's exponent over the squared distance.
+            away: The first node's distance.
+            functions: At equal steps in |w|.
+            entry: The first of the four of them around w.
+            t: How far w is behind the second.
+        """
 
     @wp.func
     def colour_at(

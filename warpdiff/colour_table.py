@@ -13,6 +13,7 @@ from warpdiff import spectrum, tables
 from warpdiff.device import launch, load
 from warpdiff.polar import LOG_RED, Layout
 from warpdiff.projection import Projection, Terms, projection, spline
+from warpdiff.recent import found_again
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -130,12 +131,11 @@ def _prepared(
     reached = tables.Reached.by(plan.scope.joined(scope))
     numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.tolerance
     key = device.alias, plan.method, plan.coherence, numbers, reached
-    kept = tables.kept(hf).prepared
-    if key not in kept:
-        while len(kept) >= tables.KEPT:
-            kept.pop(next(iter(kept)))
-        kept[key] = _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
-    source, projections = kept[key]
+
+    def make() -> tuple[_Source, dict[str, Projection]]:
+        return _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
+
+    source, projections = found_again(tables.kept(hf).prepared, key, make, most=tables.KEPT)
     if illuminant not in projections:
         projections[illuminant] = projection(plan, source.terms, illuminant)
     return source, projections[illuminant]

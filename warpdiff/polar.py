@@ -32,7 +32,7 @@ _FLAT = 0.02
 _FEWEST_RAYS = 16
 # Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
 _BLURRED_RAYS_PER_WIDTH = 1.2
-WIDEST = 0.4
+_WIDEST = 0.4
 # What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, and for each neighbour.
 _A_SAMPLE, _A_NEIGHBOUR = 800.0, 20.0
 # Multiply-adds of a projection or a look-up, which are made of SIMD alone, in those of all other kernels.
@@ -100,10 +100,10 @@ class Layout:
         width = blur(plan.coherence.sigma_um or 0.0)
         rays, widths = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
-        levels = math.ceil(math.log2(WIDEST / float(first.min()))) + 1 if plan.footprint else 0
+        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1 if plan.footprint else 0
         for level in range(levels):
             # An octave that is blurred enough already goes on as it is.
-            blurred = np.minimum(first * 2.0**level, np.maximum(WIDEST, first))
+            blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST, first))
             total = np.hypot(width / tops, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_RAYS_PER_WIDTH)
             rays.append(np.clip(fewer, _FEWEST_RAYS, narrow))

@@ -29,8 +29,6 @@ _DIM_W = 1e-2
 _PROJECTED = 64
 # Errors of the colour curves count relative to them, down to this share of the largest: they vanish at both ends.
 _DIM = 0.005
-# Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
-_FILTER_REACH = 6
 
 
 @dataclass(frozen=True)
@@ -70,6 +68,8 @@ class Projection:
 
 def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     """The projection for a plan's nodes and tolerance."""
+    from warpdiff.kernels.lookup import FILTER_REACH
+
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * spectrum.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * spectrum.LAMBDA_MIN_NM * 1e-3
     ws = np.linspace(low, high, _ENTRIES)
@@ -89,11 +89,11 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     coefficients = np.einsum("wm,wil->ilm", left[:, :m] * relative, basis)
     sums = np.einsum("ic,ilm->ilcm", weights, coefficients).reshape(len(per_um), count, 3 * m)
     # What samples at the nodes become as coefficients of the spline through them.
-    matrices = np.zeros((len(sums) + 2 * _FILTER_REACH, *sums.shape[1:]))
-    for away in range(-_FILTER_REACH, _FILTER_REACH + 1):
+    matrices = np.zeros((len(sums) + 2 * FILTER_REACH, *sums.shape[1:]))
+    for away in range(-FILTER_REACH, FILTER_REACH + 1):
         factor = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** abs(away)
-        matrices[_FILTER_REACH + away : _FILTER_REACH + away + len(sums)] += factor * sums
-    return Projection(ws, functions.astype(np.float32), matrices.astype(np.float32), _FILTER_REACH + 1)
+        matrices[FILTER_REACH + away : FILTER_REACH + away + len(sums)] += factor * sums
+    return Projection(ws, functions.astype(np.float32), matrices.astype(np.float32), FILTER_REACH + 1)
 
 
 @functools.lru_cache(maxsize=64)

@@ -10,17 +10,16 @@ import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff import checks
 from warpdiff.errors import WarpdiffWarning
+from warpdiff.recent import found_again
 from warpdiff.spectrum import srgb_decode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import trimesh
     from numpy.typing import ArrayLike, NDArray
 
@@ -37,7 +36,6 @@ HOW_TO_GET_TANGENTS = (
 )
 
 
-_T = TypeVar("_T")
 _MOST_KEPT = 4
 
 
@@ -104,16 +102,7 @@ def prepare_surface(
     key = _digest(
         part.vertices, part.faces, part.source, part.normals, part.uvs, part.texture, part.colours, given
     )  # fmt: skip
-    return _found_again(_kept, key, lambda: _build(part, given))
-
-
-def _found_again(kept: dict[bytes, _T], key: bytes, make: Callable[[], _T]) -> _T:
-    """What was made before, or is made now: a light or a view that moves asks for the same mesh again."""
-    result = kept.pop(key) if key in kept else make()
-    kept[key] = result
-    while len(kept) > _MOST_KEPT:
-        kept.pop(next(iter(kept)))
-    return result
+    return found_again(_kept, key, lambda: _build(part, given), most=_MOST_KEPT)
 
 
 def _digest(*arrays: NDArray[Any] | None) -> bytes:
@@ -229,7 +218,8 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
         computed = _unit(_angle_weighted(vertices, faces, angles, np.arange(len(vertices)))[0])
         return not np.allclose(normals, computed, atol=1e-6)
 
-    return normals if _found_again(_are_given, _digest(vertices, faces, normals), are_given) else None
+    key = _digest(vertices, faces, normals)
+    return normals if found_again(_are_given, key, are_given, most=_MOST_KEPT) else None
 
 
 def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:

@@ -13,6 +13,7 @@ import numpy as np
 from warpdiff import coefficients, disk, fourier, interpolation, spectrum
 from warpdiff.coefficients import Coefficients
 from warpdiff.expansions import EXPANSIONS, check_cycles
+from warpdiff.recent import found_again
 
 if TYPE_CHECKING:
     import warp as wp
@@ -128,17 +129,13 @@ def coefficients_for(
     check_cycles(hf, high)
     grid = grid_for(hf, coherence)
     block = fourier.Block.covering(grid, reached.frequency, reach)
-    held = kept(hf).coefficients
     if method in EXPANSIONS:
         low = 0.0
     else:
         terms = coefficients.series_terms(hf, (low, high))
     key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
-    if key in held:
-        held[key] = held.pop(key)
-        return held[key], block, grid
 
-    def make() -> dict[str, Any]:
+    def arrays() -> dict[str, Any]:
         if method in EXPANSIONS:
             made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
         else:
@@ -146,11 +143,10 @@ def coefficients_for(
             made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
         return vars(made)
 
-    made = Coefficients(**disk.kept_on_disk((key, hf.pitch_um), hf.heights_um, make))
-    held[key] = made
-    while len(held) > KEPT:
-        held.pop(next(iter(held)))
-    return made, block, grid
+    def make() -> Coefficients:
+        return Coefficients(**disk.kept_on_disk((key, hf.pitch_um), hf.heights_um, arrays))
+
+    return found_again(kept(hf).coefficients, key, make, most=KEPT), block, grid
 
 
 def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
