@@ -140,12 +140,16 @@ def spread_pixels(
     pixels: Pixels,
     to_light: wp.vec3f,
     width: wp.int32,
+    height: wp.int32,
     deviation: wp.float32,
     first: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=wp.vec4f),
 ):
-    """How (u, v) changes over a pixel's filter: by one standard deviation along rows, and along columns."""
+    """How (u, v) changes over a pixel's filter: by one standard deviation along rows, and along columns.
+
+    Pixels are a picture of a width and height, or pictures one after the other.
+    """
     i = first + wp.tid()
     footprints_out[i] = wp.vec4f()
     if pixels.hit[i] == 0:
@@ -156,10 +160,14 @@ def spread_pixels(
         left = -1
     if right % width == 0:
         right = -1
+    above = i - width
     below = i + width
-    if below >= pixels.hit.shape[0]:
+    row = (i // width) % height
+    if row == 0:
+        above = -1
+    if row == height - 1:
         below = -1
     here = lateral(pixels, i, to_light)
     along_x = deviation * slope(pixels, left, here, right, to_light)
-    along_y = deviation * slope(pixels, i - width, here, below, to_light)
+    along_y = deviation * slope(pixels, above, here, below, to_light)
     footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])

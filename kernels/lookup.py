@@ -110,6 +110,19 @@ _RUN_SUM = """
 """
 
 
+_PREFETCH = """
+#if !defined(__CUDA_ARCH__)
+    const char* row = (const char*)((const float*)rows.data + (long long)first * WIDTH);
+    constexpr int BYTES = 3 * WIDTH * (int)sizeof(float);
+    for (int j = 0; j < 3; ++j) {
+        for (int b = 0; b < BYTES; b += 64) __builtin_prefetch(row + b);
+        __builtin_prefetch(row + BYTES - 1);
+        row += (long long)stride * WIDTH * sizeof(float);
+    }
+#endif
+"""
+
+
 @wp.func
 def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
     """An index modulo the number of rays."""
@@ -142,6 +155,7 @@ def lookup(functions: int) -> types.SimpleNamespace:
         widths: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
         nodes: wp.int32  # nodes an octave
         per_log: wp.float32  # nodes per unit of ln |(u, v)|
+        per_octave: wp.float32  # octaves a node
         node_of_one: wp.float32  # the node where |(u, v)| is 1
         least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
         spread: wp.float32  # of a single coefficient's lobe in |(u, v)|, at a middle wavelength
@@ -211,6 +225,10 @@ def lookup(functions: int) -> types.SimpleNamespace:
         for k in range(table.nodes):
             values_out[ray * table.nodes + k] = (1.0 / total_weight) * values_out[ray * table.nodes + k]
 
+    @wp.func_native(_PREFETCH.replace("WIDTH", str(width)))
+    def prefetch(rows: wp.array(dtype=row_t), first: wp.int32, stride: wp.int32):
+        """Begin to read the rows of three rays and nodes."""
+
     @wp.func_native((CHUNKS_OF_ROWS + _RUN_SUM).replace("WIDTH", str(width)))
     def run_sum(
         rows: wp.array(dtype=row_t),
@@ -254,21 +272,35 @@ def lookup(functions: int) -> types.SimpleNamespace:
         """
 
     @wp.func
+    def polar(table: Colours, u: wp.float32, v: wp.float32) -> wp.vec2f:
+        """The logarithm of |(u, v)|, and the angle."""
+        return wp.vec2f(wp.log(wp.max(wp.sqrt(u * u + v * v), table.least_uv)), wp.atan2(v, u))
+
+    @wp.func
+    def foresee(table: Colours, at: wp.vec2f):
+        """Begin to read the sharp rows around a place."""
+        node = wp.int32(at[0] * table.per_log + table.node_of_one - 0.5)
+        octave = wp.min(wp.int32(wp.float32(node) * table.per_octave), table.rays.shape[1] - 1)
+        turns = at[1] * wp.float32(0.5 / wp.PI)
+        if turns < 0.0:
+            turns = turns + 1.0
+        ray = wp.int32(turns * wp.float32(table.rays[0, octave]) - 0.5)
+        prefetch(table.rows, table.firsts[0, octave] + (ray - octave) * table.nodes + node, table.nodes)
+
+    @wp.func
     def colour_at(
         table: Colours,
         blending: Blending,
         w: wp.float32,
-        u: wp.float32,
-        v: wp.float32,
+        at: wp.vec2f,
         angle2: wp.float32,
         ratio2: wp.float32,
         both: wp.float32,
     ) -> wp.vec3f:
         """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|, and by their covariance."""
-        log_uv = wp.log(wp.max(wp.sqrt(u * u + v * v), table.least_uv))
         # The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
-        log_uv = log_uv + 0.5 * (angle2 - ratio2)
-        turns = (wp.atan2(v, u) - both) * wp.float32(0.5 / wp.PI)
+        log_uv = at[0] + 0.5 * (angle2 - ratio2)
+        turns = (at[1] - both) * wp.float32(0.5 / wp.PI)
         entries = blending.weights.shape[0]
         fractions = blending.weights.shape[1]
         all_taps = blending.weights.shape[2]
@@ -377,76 +409,94 @@ def lookup(functions: int) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32),
         footprints: wp.array(dtype=wp.vec4f),
         blending: Blending,
+        run: wp.int32,
         first: wp.int32,
         # Out:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of each direction to ``xyz_out``; an empty array of footprints is none."""
-        i = first + wp.tid()
-        gain = gains[i]
-        if gain > 0.0:
+        """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
+
+        Look-ups wait for memory: rows are asked for before the direction before them is done.
+        """
+        i = (first + wp.tid()) * run
+        end = wp.min(i + run, gains.shape[0])
+        at = polar(table, wp.float32(deflections[i][0]), wp.float32(deflections[i][1]))
+        while i < end:
+            gain = gains[i]
             deflection = deflections[i]
-            u = wp.float32(deflection[0])
-            v = wp.float32(deflection[1])
-            w = wp.float32(-deflection[2])
-            colour = wp.vec3f()
-            count = wp.int32(1)
-            angle2 = wp.float32(0.0)
-            ratio2 = wp.float32(0.0)
-            both = wp.float32(0.0)
-            along = wp.vec2f()
-            xx = wp.float32(0.0)
-            xy = wp.float32(0.0)
-            yy = wp.float32(0.0)
-            if footprints.shape[0] > 0:
-                # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
-                uv2 = u * u + v * v + table.spread * table.spread
-                x = u / uv2
-                y = v / uv2
-                f = footprints[i]
-                xx = f[0] * f[0] + f[2] * f[2]
-                xy = f[0] * f[1] + f[2] * f[3]
-                yy = f[1] * f[1] + f[3] * f[3]
-                radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
-                tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
-                angle2 = wp.dot(tangential, tangential)
-                ratio2 = wp.dot(radial, radial)
-                both = wp.dot(radial, tangential)
-                if angle2 > 0.0:
-                    count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
-                    # Parts lie along what goes with the angle.
-                    scale = 1.0 / wp.sqrt(angle2)
-                    along = scale * wp.vec2f(
-                        f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
-                    )
-                    within = blending.parts[count - 1, 0, 0]
-                    ratio2 = ratio2 - (1.0 - within) * both * both / angle2
-                    angle2 = within * angle2
-                    both = within * both
-            for k in range(count):
-                away = blending.parts[count - 1, 1, k]
-                at_u = u + away * along[0]
-                at_v = v + away * along[1]
-                part_angle2 = angle2
-                part_ratio2 = ratio2
-                part_both = both
-                if count > 1:
-                    # Relative to the part's own |(u, v)|.
-                    spread2 = table.spread * table.spread
-                    change = (u * u + v * v + spread2) / (at_u * at_u + at_v * at_v + spread2)
-                    part_angle2 = angle2 * change
-                    part_ratio2 = ratio2 * change
-                    part_both = both * change
-                turn_share = wp.min(_WIDEST_ANGLE / wp.sqrt(wp.max(part_angle2, 1.0e-12)), 1.0)
-                ratio_share = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
-                part_angle2 = part_angle2 * turn_share * turn_share
-                part_ratio2 = part_ratio2 * ratio_share * ratio_share
-                part_both = part_both * turn_share * ratio_share
-                part = colour_at(table, blending, w, at_u, at_v, part_angle2, part_ratio2, part_both)
-                colour += blending.parts[count - 1, 2, k] * part
-            if table.mirror.shape[0] > 0:
-                colour += mirror_at(table, u, v, w, xx, xy, yy)
-            xyz_out[i] = xyz_out[i] + gain * colour
+            following = at
+            if i + 1 < end and gains[i + 1] > 0.0:
+                ahead = deflections[i + 1]
+                following = polar(table, wp.float32(ahead[0]), wp.float32(ahead[1]))
+                if footprints.shape[0] == 0:
+                    foresee(table, following)
+            if gain > 0.0:
+                u = wp.float32(deflection[0])
+                v = wp.float32(deflection[1])
+                w = wp.float32(-deflection[2])
+                colour = wp.vec3f()
+                count = wp.int32(1)
+                angle2 = wp.float32(0.0)
+                ratio2 = wp.float32(0.0)
+                both = wp.float32(0.0)
+                along = wp.vec2f()
+                xx = wp.float32(0.0)
+                xy = wp.float32(0.0)
+                yy = wp.float32(0.0)
+                if footprints.shape[0] > 0:
+                    # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
+                    uv2 = u * u + v * v + table.spread * table.spread
+                    x = u / uv2
+                    y = v / uv2
+                    f = footprints[i]
+                    xx = f[0] * f[0] + f[2] * f[2]
+                    xy = f[0] * f[1] + f[2] * f[3]
+                    yy = f[1] * f[1] + f[3] * f[3]
+                    radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
+                    tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
+                    angle2 = wp.dot(tangential, tangential)
+                    ratio2 = wp.dot(radial, radial)
+                    both = wp.dot(radial, tangential)
+                    if angle2 > 0.0:
+                        count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
+                        # Parts lie along what goes with the angle.
+                        scale = 1.0 / wp.sqrt(angle2)
+                        along = scale * wp.vec2f(
+                            f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
+                        )
+                        within = blending.parts[count - 1, 0, 0]
+                        ratio2 = ratio2 - (1.0 - within) * both * both / angle2
+                        angle2 = within * angle2
+                        both = within * both
+                for k in range(count):
+                    away = blending.parts[count - 1, 1, k]
+                    at_u = u + away * along[0]
+                    at_v = v + away * along[1]
+                    part_angle2 = angle2
+                    part_ratio2 = ratio2
+                    part_both = both
+                    if count > 1:
+                        # Relative to the part's own |(u, v)|.
+                        spread2 = table.spread * table.spread
+                        change = (u * u + v * v + spread2) / (at_u * at_u + at_v * at_v + spread2)
+                        part_angle2 = angle2 * change
+                        part_ratio2 = ratio2 * change
+                        part_both = both * change
+                    place = at
+                    if count > 1:
+                        place = polar(table, at_u, at_v)
+                    turn_share = wp.min(_WIDEST_ANGLE / wp.sqrt(wp.max(part_angle2, 1.0e-12)), 1.0)
+                    ratio_share = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
+                    part_angle2 = part_angle2 * turn_share * turn_share
+                    part_ratio2 = part_ratio2 * ratio_share * ratio_share
+                    part_both = part_both * turn_share * ratio_share
+                    part = colour_at(table, blending, w, place, part_angle2, part_ratio2, part_both)
+                    colour += blending.parts[count - 1, 2, k] * part
+                if table.mirror.shape[0] > 0:
+                    colour += mirror_at(table, u, v, w, xx, xy, yy)
+                xyz_out[i] = xyz_out[i] + gain * colour
+            at = following
+            i = i + 1
 
     return types.SimpleNamespace(
         row=row_t, functions=functions_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate

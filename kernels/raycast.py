@@ -46,11 +46,13 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Which of how many samples of every pixel; a single one lies in the pixel's centre."""
+    """Which of how many samples of every pixel; a single one lies in the pixel's centre. Or tiles of some pixels."""
 
     sample: wp.int32
     samples: wp.int32
     seed: wp.int32
+    tiles: wp.array(dtype=wp.int32)  # pixels of which each is met by a tile of rays, one after the other; empty is none
+    places: wp.array(dtype=wp.vec2d)  # where these rays lie, (right, down) of the pixel's centre [pixels]
 
 
 @wp.struct
@@ -327,7 +329,7 @@ def cast(
     pixels: Pixels,
     first: wp.int32,
 ):
-    """One ray through the pixel ``first`` + thread, counted along rows from the top left.
+    """One ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
 
     The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
     b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
@@ -338,17 +340,22 @@ def cast(
         surface: The mesh.
         sampling: Where in the pixel.
         pixels: What was and is found.
-        first: The first thread's pixel.
+        first: The first thread's pixel, or ray of a tile.
     """
-    pixel = first + wp.tid()
-    pixels.hit[pixel] = 0
-    pixels.face[pixel] = -1
+    ray = first + wp.tid()
+    pixels.hit[ray] = 0
+    pixels.face[ray] = -1
+    pixel = ray
+    offset = pixel_offset(sampling, pixel)
+    rays = sampling.places.shape[0]
+    if rays > 0:
+        pixel = sampling.tiles[ray // rays]
+        offset = sampling.places[ray % rays]
 
     # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
     one = wp.float64(1.0)
     two = wp.float64(2.0)
     half = wp.float64(0.5)
-    offset = pixel_offset(sampling, pixel)
     column = wp.float64(pixel % camera.width) + half + offset[0]
     row = wp.float64(pixel // camera.width) + half + offset[1]
     x = camera.half_width * (two * column / wp.float64(camera.width) - one)
@@ -446,11 +453,11 @@ def cast(
     if colour[0] < 0.0:
         colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
 
-    pixels.hit[pixel] = 1
-    pixels.face[pixel] = face
-    pixels.tangent[pixel] = tangent
-    pixels.bitangent[pixel] = surface.handedness[i0] * wp.cross(normal, tangent)
-    pixels.normal[pixel] = normal
-    pixels.to_view[pixel] = to_view
-    pixels.shadow_origin[pixel] = shadow_origin + LIFT * geometric
-    pixels.base_colour[pixel] = colour
+    pixels.hit[ray] = 1
+    pixels.face[ray] = face
+    pixels.tangent[ray] = tangent
+    pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
+    pixels.normal[ray] = normal
+    pixels.to_view[ray] = to_view
+    pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
+    pixels.base_colour[ray] = colour

@@ -12,7 +12,7 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, lookup, polar, raycast, spectral
+from warpdiff.kernels import directions, lookup, polar, raycast, spectral, supersample
 
 SM = 90
 # Ampere, too, for what every frame launches.
@@ -24,6 +24,7 @@ KERNELS = {
     "directions": {"deflect_directions", "deflect_pixels", "spread_pixels"},
     "spectral": {"integrate", "sample"},
     "lookup": {"blur", "integrate", "interpolate"},
+    "supersample": {"accumulate", "contrast", "gather"},
     "polar": {"project", "resample"},
 }
 # Rows of powers or of amplitudes, as each form has them.
@@ -81,7 +82,9 @@ def test_every_kernel_module_is_compiled_here():
 
 
 @pytest.mark.parametrize("arch", SMS)
-@pytest.mark.parametrize("module", [raycast, directions], ids=["raycast", "directions"])
+@pytest.mark.parametrize(
+    "module", [raycast, directions, supersample], ids=lambda module: module.__name__.rpartition(".")[2]
+)
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import warpdiff as wd
-from warpdiff import meshes
+from warpdiff import meshes, supersample
 from warpdiff.integration import Integrator
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -129,3 +129,44 @@ def test_a_plan_without_a_table_has_none(tube, fingers):
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank")
     with pytest.raises(ValueError, match="footprint=True takes a table"):
         wd.shade(tube, fingers, LIGHT, view(), plan=plan, footprint=True)
+
+
+def test_steep_pixels_take_more_rays(tube, fingers, pictures):
+    """They err less than without, and no more pixels take them than need be."""
+    blurred, _, exact = pictures
+    lax = wd.shade(tube, fingers, LIGHT, view(), plan=dataclasses.replace(blurred.plan, tolerance=0.5))
+    some = wd.shade(tube, fingers, LIGHT, view(), plan=dataclasses.replace(blurred.plan, tolerance=0.03))
+    shares = [each.plan.supersampled for each in (lax, some, blurred)]
+    assert 0.0 <= shares[0] < 0.1 < shares[1] < shares[2] <= 1.0
+    assert "took more rays" in str(blurred.plan)
+    for quantile in (50.0, 90.0, 99.0):
+        found = [np.percentile(errors(each, exact), quantile) for each in (lax, some, blurred)]
+        assert found[2] <= found[1] < 0.8 * found[0]
+    np.testing.assert_array_equal(lax.coverage, blurred.coverage)
+
+
+def test_lights_add_up(tube, fingers, pictures):
+    plan = pictures[0].plan
+    other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
+    alone = [wd.shade(tube, fingers, light, view(), plan=plan).xyz for light in (LIGHT, other)]
+    both = wd.shade(tube, fingers, [LIGHT, other], view(), plan=plan)
+    np.testing.assert_allclose(both.xyz, alone[0] + alone[1], rtol=1e-5, atol=1e-12)
+    assert 0.0 < both.plan.supersampled <= 1.0
+
+
+@pytest.mark.parametrize("tile", supersample.TILES)
+@pytest.mark.parametrize("angle_deg", [0.0, 22.5, 45.0])
+def test_tiles_stand_for_the_filter(tile, angle_deg):
+    """Along a line through the pixel, the sum of their Gaussians is a Gaussian of 0.5 pixel that ends at 1.5."""
+    places, weights = tile.rays
+    assert weights.sum() == pytest.approx(1.0)
+    across = places @ [np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))]
+    x = np.linspace(-1.2, 1.2, 49)
+    ours = np.exp(-0.5 * ((x[:, None] - across) / tile.deviation) ** 2) @ weights / tile.deviation
+    y = np.linspace(-1.5, 1.5, 3001)
+    inside = x[:, None] ** 2 + y**2 <= 1.5**2
+    exact = (np.exp(-2.0 * (x[:, None] ** 2 + y**2)) * inside).sum(axis=1)
+    whole = np.linspace(-1.5, 1.5, 301)
+    total = (np.exp(-2.0 * (whole[:, None] ** 2 + y**2)) * (whole[:, None] ** 2 + y**2 <= 1.5**2)).sum()
+    exact *= np.sqrt(2.0 * np.pi) / (total * (whole[1] - whole[0]))
+    np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())

@@ -163,7 +163,7 @@ def test_shadows_lie_where_brute_force_says():
     view = wd.View((0.0, -2.0, 1.6), (0, 0, 0.2), width=60, height=45)
     light = wd.DirectionalLight((0.3, 0.2, 1.0))
     # A short window lights everything, so that black is shadow.
-    options = {"coherence": wd.Coherence("averaged", 0.3)}
+    options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
     shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
     open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
     surface = prepare_surface(two_discs())

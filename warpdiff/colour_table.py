@@ -210,7 +210,7 @@ def _coloured(
     table = target.Colours()
     table.functions = wp.array(how.functions, dtype=target.functions, device=device)
     table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
-    table.nodes = layout.nodes
+    table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
     # The spline there begins one before it.

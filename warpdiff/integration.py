@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from warpdiff.planning import Plan
     from warpdiff.scope import Scope
 
+# Directions that a thread looks up one after the other on the CPU, where it asks for the next one's rows beforehand;
+# those of a slice, which must be worth a launch, and slices for each thread.
+_RUN, _LEAST_SLICE, _SLICES = 32, 1024, 8
+
 
 class Integrator:
     """The kernel of a plan with what it reads, made or found again."""
@@ -51,7 +55,7 @@ class Integrator:
             illuminant: A name.
             xyz: What is added to.
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
-            options: Those of ``launch``.
+            options: Of ``launch``, ``progress``.
         """
         if self._plan.nodes:
             if illuminant not in self._colours:
@@ -60,10 +64,14 @@ class Integrator:
                 )
             kernel, table = self._colours[illuminant]
             seen = self._no_footprints if footprints is None else footprints
-            inputs = [table, deflections, gains, seen, self._blending]
+            run = _RUN if self._device.is_cpu else 1
+            inputs = [table, deflections, gains, seen, self._blending, run]
+            size = -(-len(gains) // run)
+            options["slice_size"] = max(size // (_SLICES * self._threads), _LEAST_SLICE // run)
         else:
             if illuminant not in self._colours:
                 made = tables.quadrature_for(self._hf, self._plan, illuminant, device=self._device)
                 self._colours[illuminant] = made
             kernel, inputs = self._kernel, [self._arguments, deflections, to_lights, gains, self._colours[illuminant]]
-        launch(kernel, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)
+            size = len(gains)
+        launch(kernel, size, inputs, [xyz], device=self._device, threads=self._threads, **options)

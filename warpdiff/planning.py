@@ -107,6 +107,8 @@ class Plan:
         nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
         rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
         footprint: Whether the table has levels, from which a pixel's mean over its range of (u, v) is taken.
+        supersampled: Of a picture, the share of its lit pixels that took more rays, as the predicted error of their
+            footprint exceeds the tolerance.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
         min_w: Smallest |w| of these.
@@ -136,6 +138,7 @@ class Plan:
     nodes: int
     rays_per_width: float
     footprint: bool
+    supersampled: float
     max_uv: float
     max_lateral: float
     min_w: float
@@ -225,6 +228,8 @@ class Plan:
             rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
             pixels = ", blurred for the range of (u, v) that a pixel sees," if self.footprint else ""
             parts.append(f"a polar table of {rays}{pixels} integrates to {self.quadrature:.1e}")
+            if self.supersampled:
+                parts.append(f"{100.0 * self.supersampled:.2g} % of the lit pixels, too steep for that, took more rays")
         elif self.wavelengths:
             spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
             asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
@@ -461,6 +466,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         nodes=0,
         rays_per_width=0.0,
         footprint=False,
+        supersampled=0.0,
         max_uv=scope.max_uv,
         max_lateral=scope.max_lateral,
         min_w=scope.min_w,

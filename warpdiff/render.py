@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, optics, spectrum
+from warpdiff import checks, optics, spectrum, supersample
 from warpdiff.coherence import Coherence
 from warpdiff.device import launch, load, resolve_device, resolve_threads
 from warpdiff.evaluate import check_call, check_plan, direct_colour
@@ -34,8 +34,6 @@ _SEED = 0
 _SURVEYED = 4
 # Rays and frames take a tenth of a microsecond or two each, and a launch as much as hundreds.
 _LEAST_SLICE = 4096
-# Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
-FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
 
 
 def shade(
@@ -84,7 +82,8 @@ def shade(
             the texture coordinates.
         footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, to first order, rather than the
             colour in its centre: no aliasing, no speckle of orders that fall between pixels. None is on for an averaged
-            window where a table keeps the tolerance, and off otherwise.
+            window where a table keeps the tolerance, and off otherwise. Where the picture is so steep that first
+            order will not do, 9 or 25 rays of a pixel have footprints of their own.
         samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
@@ -141,7 +140,10 @@ def shade(
         frame.sum_directly(hf, plan, names, progress=progress)
     else:
         integrator = Integrator(hf, plan, scope, device=target, threads=workers)
-        frame.integrate(integrator, names, footprint=plan.footprint, progress=progress)
+        share = frame.integrate(
+            integrator, names, footprint=plan.footprint, tolerance=plan.tolerance, progress=progress
+        )
+        plan = replace(plan, supersampled=share)
     return frame.image(plan)
 
 
@@ -168,6 +170,41 @@ def _takes_footprints(footprint: bool | None, method: str, window: Coherence, pl
     return footprint
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """What rays see: the mesh, and under the last light deflections, directions to the light and gains."""
+
+    pixels: Any
+    deflections: wp.array
+    to_lights: wp.array
+    gains: wp.array
+
+    @classmethod
+    def by(cls, rays: int, *, device: wp.Device, covered: bool = False) -> _Seen:
+        """Arrays for so many rays, whose first hits are found face by face if ``covered``."""
+        import warp as wp
+
+        from warpdiff.kernels import raycast
+
+        def empty(dtype: Any) -> Any:
+            return wp.empty(rays, dtype=dtype, device=device)
+
+        pixels = raycast.Pixels()
+        pixels.nearest = wp.empty(rays if covered else 0, dtype=wp.uint64, device=device)
+        pixels.hit, pixels.face = empty(wp.int32), empty(wp.int32)
+        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
+            setattr(pixels, name, empty(wp.vec3f))
+        return cls(pixels, empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32))
+
+    @property
+    def directions(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Deflections, directions to the light and gains."""
+        return self.deflections, self.to_lights, self.gains
+
+    def __len__(self) -> int:
+        return len(self.gains)
+
+
 class _Frame:
     """The arrays of one picture on a device, and the launches that fill them."""
 
@@ -177,7 +214,6 @@ class _Frame:
         import warp as wp
 
         from warpdiff import scene
-        from warpdiff.kernels import raycast
 
         self._view = view
         self._samples = samples
@@ -191,17 +227,7 @@ class _Frame:
         self._has_base_colour = surface.has_base_colour
         self._size = size = view.width * view.height
 
-        def empty(dtype: Any) -> Any:
-            return wp.empty(size, dtype=dtype, device=device)
-
-        self._pixels = raycast.Pixels()
-        self._pixels.nearest = wp.empty(size if self._covers else 0, dtype=wp.uint64, device=device)
-        self._pixels.hit, self._pixels.face = empty(wp.int32), empty(wp.int32)
-        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
-            setattr(self._pixels, name, empty(wp.vec3f))
-        self._deflections = empty(wp.vec3d)
-        self._to_lights = empty(wp.vec3f)
-        self._gains = empty(wp.float32)
+        self._seen = _Seen.by(size, device=device, covered=self._covers)
         self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
         self._hits = np.zeros(size, dtype=np.int64)
         self._lit = np.zeros(size, dtype=np.bool_)
@@ -225,7 +251,7 @@ class _Frame:
             self.cast(sample)
             for light in self._lights:
                 self.deflect(light)
-                lit = np.flatnonzero(self._gains.numpy() > 0.0)
+                lit = np.flatnonzero(self._seen.gains.numpy() > 0.0)
                 deflections, to_lights, gains = (each[lit] for each in self.directions())
                 scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
                 count += len(lit)
@@ -242,12 +268,12 @@ class _Frame:
         for sample in range(self._samples):
             if self._samples > 1:
                 self.cast(sample)
-            self._hits += self._pixels.hit.numpy()
+            self._hits += self._seen.pixels.hit.numpy()
             for index, light in enumerate(self._lights):
                 # The survey has left behind what a single pass needs.
                 if passes > 1:
                     self.deflect(light)
-                self._lit |= self._gains.numpy() > 0.0
+                self._lit |= self._seen.gains.numpy() > 0.0
                 yield index, _share(progress, sample * len(self._lights) + index, passes)
 
     def integrate(
@@ -256,17 +282,71 @@ class _Frame:
         illuminants: list[str],
         *,
         footprint: bool,
+        tolerance: float,
         progress: Callable[[float], None] | None,
-    ) -> None:
-        """Add the diffraction colours of all samples and lights."""
+    ) -> float:
+        """Add the diffraction colours of all samples and lights; returns the share of pixels that took more rays."""
+        if footprint and self._samples == 1:
+            return self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
         spreads: list[Any] = [None] * len(self._lights)
         if footprint:
-            if self._samples > 1:
-                self._cast(0, 1)
+            self._cast(0, 1)
             spreads = [self.spread(light) for light in self._lights]
         for index, share in self._passes(progress):
-            seen = (self._deflections, self._to_lights, self._gains)
-            integrator.add(*seen, illuminants[index], self._xyz, footprints=spreads[index], progress=share)
+            integrator.add(
+                *self._seen.directions, illuminants[index], self._xyz, footprints=spreads[index], progress=share
+            )
+        return 0.0
+
+    def _integrate_means(
+        self,
+        integrator: Integrator,
+        illuminants: list[str],
+        *,
+        tolerance: float,
+        progress: Callable[[float], None] | None,
+    ) -> float:
+        """The same of means over pixels, where that takes it over several rays in each."""
+        import warp as wp
+
+        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
+        tiled, lit = 0, 0
+        for index, share in self._passes(progress):
+            light, illuminant, seen = self._lights[index], illuminants[index], self._seen
+            colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
+            spread = self.spread(light)
+            integrator.add(*seen.directions, illuminant, colours, footprints=spread, progress=share)
+            width = self._view.width
+            for batch in supersample.batches(colours, seen.gains, width, tolerance, **options):
+                self._set_means(integrator, light, illuminant, batch, colours)
+                tiled += len(batch.pixels)
+            supersample.add(colours, self._xyz, **options)
+            lit += int(np.count_nonzero(seen.gains.numpy() > 0.0))
+        return tiled / max(lit, 1)
+
+    def _set_means(
+        self, integrator: Integrator, light: Any, illuminant: str, batch: supersample.Batch, colours: wp.array
+    ) -> None:
+        """Set the colours of some pixels to the means over tiles of rays."""
+        import warp as wp
+
+        from warpdiff.kernels import raycast
+
+        tile = batch.tile
+        places, weights = tile.rays
+        sampling = raycast.Sampling()
+        sampling.tiles = wp.array(batch.pixels, dtype=wp.int32, device=self._device)
+        sampling.places = wp.array(places, dtype=wp.vec2d, device=self._device)
+        seen = _Seen.by(len(batch.pixels) * len(weights), device=self._device)
+        self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], len(seen))
+        of_rays = wp.zeros(len(seen), dtype=wp.vec3f, device=self._device)
+        self._deflect(light if batch.shadows else _unshadowed(light), seen, 1.0, of_rays)
+        spread = self._spread(light, seen, tile.across, tile.across, tile.deviation / tile.apart)
+        # The pigment of the pixel's own ray stays.
+        of_rays.zero_()
+        integrator.add(*seen.directions, illuminant, of_rays, footprints=spread)
+        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
+        supersample.set_means(colours, sampling.tiles, weights, seen.pixels.hit, of_rays, **options)
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
@@ -308,9 +388,9 @@ class _Frame:
         result.per_light_cosine = window.kind == "source"
         return result
 
-    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], **options: Any) -> None:
-        options.setdefault("slice_size", max(self._size // (4 * self._threads), _LEAST_SLICE))
-        launch(kernel, self._size, inputs, outputs, device=self._device, threads=self._threads, **options)
+    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int) -> None:
+        slice_size = max(size // (4 * self._threads), _LEAST_SLICE)
+        launch(kernel, size, inputs, outputs, device=self._device, threads=self._threads, slice_size=slice_size)
 
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""
@@ -321,38 +401,43 @@ class _Frame:
 
         sampling = raycast.Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
+        pixels = self._seen.pixels
         if self._covers:
-            self._pixels.nearest.fill_(raycast.UNSEEN)
+            pixels.nearest.fill_(raycast.UNSEEN)
             launch(
-                raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays, self._pixels], [],
+                raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays, pixels], [],
                 device=self._device, threads=self._threads,
             )  # fmt: skip
-        self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, self._pixels], [])
+        self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], self._size)
 
     def deflect(self, light: Any) -> None:
         """Compute the deflections and gains under one light, and add its pigment."""
+        self._deflect(light, self._seen, 1.0 / self._samples, self._xyz)
+
+    def _deflect(self, light: Any, seen: _Seen, weight: float, xyz: wp.array) -> None:
         from warpdiff.kernels import directions
 
-        self._launch(
-            directions.deflect_pixels,
-            [self._pixels, light, self._reflection, 1.0 / self._samples],
-            [self._deflections, self._to_lights, self._gains, self._xyz],
-        )
+        inputs = [seen.pixels, light, self._reflection, weight]
+        self._launch(directions.deflect_pixels, inputs, [*seen.directions, xyz], len(seen))
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
-        return self._deflections.numpy(), self._to_lights.numpy(), self._gains.numpy()
+        deflections, to_lights, gains = (each.numpy() for each in self._seen.directions)
+        return deflections, to_lights, gains
 
     def spread(self, light: Any) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
+        deviation = supersample.FILTER_DEVIATION / math.sqrt(self._samples)
+        return self._spread(light, self._seen, self._view.width, self._view.height, deviation)
+
+    def _spread(self, light: Any, seen: _Seen, width: int, height: int, deviation: float) -> wp.array:
         import warp as wp
 
         from warpdiff.kernels import directions
 
-        result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
-        deviation = FILTER_DEVIATION / math.sqrt(self._samples)
-        inputs = [self._pixels, wp.vec3f(*light.to_light), self._view.width, deviation]
-        self._launch(directions.spread_pixels, inputs, [result])
+        result = wp.empty(len(seen), dtype=wp.vec4f, device=self._device)
+        inputs = [seen.pixels, wp.vec3f(*light.to_light), width, height, deviation]
+        self._launch(directions.spread_pixels, inputs, [result], len(seen))
         return result
 
     def image(self, plan: Plan) -> Image:
@@ -366,6 +451,17 @@ class _Frame:
             coverage=coverage,
             plan=plan,
         )
+
+
+def _unshadowed(light: Any) -> Any:
+    """The struct of a light that nothing hides."""
+    from warpdiff.kernels import directions
+
+    result = directions.LightArguments()
+    for name in directions.LightArguments.vars:
+        setattr(result, name, getattr(light, name))
+    result.shadows = False
+    return result
 
 
 def _check_lights(light: Any) -> list[DirectionalLight]:

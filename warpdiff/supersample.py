@@ -1,0 +1,138 @@
+"""More rays where a footprint of first order will not do: on pixels that differ much from those beside them.
+
+What such a footprint leaves out, its curvature and what of it is no range of angles and ratios, changes a pixel the
+more the steeper the picture is there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.device import launch
+
+if TYPE_CHECKING:
+    import warp as wp
+    from numpy.typing import NDArray
+
+# Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
+FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
+# Error of a footprint's mean over the pixel's contrast with those beside it: docs/decisions.md.
+_ERROR_OF_CONTRAST = 0.045
+# Rays at a time, which bounds the memory that they take.
+_MOST_RAYS = 150_000
+# What errors are relative to at least, as a share of the 99th percentile of luminance.
+_FLOOR = 1e-3
+# These kernels are cheap against a launch.
+_SLICE = 32_768
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Rays through one pixel, on a square grid about its centre, each with a Gaussian filter of its own.
+
+    Distances, deviations and weights are those whose sum, integrated along lines of any direction, comes closest to the
+    pixel's filter, in relative terms down to a tenth of its peak: to 5 % of the peak, and on average over a tenth of a
+    pixel to 3 %.
+
+    Attributes:
+        across: Rays along each side.
+        apart: Their distance [pixels].
+        deviation: Of their own filters [pixels].
+        weights: By the smaller and the larger of a ray's distances along the sides from the middle, in rays.
+        above: The tile is for pixels whose predicted error exceeds the tolerance by this factor.
+    """
+
+    across: int
+    apart: float
+    deviation: float
+    weights: dict[tuple[int, int], float]
+    above: float
+
+    @functools.cached_property
+    def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Places (right, down) of the pixel's centre (n, 2), and weights (n,), which add up to 1."""
+        steps = range(-(self.across // 2), self.across // 2 + 1)
+        places = [(right * self.apart, down * self.apart) for down in steps for right in steps]
+        weights = [
+            self.weights[min(abs(right), abs(down)), max(abs(right), abs(down))] for down in steps for right in steps
+        ]
+        return np.array(places), np.array(weights) / sum(weights)
+
+
+_SMALL = {(0, 0): 0.3035, (0, 1): 0.1234, (1, 1): 0.0507}
+_LARGE = {(0, 0): 0.1638, (0, 1): 0.099, (0, 2): 0.0214, (1, 1): 0.055, (1, 2): 0.016, (2, 2): 0.0016}
+TILES = (Tile(3, 0.525, 0.34, _SMALL, above=1.0), Tile(5, 0.45, 0.22, _LARGE, above=3.0))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pixels that take the same tile.
+
+    Attributes:
+        tile: Of each of them.
+        pixels: Their numbers, (n,).
+        shadows: Whether a shadow's edge may pass through them; otherwise all pixels beside them are lit.
+    """
+
+    tile: Tile
+    pixels: NDArray[np.int32]
+    shadows: bool
+
+
+def batches(
+    colours: wp.array, gains: wp.array, width: int, tolerance: float, *, device: wp.Device, threads: int
+) -> list[Batch]:
+    """The lit pixels of a picture whose predicted error exceeds the tolerance."""
+    import warp as wp
+
+    from warpdiff.kernels import supersample as kernels
+
+    lit = gains.numpy() > 0.0
+    if not np.any(lit):
+        return []
+    floor = _FLOOR * float(np.percentile(colours.numpy()[lit, 1], 99.0))
+    contrast = wp.empty(len(gains), dtype=wp.float32, device=device)
+    surrounded = wp.empty(len(gains), dtype=wp.bool, device=device)
+    inputs, outputs = [colours, gains, width, max(floor, np.finfo(np.float32).tiny)], [contrast, surrounded]
+    launch(kernels.contrast, len(gains), inputs, outputs, device=device, threads=threads, slice_size=_SLICE)
+    excess = (_ERROR_OF_CONTRAST / tolerance) * contrast.numpy()
+    candidates = np.flatnonzero(excess > TILES[0].above)
+    excess, shadows = excess[candidates], ~surrounded.numpy()[candidates]
+    found = []
+    for tile, above in zip(TILES, [*(each.above for each in TILES[1:]), math.inf], strict=True):
+        for shadowed in (False, True):
+            pixels = candidates[(excess > tile.above) & (excess <= above) & (shadows == shadowed)].astype(np.int32)
+            parts = -(-len(pixels) * tile.across**2 // _MOST_RAYS)
+            found += [Batch(tile, part, shadowed) for part in np.array_split(pixels, parts or 1) if len(part)]
+    return found
+
+
+def set_means(
+    colours: wp.array,
+    pixels: wp.array,
+    weights: NDArray[np.float64],
+    hit: wp.array,
+    of_rays: wp.array,
+    *,
+    device: wp.Device,
+    threads: int,
+) -> None:
+    """Set the colours of pixels to the means over their tiles' rays that meet the mesh."""
+    import warp as wp
+
+    from warpdiff.kernels import supersample as kernels
+
+    inputs = [of_rays, hit, pixels, wp.array(weights, dtype=wp.float32, device=device)]
+    launch(kernels.gather, len(pixels), inputs, [colours], device=device, threads=threads)
+
+
+def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:
+    """Add a light's colours to a picture."""
+    from warpdiff.kernels import supersample as kernels
+
+    launch(kernels.accumulate, len(xyz), [colours], [xyz], device=device, threads=threads, slice_size=_SLICE)
