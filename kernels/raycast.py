@@ -53,6 +53,7 @@ class Sampling:
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels of which each is met by a tile of rays, one after the other; empty is none
     places: wp.array(dtype=wp.vec2d)  # where these rays lie, (right, down) of the pixel's centre [pixels]
+    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, in whose middle nothing else is; or empty
 
 
 @wp.struct
@@ -320,6 +321,33 @@ def cover(
                 keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
 
 
+@wp.func
+def shares(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.vec2d:
+    """Shares of the second and the third corner where a ray meets a face's plane; (−1, −1) where it does not."""
+    edge1 = wp.vec3d(p1) - wp.vec3d(p0)
+    edge2 = wp.vec3d(p2) - wp.vec3d(p0)
+    across_edge2 = wp.cross(along, edge2)
+    determinant = wp.dot(edge1, across_edge2)
+    result = wp.vec2d(-wp.float64(1.0), -wp.float64(1.0))
+    if determinant != wp.float64(0.0):
+        from_corner = origin - wp.vec3d(p0)
+        share1 = wp.dot(from_corner, across_edge2) / determinant
+        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
+        result = wp.vec2d(share1, share2)
+    return result
+
+
+@wp.func
+def within(surface: SurfaceArrays, face: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.bool:
+    """Whether a ray meets a face."""
+    p0 = surface.positions[surface.faces[face, 0]]
+    p1 = surface.positions[surface.faces[face, 1]]
+    p2 = surface.positions[surface.faces[face, 2]]
+    place = shares(p0, p1, p2, origin, along)
+    zero = wp.float64(0.0)
+    return place[0] >= zero and place[1] >= zero and place[0] + place[1] <= wp.float64(1.0)
+
+
 @wp.kernel
 def cast(
     # In:
@@ -371,7 +399,13 @@ def cast(
     b0 = wp.float32(1.0)
     b1 = wp.float32(0.0)
     direction = wp.normalize(wp.vec3f(along))
-    if pixels.nearest.shape[0] > 0:
+    if sampling.faces.shape[0] > 0:
+        guess = sampling.faces[pixel]
+        if within(surface, guess, origin, along):
+            face = guess
+    if face >= 0:
+        pass
+    elif pixels.nearest.shape[0] > 0:
         found = pixels.nearest[pixel]
         if found == UNSEEN:
             return
@@ -399,16 +433,10 @@ def cast(
     p2 = surface.positions[i2]
     # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
     # 1e-5, which a window of many wavelengths sees in what lies between its orders.
-    edge1 = wp.vec3d(p1) - wp.vec3d(p0)
-    edge2 = wp.vec3d(p2) - wp.vec3d(p0)
-    across_edge2 = wp.cross(along, edge2)
-    determinant = wp.dot(edge1, across_edge2)
-    if determinant != wp.float64(0.0):
-        from_corner = origin - wp.vec3d(p0)
-        share1 = wp.dot(from_corner, across_edge2) / determinant
-        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
-        share1 = wp.clamp(share1, wp.float64(0.0), one)
-        share2 = wp.clamp(share2, wp.float64(0.0), one - share1)
+    place = shares(p0, p1, p2, origin, along)
+    if place[0] != -one or place[1] != -one:
+        share1 = wp.clamp(place[0], wp.float64(0.0), one)
+        share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
         b0 = wp.float32(one - share1 - share2)
         b1 = wp.float32(share1)
     b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)

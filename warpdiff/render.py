@@ -337,6 +337,8 @@ class _Frame:
         sampling = raycast.Sampling()
         sampling.tiles = wp.array(batch.pixels, dtype=wp.int32, device=self._device)
         sampling.places = wp.array(places, dtype=wp.vec2d, device=self._device)
+        if not batch.shadows:
+            sampling.faces = self._seen.pixels.face
         seen = _Seen.by(len(batch.pixels) * len(weights), device=self._device)
         self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], len(seen))
         of_rays = wp.zeros(len(seen), dtype=wp.vec3f, device=self._device)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
 FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
 # Error of a footprint's mean over the pixel's contrast with those beside it: docs/decisions.md.
-_ERROR_OF_CONTRAST = 0.045
+_ERROR_OF_CONTRAST = 0.05
 # Rays at a time, which bounds the memory that they take.
 _MOST_RAYS = 150_000
 # What errors are relative to at least, as a share of the 99th percentile of luminance.
@@ -90,7 +90,7 @@ def batches(
     """The lit pixels of a picture whose predicted error exceeds the tolerance."""
     import warp as wp
 
-    from warpdiff.kernels import supersample as kernels
+    from warpdiff.kernels import directions
 
     lit = gains.numpy() > 0.0
     if not np.any(lit):
@@ -99,7 +99,7 @@ def batches(
     contrast = wp.empty(len(gains), dtype=wp.float32, device=device)
     surrounded = wp.empty(len(gains), dtype=wp.bool, device=device)
     inputs, outputs = [colours, gains, width, max(floor, np.finfo(np.float32).tiny)], [contrast, surrounded]
-    launch(kernels.contrast, len(gains), inputs, outputs, device=device, threads=threads, slice_size=_SLICE)
+    launch(directions.contrast, len(gains), inputs, outputs, device=device, threads=threads, slice_size=_SLICE)
     excess = (_ERROR_OF_CONTRAST / tolerance) * contrast.numpy()
     candidates = np.flatnonzero(excess > TILES[0].above)
     excess, shadows = excess[candidates], ~surrounded.numpy()[candidates]
@@ -125,14 +125,14 @@ def set_means(
     """Set the colours of pixels to the means over their tiles' rays that meet the mesh."""
     import warp as wp
 
-    from warpdiff.kernels import supersample as kernels
+    from warpdiff.kernels import directions
 
     inputs = [of_rays, hit, pixels, wp.array(weights, dtype=wp.float32, device=device)]
-    launch(kernels.gather, len(pixels), inputs, [colours], device=device, threads=threads)
+    launch(directions.gather, len(pixels), inputs, [colours], device=device, threads=threads)
 
 
 def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:
     """Add a light's colours to a picture."""
-    from warpdiff.kernels import supersample as kernels
+    from warpdiff.kernels import directions
 
-    launch(kernels.accumulate, len(xyz), [colours], [xyz], device=device, threads=threads, slice_size=_SLICE)
+    launch(directions.accumulate, len(xyz), [colours], [xyz], device=device, threads=threads, slice_size=_SLICE)
