@@ -1,0 +1,384 @@
+"""A snake: a body of overlapping scales on the ground, with the pattern of a corn snake (*Pantherophis guttatus*).
+
+Everything is laid out on the unrolled skin, in lattice coordinates (x, τ): x counts rows of scales around the body, from
+the edge of the belly on one side (0) to that on the other; τ counts scales from the neck (0) to the tail. A scale is the
+rhombus of half diagonals (1, ½) about (x, τ), where a and b run from its front corner along its two front edges, both
+from 0 to 1; neighbours in x lie half a scale on. The half rhombi at the edges of the belly are the ends of the ventral
+scutes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from warpdiff import checks
+
+if TYPE_CHECKING:
+    import trimesh
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+# Outlines. Of the head by its length, of the body by the rest, in radii of the body: half width, height above the
+# centre line, depth below it, and the exponent of the cross section (2 is an ellipse, more is squarer).
+_HEAD_LENGTH = 2.5
+_HEAD = np.array(
+    [
+        [0.00, 0.36, 0.22, 0.16, 2.4],
+        [0.25, 0.47, 0.32, 0.22, 2.6],
+        [0.50, 0.60, 0.41, 0.27, 2.7],
+        [0.75, 0.71, 0.46, 0.33, 2.6],
+        [0.90, 0.68, 0.46, 0.35, 2.4],
+    ]
+)
+_BODY = np.array(
+    [
+        [0.02, 0.55, 0.46, 0.39, 2.2],
+        [0.06, 0.56, 0.52, 0.42, 2.2],
+        [0.20, 0.80, 0.78, 0.60, 2.3],
+        [0.40, 1.00, 0.96, 0.72, 2.4],
+        [0.60, 0.98, 0.94, 0.70, 2.4],
+        [0.78, 0.72, 0.68, 0.54, 2.3],
+        [0.90, 0.38, 0.36, 0.30, 2.1],
+        [1.00, 0.06, 0.06, 0.06, 2.0],
+    ]
+)
+_SNOUT, _TIP = 0.4, 0.3  # lengths of the rounded ends [radii]
+_BELLY = 0.15  # share of the way around from the middle of the belly to its edge
+
+# Scales, in lengths of a scale: how far the free rear end stands off and reaches over the next ones, the dome on top;
+# how far edges are bowed to the rear and, in rows, to the sides; the scales over which all that comes and goes.
+_STAND_OFF, _OVERHANG, _DOME = 0.13, 0.10, 0.05
+_BOW, _BOW_SIDEWAYS = 0.07, 0.10
+_FADE = 2.0
+_RISER = 0.05  # of a scale in the texture
+
+# Of the texture: the head's length in scales, the tip's, and texels a scale or row.
+_HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
+_TEXELS = 8
+
+
+class _Patch(NamedTuple):
+    """Vertices on the skin; positions and texture part where scales overlap.
+
+    Attributes:
+        x: Place around the body [rows], shape (k,).
+        tau: Place along it [scales], shape (k,).
+        shift: How far the vertex is moved to the rear [scales], shape (k,).
+        rise: How far it stands off [scales], shape (k,).
+        u, v: ``x`` and ``tau`` in the texture, shape (k,).
+        faces: Vertex indices, shape (m, 3).
+    """
+
+    x: Floats
+    tau: Floats
+    shift: Floats
+    rise: Floats
+    u: Floats
+    v: Floats
+    faces: NDArray[np.int64]
+
+
+def snake(
+    *,
+    radius: float = 0.12,
+    length: float = 5.0,
+    bend_deg: float = 100.0,
+    waves: float = 2.0,
+    tangent: str = "around",
+    scale_rows: int = 27,
+    ventrals: int = 130,
+    segments: int = 4,
+    seed: int = 0,
+) -> trimesh.Trimesh:
+    """A corn snake that lies in bends on the plane y = 0, its head at −x, its back towards +y.
+
+    Args:
+        radius: Half the width of the body at its thickest.
+        length: Of the centre line; at least 16 radii.
+        bend_deg: Greatest angle between the centre line and the x axis [degrees]; 0 is a straight body.
+        waves: Number of periods of the meander.
+        tangent: ``"around"``, along the fingers' sequence on a snake, or ``"along"``, as in ``tube``.
+        scale_rows: Rows of scales around the back, odd, at least 5; corn snakes have 27.
+        ventrals: Scutes of the belly, as many as there are scales in a row, at least 8.
+        segments: Parts of a scale's edge, at least 2.
+        seed: Seed of the pattern's irregularities.
+
+    Returns:
+        A mesh with texture coordinates, vertex normals and a texture, closed but for coincident vertices.
+    """
+    checks.positive(radius, "radius")
+    checks.positive(length, "length")
+    checks.number(bend_deg, "bend_deg", least=0.0, most=120.0)
+    checks.number(waves, "waves", least=0.0)
+    checks.choice(tangent, "tangent", ("around", "along"))
+    if checks.count(scale_rows, "scale_rows", least=5) % 2 == 0:
+        raise ValueError(f"scale_rows must be odd, one row on the spine and as many on both sides, got {scale_rows}")
+    checks.count(ventrals, "ventrals", least=8)
+    checks.count(segments, "segments", least=2)
+    checks.count(seed, "seed", least=0)
+    if length < 16.0 * radius:
+        raise ValueError(f"length must be at least 16 radii ({16.0 * radius:g}), got {length:g}")
+
+    skin = _Skin(radius, length, math.radians(bend_deg), waves, scale_rows + 1, ventrals)
+    patch = _joined([*_scales(skin, segments), *_scutes(skin, segments), _head(skin, segments), _tip(skin, segments)])
+    vertices = skin.points(patch)
+    around = skin.turn(patch.u)
+    along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
+    corners = vertices[patch.faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    faces = patch.faces[area > 1e-6 * np.max(np.sum(edges**2, axis=2), axis=1)]
+    uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
+    colours = np.zeros((4, 4, 3))
+    return _mesh(vertices, faces, _normals(vertices, faces, patch, skin), uvs, colours)
+
+
+class _Skin:
+    """Where points of the unrolled skin are in space."""
+
+    def __init__(self, radius: float, length: float, bend: float, waves: float, rows: int, count: int) -> None:
+        self.radius, self.rows, self.count = radius, rows, count
+        self.belly_rows = rows * _BELLY / (1.0 - 2.0 * _BELLY)
+        head = _HEAD_LENGTH * radius
+        self._s = s = np.linspace(0.0, length, 4097)
+        stations = np.concatenate([_HEAD[:, 0] * head, head + _BODY[:, 0] * (length - head)])
+        outline = np.concatenate([_HEAD[:, 1:], _BODY[:, 1:]])
+        self._stations, self._outline = stations, outline * [radius, radius, radius, 1.0]
+        self._length, self._head = length, head
+        width, _, depth, _ = self.outline(s).T
+        # The head is stiff: bends begin behind it.
+        phase = np.clip((s - head) / (length - head), 0.0, 1.0)
+        heading = bend * np.cos(2.0 * math.pi * waves * phase)
+        y = _hermite(s, stations, self._outline)[:, 2]
+        slope = np.gradient(y, s)
+        step = np.diff(s)
+
+        def integral(values: Floats) -> Floats:
+            return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * step)])
+
+        level = np.sqrt(1.0 - slope**2)
+        x, z = integral(level * np.cos(heading)), integral(level * np.sin(heading))
+        self._centre = np.stack([x - np.ptp(x) / 2.0 - x.min(), y, z - (z.max() + z.min()) / 2.0], axis=1)
+        self._forward = np.stack([level * np.cos(heading), slope, level * np.sin(heading)], axis=1)
+        self._side = np.stack([np.sin(heading), np.zeros_like(s), -np.cos(heading)], axis=1)
+        # Scales are as long as the body is thick, but not as thin as its end.
+        size = np.where(s < head, 0.0, 1.0 / np.maximum(width, 0.25 * radius))
+        last = length - _TIP * radius
+        size = integral(np.where(s > last, 0.0, size))
+        tau = size * (count / size[-1])
+        # Strictly growing at both ends.
+        tau = np.where(s < head, (s / head - 1.0) * _HEAD_SCALES, tau)
+        self._tau = np.where(s > last, count + (s - last) / (length - last) * _TIP_SCALES, tau)
+        self._scale = np.gradient(s, self._tau)
+
+    def outline(self, s: Floats) -> Floats:
+        """Half width, height, depth and exponent at ``s``, shape (k, 4); closed at the ends."""
+        found = _hermite(s, self._stations, self._outline)
+        snout = np.clip(1.0 - s / (_SNOUT * self.radius), 0.0, 1.0)
+        tip = np.clip((s - self._length) / (_TIP * self.radius) + 1.0, 0.0, 1.0)
+        found[:, :3] *= np.sqrt((1.0 - snout**2) * (1.0 - tip**2))[:, None]
+        return found
+
+    def turn(self, x: Floats) -> Floats:
+        """Share of the way around from the middle of the belly."""
+        return (x + self.belly_rows) / (self.rows + 2.0 * self.belly_rows)
+
+    def points(self, patch: _Patch) -> Floats:
+        """Positions in space, shape (k, 3)."""
+        s = np.interp(patch.tau + patch.shift, self._tau, self._s)
+        width, height, depth, power = self.outline(s).T
+        # Both sides of the seam at the very same place.
+        phi = 2.0 * math.pi * (self.turn(patch.x) % 1.0) - math.pi / 2.0
+        c, d = np.cos(phi), np.sin(phi)
+        square = (np.abs(c) ** power + np.abs(d) ** power) ** (-1.0 / power)
+        c, d = c * square * width, d * square * np.where(d > 0.0, height, depth)
+        rise = patch.rise * np.interp(s, self._s, self._scale)
+        reach = np.hypot(c, d)
+        scale = 1.0 + rise / np.maximum(reach, 1e-9 * self.radius)
+
+        def at(values: Floats) -> Floats:
+            return np.stack([np.interp(s, self._s, values[:, k]) for k in range(3)], axis=1)
+
+        side, forward = at(self._side), at(self._forward)
+        up = np.cross(forward, side)
+        return at(self._centre) + (c * scale)[:, None] * side + (d * scale)[:, None] * up
+
+
+def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
+    """Cubic interpolation of the rows of ``values`` with the slopes of neighbouring stations."""
+    slopes = np.gradient(values, stations, axis=0)
+    i = np.clip(np.searchsorted(stations, s) - 1, 0, len(stations) - 2)
+    step = (stations[i + 1] - stations[i])[:, None]
+    t = (s - stations[i])[:, None] / step
+    return np.asarray(
+        (1.0 + 2.0 * t) * (1.0 - t) ** 2 * values[i]
+        + t * (1.0 - t) ** 2 * step * slopes[i]
+        + t * t * (3.0 - 2.0 * t) * values[i + 1]
+        + t * t * (t - 1.0) * step * slopes[i + 1]
+    )
+
+
+def _smoothstep(t: Floats) -> Floats:
+    t = np.clip(t, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def _plate(skin: _Skin, x0: Floats, tau0: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The x, τ, shift and rise of points (a, b) of the scales about (x0, tau0), broadcast."""
+    x, tau, rear = x0 + a - b, tau0 + (a + b - 1.0) / 2.0, (a + b) / 2.0
+    fade = _smoothstep(tau / _FADE) * _smoothstep((skin.count - tau) / _FADE)
+    bow_a, bow_b = np.sin(math.pi * a), np.sin(math.pi * b)
+    x = x + fade * _BOW_SIDEWAYS * (bow_b - bow_a)
+    tau = tau + fade * _BOW * (bow_a + bow_b)
+    dome = 16.0 * a * (1.0 - a) * b * (1.0 - b)
+    rise = fade * (_STAND_OFF * rear + _DOME * dome)
+    return x, tau, fade * _OVERHANG * rear, rise
+
+
+def _patches(
+    corners: tuple[Floats, Floats, Floats, Floats], texture: tuple[Floats, Floats], faces: NDArray[np.int64]
+) -> _Patch:
+    """Like patches (m, k) of vertices with the ``faces`` of one."""
+    m, k = np.broadcast_shapes(*(each.shape for each in corners))
+    x, tau, shift, rise, u, v = (np.broadcast_to(each, (m, k)).ravel() for each in (*corners, *texture))
+    return _Patch(x, tau, shift, rise, u, v, (k * np.arange(m)[:, None, None] + faces).reshape(-1, 3))
+
+
+def _joined(patches: list[_Patch]) -> _Patch:
+    start = np.cumsum([0, *(len(patch.x) for patch in patches)])
+    faces = np.concatenate([patch.faces + at for patch, at in zip(patches, start[:-1], strict=True)])
+    return _Patch(*(np.concatenate(parts) for parts in list(zip(*patches, strict=True))[:6]), faces)
+
+
+def _grid(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
+    """Two triangles a cell of a grid whose (column, row) axes are right-handed; ``rising`` diagonals join a and d."""
+    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
+    a = (row * columns + column).ravel()
+    b, c, d = a + 1, a + columns, a + columns + 1
+    two = [[a, b, d], [a, d, c]] if rising else [[a, b, c], [b, d, c]]
+    return np.stack([np.stack(one, axis=1) for one in two], axis=1).reshape(-1, 3)
+
+
+def _scales(skin: _Skin, n: int) -> list[_Patch]:
+    """The rhombic scales with their free edges, cut at the neck and the tip of the tail and at the belly."""
+    step = np.arange(n + 1) / n
+    b, a = (each.ravel() for each in np.meshgrid(step, step, indexing="ij"))
+    square = {rising: _grid(n + 1, n + 1, rising=rising) for rising in (False, True)}
+    odd = np.arange(1, skin.rows, 2)
+    even = np.arange(2, skin.rows, 2)
+    whole = [(odd, np.arange(1, skin.count)), (even, np.arange(skin.count) + 0.5)]
+    middle = np.arange(skin.count) + 0.5
+    # Rows, places along, the part of the rhombus that is there, and which of its rear edges are.
+    kinds = [
+        *((rows, along, a < 2.0, (True, True)) for rows, along in whole),
+        (odd, np.array([0]), a + b > 1.0 - 1e-9, (True, True)),
+        (odd, np.array([skin.count]), a + b < 1.0 + 1e-9, (False, False)),
+        (np.array([0]), middle, a > b - 1e-9, (True, False)),
+        (np.array([skin.rows]), middle, a < b + 1e-9, (False, True)),
+    ]
+    made = []
+    for rows, along, there, edges in kinds:
+        x0, tau0 = (each.reshape(-1, 1).astype(float) for each in np.meshgrid(rows, along))
+        at = _plate(skin, x0, tau0, a, b)
+        faces = square[len(rows) == 1]
+        made.append(_patches(at, at[:2], faces[np.all(there[faces], axis=1)]))
+        # From the free edge down to the front edge of the next scale, which continues the texture.
+        for edge, exists in enumerate(edges):
+            if not exists:
+                continue
+            one, side = np.ones(n + 1), 1.0 - 2.0 * edge
+            top = _plate(skin, x0, tau0, *((one, step) if edge == 0 else (step, one)))
+            low = _plate(skin, x0 + side, tau0 + 0.5, *((0.0 * one, step) if edge == 0 else (step, 0.0 * one)))
+            both = tuple(np.concatenate([t, l], axis=1) for t, l in zip(top, low, strict=True))
+            u = np.concatenate([top[0], top[0] + _RISER * side], axis=1)
+            v = np.concatenate([top[1], top[1] + _RISER / 2.0], axis=1)
+            strip = _grid(n + 1, 2)
+            made.append(_patches(both, (u, v), strip[:, ::-1] if edge == 0 else strip))
+    return made
+
+
+def _belly_columns(skin: _Skin, n: int) -> list[Floats]:
+    """Places of the vertices across both halves of the belly."""
+    part = np.arange(n + 1) / n * skin.belly_rows
+    return [part - skin.belly_rows, skin.rows + part]
+
+
+def _scutes(skin: _Skin, n: int) -> list[_Patch]:
+    """The ventral scutes, which overlap like the scales."""
+    made = []
+    step = np.arange(n + 1) / n
+    tau0 = np.arange(skin.count)[:, None] + 0.5
+    for columns in _belly_columns(skin, n):
+        t, x = (each.ravel() for each in np.meshgrid(step, columns, indexing="ij"))
+        at = (x[None], *_plate(skin, 0.0, tau0, t, t)[1:])
+        made.append(_patches(at, at[:2], _grid(n + 1, n + 1)))
+        one = np.ones(n + 1)
+        top, low = _plate(skin, 0.0, tau0[:-1], one, one), _plate(skin, 0.0, tau0[1:], 0.0 * one, 0.0 * one)
+        # In two steps, for a scale's corner lies halfway up.
+        three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
+        at = (np.tile(columns, 3)[None], *three[1:])
+        v = at[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
+        made.append(_patches(at, (at[0], v), _grid(n + 1, 3)))
+    return made
+
+
+def _ring(skin: _Skin, n: int) -> Floats:
+    """Places around of the vertices where the scales end."""
+    left, right = _belly_columns(skin, n)
+    back = np.arange(skin.rows * n // 2 + 1) * (2.0 / n)
+    return np.concatenate([left[:-1], back, right[1:]])
+
+
+def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
+    """Rings of vertices, the first or the last of which is a point."""
+    rows, columns = len(tau), len(x)
+    u, v = np.tile(x, rows), np.repeat(tau, columns)
+    faces = _grid(columns, rows, rising=not first)
+    at = 0 if first else (rows - 1) * columns
+    # A tip's vertices lie half a step on, over the middle of their triangles.
+    u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
+    return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, faces)
+
+
+def _head(skin: _Skin, n: int) -> _Patch:
+    x = _ring(skin, n)
+    q = np.linspace(0.0, 1.0, 12 * n + 1)
+    tau = (q**2 - 1.0) * _HEAD_SCALES
+    return _cap(x, tau, np.zeros((len(tau), len(x))), first=True)
+
+
+def _tip(skin: _Skin, n: int) -> _Patch:
+    x = _ring(skin, n)
+    q = np.linspace(0.0, 1.0, n + 1)
+    tau = skin.count + (1.0 - (1.0 - q) ** 2) * _TIP_SCALES
+    return _cap(x, tau, np.zeros((len(tau), len(x))), first=False)
+
+
+def _normals(vertices: Floats, faces: NDArray[np.int64], patch: _Patch, skin: _Skin) -> Floats:
+    """Means of the faces at each vertex, smooth across the seam and the neck."""
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    index = faces.ravel()
+    total = np.stack(
+        [np.bincount(index, np.repeat(normal[:, k], 3), len(vertices)) for k in range(3)], axis=1
+    )
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+
+
+def _mesh(vertices: Floats, faces: NDArray[np.int64], normals: Floats, uvs: Floats, colours: Floats) -> trimesh.Trimesh:
+    import PIL.Image
+    import trimesh
+
+    image = PIL.Image.fromarray(np.round(255.0 * colours).astype(np.uint8))
+    return trimesh.Trimesh(
+        vertices=vertices,
+        faces=faces,
+        vertex_normals=normals,
+        visual=trimesh.visual.TextureVisuals(uv=uvs, material=trimesh.visual.material.SimpleMaterial(image=image)),
+        process=False,
+    )
