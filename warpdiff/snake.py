@@ -47,6 +47,18 @@ _BODY = np.array(
         [1.00, 0.06, 0.06, 0.06, 2.0],
     ]
 )
+# On the head, (share of its length, share of the way around from the middle of the back): middles of the shields of one
+# side, from the rostral to the gulars, as they are on colubrids; the eyes; the slit of the mouth.
+_SHIELDS = np.array(
+    [(0.0, 0.0), (0.10, 0.05), (0.23, 0.055), (0.42, 0.0), (0.43, 0.095), (0.66, 0.06), (0.88, 0.0), (0.90, 0.06)]
+    + [(0.07, 0.15), (0.15, 0.16), (0.25, 0.165), (0.33, 0.15), (0.54, 0.155), (0.64, 0.17), (0.77, 0.16), (0.89, 0.13)]
+    + [(0.97, 0.03), (0.97, 0.095), (0.97, 0.16), (0.90, 0.19), (0.97, 0.23), (0.90, 0.25), (0.97, 0.30), (0.92, 0.32)]
+    + [(at, 0.235) for at in (0.03, 0.12, 0.21, 0.31, 0.41, 0.52, 0.65, 0.79)]
+    + [(at, 0.325) for at in (0.03, 0.13, 0.24, 0.35, 0.46, 0.58, 0.70, 0.82)]
+    + [(at, 0.42) for at in (0.12, 0.32, 0.50, 0.66, 0.80, 0.93)]
+)
+_EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
+_HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])  # what these shares are [radii]
 _SNOUT, _TIP = 0.4, 0.3  # lengths of the rounded ends [radii]
 _BELLY = 0.15  # share of the way around from the middle of the belly to its edge
 
@@ -57,6 +69,9 @@ _BOW, _BOW_SIDEWAYS = 0.07, 0.10
 _FADE = 2.0
 _RISER = 0.05  # of a scale in the texture
 
+# sRGB.
+_GROUND, _FLANK, _SADDLE = (0.80, 0.46, 0.20), (0.78, 0.58, 0.38), (0.58, 0.15, 0.07)
+_BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.78, 0.36, 0.12)
 # Of the texture: the head's length in scales, the tip's, and texels a scale or row.
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
 _TEXELS = 8
@@ -71,6 +86,7 @@ class _Patch(NamedTuple):
         shift: How far the vertex is moved to the rear [scales], shape (k,).
         rise: How far it stands off [scales], shape (k,).
         u, v: ``x`` and ``tau`` in the texture, shape (k,).
+        wall: Whether the vertex belongs to what lies under a free edge, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
 
@@ -80,6 +96,7 @@ class _Patch(NamedTuple):
     rise: Floats
     u: Floats
     v: Floats
+    wall: NDArray[np.bool_]
     faces: NDArray[np.int64]
 
 
@@ -127,15 +144,18 @@ def snake(
     skin = _Skin(radius, length, math.radians(bend_deg), waves, scale_rows + 1, ventrals)
     patch = _joined([*_scales(skin, segments), *_scutes(skin, segments), _head(skin, segments), _tip(skin, segments)])
     vertices = skin.points(patch)
+    vertices[:, 1] -= vertices[:, 1].min()
     around = skin.turn(patch.u)
     along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
     corners = vertices[patch.faces]
     edges = np.roll(corners, -1, axis=1) - corners
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    faces = patch.faces[area > 1e-6 * np.max(np.sum(edges**2, axis=2), axis=1)]
+    patch = patch._replace(faces=patch.faces[area > 1e-6 * np.max(np.sum(edges**2, axis=2), axis=1)])
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
-    colours = np.zeros((4, 4, 3))
-    return _mesh(vertices, faces, _normals(vertices, faces, patch, skin), uvs, colours)
+    colours = _pigment(skin, np.random.default_rng(seed))
+    # Rows of texels go down from v = 1.
+    colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
+    return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
 
 
 class _Skin:
@@ -241,18 +261,18 @@ def _plate(skin: _Skin, x0: Floats, tau0: Floats, a: Floats, b: Floats) -> tuple
 
 
 def _patches(
-    corners: tuple[Floats, Floats, Floats, Floats], texture: tuple[Floats, Floats], faces: NDArray[np.int64]
+    corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
     """Like patches (m, k) of vertices with the ``faces`` of one."""
     m, k = np.broadcast_shapes(*(each.shape for each in corners))
     x, tau, shift, rise, u, v = (np.broadcast_to(each, (m, k)).ravel() for each in (*corners, *texture))
-    return _Patch(x, tau, shift, rise, u, v, (k * np.arange(m)[:, None, None] + faces).reshape(-1, 3))
+    return _Patch(x, tau, shift, rise, u, v, np.full(m * k, wall), (k * np.arange(m)[:, None, None] + faces).reshape(-1, 3))
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     faces = np.concatenate([patch.faces + at for patch, at in zip(patches, start[:-1], strict=True)])
-    return _Patch(*(np.concatenate(parts) for parts in list(zip(*patches, strict=True))[:6]), faces)
+    return _Patch(*(np.concatenate(parts) for parts in list(zip(*patches, strict=True))[:-1]), faces)
 
 
 def _grid(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
@@ -298,7 +318,7 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
             u = np.concatenate([top[0], top[0] + _RISER * side], axis=1)
             v = np.concatenate([top[1], top[1] + _RISER / 2.0], axis=1)
             strip = _grid(n + 1, 2)
-            made.append(_patches(both, (u, v), strip[:, ::-1] if edge == 0 else strip))
+            made.append(_patches(both, (u, v), strip[:, ::-1] if edge == 0 else strip, wall=True))
     return made
 
 
@@ -323,7 +343,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         at = (np.tile(columns, 3)[None], *three[1:])
         v = at[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
-        made.append(_patches(at, (at[0], v), _grid(n + 1, 3)))
+        made.append(_patches(at, (at[0], v), _grid(n + 1, 3), wall=True))
     return made
 
 
@@ -342,14 +362,45 @@ def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
     at = 0 if first else (rows - 1) * columns
     # A tip's vertices lie half a step on, over the middle of their triangles.
     u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
-    return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, faces)
+    return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, np.zeros(len(v), np.bool_), faces)
 
 
 def _head(skin: _Skin, n: int) -> _Patch:
-    x = _ring(skin, n)
-    q = np.linspace(0.0, 1.0, 12 * n + 1)
-    tau = (q**2 - 1.0) * _HEAD_SCALES
-    return _cap(x, tau, np.zeros((len(tau), len(x))), first=True)
+    """The head, twice as fine as the ring of scales at which it ends."""
+    coarse = _ring(skin, n)
+    x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
+    q = np.linspace(0.0, 1.0, 14 * n + 1)
+    f = np.where(q < 0.5, 0.75 * q * (q + 0.5), 0.0) + np.where(q < 0.5, 0.0, 0.375 + 1.25 * (q - 0.5))
+    border, eye, mouth = _head_marks(f[:, None], skin.turn(x) - 0.5)
+    rise = -0.02 * np.exp(-((border / 0.03) ** 2)) * (eye > 1.2) - 0.03 * np.exp(-((mouth / 0.03) ** 2))
+    rise += 0.11 * np.sqrt(np.clip(1.0 - eye**2, 0.0, None))
+    rise *= (_smoothstep(f / 0.06) * _smoothstep((1.0 - f) / 0.1))[:, None]
+    patch = _cap(x, (f - 1.0) * _HEAD_SCALES, rise * (_HEAD_SCALES / _HEAD_LENGTH), first=True)
+    # The last strip leads from all columns to every other one.
+    columns = len(x)
+    last = (len(f) - 2) * columns + np.arange(0, columns - 1, 2)
+    c = last + columns
+    fan = [[last, last + 1, c], [last + 1, c + 2, c], [last + 1, last + 2, c + 2]]
+    inner = patch.faces[np.all(patch.faces < last[0] + columns, axis=1)]
+    faces = np.concatenate([inner, *(np.stack(each, axis=1) for each in fan)])
+    return patch._replace(faces=faces)
+
+
+def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
+    """Distances on the head from the borders of its shields, from the eyes in their radii, and from the mouth [radii].
+
+    Args:
+        f: Share of the way from the snout to the neck.
+        across: Share of the way around from the middle of the back, −0.5 to 0.5.
+    """
+    f, across = np.broadcast_arrays(f, np.abs(across))
+    seeds = np.concatenate([_SHIELDS, _SHIELDS * [1.0, -1.0]])
+    seeds = np.unique(seeds, axis=0) * _HEAD_SPREAD
+    away = np.hypot(f[..., None] * _HEAD_SPREAD[0] - seeds[:, 0], across[..., None] * _HEAD_SPREAD[1] - seeds[:, 1])
+    two = np.partition(away, 1, axis=-1)[..., :2]
+    eye = np.hypot((f - _EYE[0]) * _HEAD_SPREAD[0], (across - _EYE[1]) * _HEAD_SPREAD[1]) / _EYE_RADIUS
+    mouth = np.where(f < 0.85, np.abs(across - _MOUTH) * _HEAD_SPREAD[1], 1.0)
+    return (two[..., 1] - two[..., 0]) / 2.0, eye, mouth
 
 
 def _tip(skin: _Skin, n: int) -> _Patch:
@@ -359,15 +410,120 @@ def _tip(skin: _Skin, n: int) -> _Patch:
     return _cap(x, tau, np.zeros((len(tau), len(x))), first=False)
 
 
-def _normals(vertices: Floats, faces: NDArray[np.int64], patch: _Patch, skin: _Skin) -> Floats:
-    """Means of the faces at each vertex, smooth across the seam and the neck."""
-    corners = vertices[faces]
+def _normals(vertices: Floats, patch: _Patch, skin: _Skin) -> Floats:
+    """Area-weighted means over the faces of each vertex, and across the seam, the neck and the end of the tail."""
+    corners = vertices[patch.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    index = faces.ravel()
-    total = np.stack(
-        [np.bincount(index, np.repeat(normal[:, k], 3), len(vertices)) for k in range(3)], axis=1
-    )
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    index = patch.faces.ravel()
+    total = np.stack([np.bincount(index, np.repeat(normal[:, k], 3), len(vertices)) for k in range(3)], axis=1)
+    ends = np.isin(patch.x, (-skin.belly_rows, skin.rows + skin.belly_rows)) | np.isin(patch.tau, (0.0, skin.count))
+    joined = np.flatnonzero(ends & ~patch.wall)
+    place = np.round(vertices[joined] / (1e-7 * skin.radius))
+    _, group = np.unique(place, axis=0, return_inverse=True)
+    for k in range(3):
+        total[joined, k] = np.bincount(group.ravel(), total[joined, k])[group.ravel()]
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300))
+
+
+def _pigment(skin: _Skin, rng: np.random.Generator) -> Floats:
+    """sRGB of the skin's texture, rows from the snout to the tail, columns around; shape (h, w, 3)."""
+    height = round(_TEXELS * (_HEAD_SCALES + skin.count + _TIP_SCALES))
+    width = round(_TEXELS * (skin.rows + 2.0 * skin.belly_rows))
+    around = (np.arange(width) + 0.5) / width
+    tau = (np.arange(height) + 0.5) / _TEXELS - _HEAD_SCALES
+    body = tau > 0.0
+    x = around * (skin.rows + 2.0 * skin.belly_rows) - skin.belly_rows
+    head = _head_pigment((1.0 + tau[~body, None] / _HEAD_SCALES), around - 0.5)
+    return np.clip(np.concatenate([head, _body_pigment(skin, x, tau[body, None], rng)]), 0.0, 1.0)
+
+
+def _mix(colour: Floats, other: tuple[float, float, float], share: Floats) -> Floats:
+    """From one sRGB colour to another."""
+    return colour + share[..., None] * (np.array(other) - colour)
+
+
+def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator) -> Floats:
+    """sRGB of the scales at (tau, x): saddles on the back, smaller blotches on the flanks, a checkered belly."""
+    x, tau = np.broadcast_arrays(x, tau)
+    belly = (x < 0.0) | (x > skin.rows)
+    # Undo the bows of the edges, by iteration, to find each texel's scale and its place there.
+    fade = _smoothstep(tau / _FADE) * _smoothstep((skin.count - tau) / _FADE)
+    x0, tau0 = x, tau
+    for _ in range(4):
+        bow_a, bow_b = np.abs(np.sin(math.pi * (tau0 + x0 / 2.0))), np.abs(np.sin(math.pi * (tau0 - x0 / 2.0)))
+        x0, tau0 = x - fade * _BOW_SIDEWAYS * (bow_b - bow_a), tau - fade * _BOW * (bow_a + bow_b)
+    x0 = np.clip(x0, 0.0, skin.rows)
+    a, b = tau0 + x0 / 2.0, tau0 - x0 / 2.0
+    cell_a, cell_b = np.floor(a).astype(np.int64), np.floor(b).astype(np.int64)
+    a, b = a - cell_a, b - cell_b
+    # Mostly one colour a scale: a pattern's outline follows the scales'.
+    share = 0.65
+    across = np.abs((1.0 - share) * x0 + share * (cell_a - cell_b) - skin.rows / 2.0) * (28.0 / skin.rows)
+    along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
+
+    blotches = max(2, round(skin.count / 6.2))
+    phase = along / skin.count * blotches
+    period = skin.count / blotches
+
+    def blotch(at: Floats, offset: float, middle: float, half_length: float, half_width: float, spread: float) -> Floats:
+        """1 at the edge of a blotch, less inside."""
+        which = np.floor(at - offset).astype(np.int64)
+        jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, which + 1]
+        back = (at - offset - which - 0.5) * period - jitter[0]
+        long = half_length * (1.0 + 0.4 * jitter[1]) * (1.0 + 0.25 * ((across - middle) / half_width) ** 2)
+        wide = half_width * (1.0 + 0.2 * jitter[2])
+        return (np.abs(back / long) ** 3.5 + np.abs((across - middle) / wide) ** 3.5) ** (1.0 / 3.5)
+
+    marks = [
+        blotch(phase, 0.0, 0.0, 1.85, 7.0, 0.22),
+        blotch(phase, 0.5, 10.3, 1.3, 2.3, 0.3),
+        blotch(phase, 0.0, 13.0, 0.9, 1.3, 0.3),
+    ]
+    level = np.min(marks, axis=0)
+    tone = rng.normal(0.0, 1.0, (skin.count + skin.rows, 2 * skin.rows + skin.count))
+    tone = np.clip(tone, -2.0, 2.0)[cell_a % len(tone), cell_b % tone.shape[1]]
+    flank = _smoothstep((across - 5.0) / 9.0)
+    colour = _mix(np.broadcast_to(_GROUND, (*x.shape, 3)), _FLANK, flank)
+    colour = colour * (1.0 + 0.07 * tone[..., None])
+    colour = _mix(colour, _BLACK, _smoothstep((1.22 - level) / 0.10))
+    red = np.array(_SADDLE) * (1.0 + 0.10 * tone[..., None])
+    inside = _smoothstep((0.84 - level) / 0.10)
+    colour = colour + inside[..., None] * (red - colour)
+    # The front of a scale lies in the others' shade, and skin shows dark between them.
+    edge = np.minimum(np.minimum(1.0 - a, 1.0 - b), np.minimum(a, b))
+    colour = colour * (0.72 + 0.28 * _smoothstep((a + b) / 0.9) * _smoothstep(edge / 0.10 + 0.35))[..., None]
+    # Scutes: cream with black squares, more of them towards their ends.
+    scute = np.floor(tau).astype(np.int64)
+    column = np.floor((x % (skin.rows + 2.0 * skin.belly_rows)) / 3.0).astype(np.int64)
+    black = rng.random((skin.count + 2, 64))[scute // 2 + column % 2, column % 64] < 0.5
+    cream = _mix(np.broadcast_to(_CREAM, (*x.shape, 3)), _BLACK, 0.95 * black)
+    cream = cream * (0.75 + 0.25 * _smoothstep((tau % 1.0) / 0.2))[..., None]
+    return np.where(belly[..., None], cream, colour)
+
+
+def _head_pigment(f: Floats, across: Floats) -> Floats:
+    """sRGB of the head: a spearhead that points between the eyes, a bar before them, a stripe from eye to jaw."""
+    border, eye, mouth = _head_marks(f, across)
+    f, across = np.broadcast_arrays(f, np.abs(across))
+
+    def band(distance: Floats, half_width: Floats | float, colour: Floats) -> Floats:
+        colour = _mix(colour, _BLACK, _smoothstep((half_width + 0.014 - distance) / 0.012))
+        return _mix(colour, _SADDLE, _smoothstep((half_width - distance) / 0.012))
+
+    lips = _smoothstep((across - 0.19) / 0.03)
+    colour = _mix(np.broadcast_to(_GROUND, (*f.shape, 3)), _CREAM, lips)
+    # Two prongs from the first saddle, which meet between the eyes.
+    prong = 0.095 * np.clip((f - 0.36) / 0.45, 0.0, 1.0) ** 0.8
+    colour = band(np.where(f > 0.38, np.abs(across - prong), 1.0), 0.030, colour)
+    bar = np.where(across < 0.17, np.abs(f - 0.31 - 0.5 * across) * 0.6, 1.0)
+    colour = band(bar, 0.028, colour)
+    stripe = np.where(f > _EYE[0], np.abs(across - (_EYE[1] + 0.16 * (f - _EYE[0]))), 1.0)
+    colour = band(stripe, 0.026, colour)
+    colour = colour * (0.55 + 0.45 * _smoothstep((border - 0.008) / 0.03))[..., None]
+    colour = colour * (1.0 - 0.85 * np.exp(-((mouth / 0.025) ** 2)))[..., None]
+    colour = _mix(colour, _BLACK, _smoothstep((1.15 - eye) / 0.1))
+    colour = _mix(colour, _IRIS, _smoothstep((0.95 - eye) / 0.1))
+    return _mix(colour, _BLACK, _smoothstep((0.55 - eye) / 0.1))
 
 
 def _mesh(vertices: Floats, faces: NDArray[np.int64], normals: Floats, uvs: Floats, colours: Floats) -> trimesh.Trimesh:
