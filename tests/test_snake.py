@@ -79,6 +79,17 @@ def test_faces_have_areas_and_normals_of_their_own(snake, surface):
     np.testing.assert_allclose(surface.normals, snake.vertex_normals, atol=1e-6)
 
 
+def test_the_seam_is_invisible(surface):
+    # Under free edges several vertices share a place and each has its twin; at the snout and the tip there are none.
+    left, right = (
+        np.flatnonzero((surface.uvs[:, 0] == end) & (np.abs(surface.uvs[:, 1] - 0.5) < 0.49)) for end in (0, 1)
+    )
+    assert len(left) == len(right) > 200
+    same = np.all(surface.vertices[left, None] == surface.vertices[right], axis=2)
+    cosine = np.where(same, surface.normals[left] @ surface.normals[right].T, -1.0)
+    assert np.all(degrees(cosine.max(axis=1)) < 0.5)
+
+
 @pytest.mark.parametrize("scale_rows", [7, 9])
 def test_scales_are_as_many_as_asked_for(scale_rows):
     ventrals = 12
@@ -128,8 +139,8 @@ def test_it_does_not_meet_itself(snake):
     corners = snake.vertices[snake.faces]
     rng = np.random.default_rng(7)
     # Segments within some faces, against all faces nearby.
-    weights = rng.dirichlet([2.0, 2.0, 2.0], (400, 2))
-    some = rng.choice(len(corners), 400, replace=False)
+    weights = rng.dirichlet([2.0, 2.0, 2.0], (250, 2))
+    some = rng.choice(len(corners), 250, replace=False)
     start, end = (np.einsum("ij,ijk->ik", weights[:, k], corners[some]) for k in (0, 1))
     middles = corners.mean(axis=1)
     reach = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
@@ -141,7 +152,7 @@ def test_it_does_not_meet_itself(snake):
     share = before / np.where(before == after, np.inf, before - after)
     at = start[i] + share[:, None] * (end - start)[i]
     inside = [np.einsum("ij,ij->i", normal, np.cross(q - p, at - p)) > 0.0 for p, q in ((a, b), (b, c), (c, a))]
-    assert len(i) > 4000
+    assert len(i) > 2500
     assert not np.any((before * after < 0.0) & np.all(inside, axis=0))
 
 

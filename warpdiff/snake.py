@@ -469,8 +469,8 @@ def _normals(vertices: Floats, patch: _Patch, skin: _Skin) -> Floats:
     index = patch.faces.ravel()
     total = np.stack([np.bincount(index, np.repeat(normal[:, k], 3), len(vertices)) for k in range(3)], axis=1)
     ends = np.isin(patch.x, (-skin.belly, skin.breadth + skin.belly)) | np.isin(patch.tau, (0.0, skin.count))
-    joined = np.flatnonzero(ends & ~patch.wall)
-    place = np.round(vertices[joined] / (1e-7 * skin.radius))
+    joined = np.flatnonzero(ends)
+    place = np.column_stack([np.round(vertices[joined] / (1e-7 * skin.radius)), patch.wall[joined]])
     _, group = np.unique(place, axis=0, return_inverse=True)
     for k in range(3):
         total[joined, k] = np.bincount(group.ravel(), total[joined, k])[group.ravel()]
