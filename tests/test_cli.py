@@ -194,7 +194,7 @@ def test_demo_without_the_data(tmp_path, monkeypatch):
 def test_demo_with_the_data(tmp_path, fuze_path, scan_path):
     assert scan_path.is_file()
     written = demo.run(tmp_path, data=fuze_path.parent, scale=0.03)
-    assert {path.stem for path in written} >= {"tube_elaphe", "map_elaphe", "fuze_elaphe"}
+    assert {path.stem for path in written} >= {"snake_elaphe", "map_elaphe", "fuze_elaphe"}
 
 
 def test_the_module_runs(tmp_path):

@@ -77,6 +77,16 @@ def test_given_normals_are_kept_and_those_trimesh_worked_out_are_not():
     np.testing.assert_allclose(before[1], before[3], atol=1e-7)
 
 
+def test_given_normals_keep_their_side_under_an_overhang():
+    # Two larger corners look down where one looks up.
+    corners = np.array(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [0, -1, 0]]
+    )
+    up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]
+    mesh = mesh_of(corners.astype(float), np.arange(9).reshape(3, 3), uv=corners[:, :2] * 1.0, vertex_normals=up)
+    assert np.sign(prepare_surface(mesh).normals[:, 2]).tolist() == [1.0] * 3 + [-1.0] * 6
+
+
 def test_two_sided_sheets_keep_normals():
     both = mesh_of(faces=np.concatenate([SQUARE_FACES, SQUARE_FACES[:, ::-1] + 4]), vertices=np.tile(SQUARE, (2, 1)))
     surface = prepare_surface(both, tangents=along_x(both))

@@ -10,7 +10,7 @@ The map of the package, in the order in which data flows:
   NumPy
 - ``coefficients``, ``interpolation``, ``tables``: Fourier coefficients as functions of κ, in a basis fitted to them;
   between the orders; on a device
-- ``meshes``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
+- ``meshes``, ``snake``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
 - ``kernels``: Warp kernels: ray casting, directions, spectral integration
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
 - ``render``: ``shade``, a picture of a mesh; ``evaluate``: the reflectance at arrays of directions; ``direct``: the

@@ -37,6 +37,7 @@ _BODIES: dict[str, Callable[[], Any]] = {
     "tube": wd.meshes.tube,
     "tube-along": lambda: wd.meshes.tube(tangent="along"),
     "disc": wd.meshes.disc,
+    "snake": wd.meshes.snake,
 }
 _HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
 

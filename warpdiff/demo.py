@@ -1,4 +1,4 @@
-"""The demonstration: a snake-like tube, a disc, BRDF maps, and, where the real inputs are present, the scan."""
+"""The demonstration: a snake, a disc, BRDF maps, and, where the real inputs are present, the scan."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from warpdiff import checks, gratings, meshes
 from warpdiff.evaluate import brdf_map
@@ -19,8 +17,6 @@ from warpdiff.view import View
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import trimesh
 
     from warpdiff.image import Image
 
@@ -74,21 +70,23 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
 
     fingers = gratings.fingers(size_um=64.0, pitch_um=0.08)
     cd = gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
-    snake_view = View((0.0, 2.4, 4.6), (0.0, 0.0, 0.05), fov_y_deg=15.0, width=pixels(600), height=pixels(260))
-    snake_lights = [DirectionalLight((x, 1.2, z), power=0.5) for x, z in ((-0.8, 0.9), (0.6, 0.9))]
+    whole_snake = View((0.0, 3.4, 4.0), (-0.03, 0.02, 0.02), fov_y_deg=12.2, width=pixels(600), height=pixels(330))
+    half_snake = View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=12.2, width=pixels(600), height=pixels(360))
+    snake_lights = [DirectionalLight(towards, power=0.5) for towards in ((0.5, 0.75, -0.8), (-0.9, 0.7, 0.5))]
     disc_view = View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=pixels(640), height=pixels(440))
     disc_lights = [DirectionalLight((x, y, 1.0), power=0.5) for x, y in ((-0.7, 0.5), (0.15, 0.9), (0.8, 0.1))]
     size = pixels(400)
 
-    def snake(hf: HeightField, tangent: str) -> Callable[..., Image]:
+    def snake(hf: HeightField, view: View, tangent: str = "around") -> Callable[..., Image]:
+        # A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
         return lambda progress: shade(
-            snake_body(tangent),
+            meshes.snake(tangent=tangent),
             hf,
             snake_lights,
-            snake_view,
+            view,
             samples_per_pixel=4,
             tolerance=3e-2,
-            pigment=0.1,
+            pigment=0.05,
             progress=progress,
         )
 
@@ -98,7 +96,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
         return lambda progress: brdf_map(hf, to_light, size=size, progress=progress)
 
     made = [
-        Picture("tube_fingers", "synthetic nano-fingers along a snake-like tube", snake(fingers, "around"), 6.0),
+        Picture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake), 10.0),
         Picture(
             "disc_cd",
             "a compact disc, 1.6 µm tracks with pits",
@@ -114,12 +112,17 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
         scan = cleaned_scan(data / SCAN)
         made += [
             Picture(
-                "tube_elaphe",
-                "the scan of Elaphe guttata on the tube, its fingers along the body",
-                snake(scan, "around"),
-                6.0,
+                "snake_elaphe",
+                "the scan of Elaphe guttata on the snake, its fingers along the body",
+                snake(scan, half_snake),
+                10.0,
             ),
-            Picture("tube_elaphe_across", "the same with its fingers across the body", snake(scan, "along"), 6.0),
+            Picture(
+                "snake_elaphe_across",
+                "the same with its fingers across the body",
+                snake(scan, half_snake, "along"),
+                5.0,
+            ),
             Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), 3.0),
         ]
         if (data / MESH).is_file():
@@ -148,34 +151,6 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                 )
             )
     return made
-
-
-def snake_body(tangent: str) -> trimesh.Trimesh:
-    """The tube with the pattern of a corn snake in dark colours, saddles on the back over a lighter belly.
-
-    A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
-    """
-    import PIL.Image
-    import trimesh
-
-    body = meshes.tube(radius=0.2, bend_deg=24.0, waves=1.25, tangent=tangent)
-    around, along = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(1024) + 0.5) / 1024)
-    back = np.cos(2.0 * np.pi * (around - 0.5))
-    saddle = np.cos(2.0 * np.pi * 11.0 * along) + 0.9 * back - 0.7
-    rim = np.clip(1.0 - np.abs(saddle) / 0.22, 0.0, 1.0)[..., None]
-    inside = np.clip(0.5 + saddle / 0.1, 0.0, 1.0)[..., None]
-    belly = np.clip(0.5 - (back + 0.45) / 0.2, 0.0, 1.0)[..., None]
-    colour = (1.0 - inside) * np.array([0.28, 0.17, 0.10]) + inside * np.array([0.20, 0.06, 0.04])
-    colour = (1.0 - rim) * colour + rim * np.array([0.04, 0.03, 0.03])
-    colour = (1.0 - belly) * colour + belly * np.array([0.35, 0.30, 0.25])
-    if tangent == "along":
-        # The texture's u follows the tangent: from head to tail in place of around the body.
-        colour = colour.transpose(1, 0, 2)
-    image = PIL.Image.fromarray(np.round(255.0 * colour).astype(np.uint8))
-    body.visual = trimesh.visual.TextureVisuals(
-        uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(image=image)
-    )
-    return body
 
 
 def run(

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff import checks
+from warpdiff.snake import snake
 
 if TYPE_CHECKING:
     import trimesh
     from numpy.typing import NDArray
+
+__all__ = ["disc", "snake", "tube"]
 
 
 def tube(

@@ -502,7 +502,9 @@ def _normals(
     if own is None:
         return computed
     own = _unit(np.nan_to_num(own))
-    own = np.where(_dot(own, computed)[:, None] < 0.0, -own, own)
+    # The vertex's own faces tell its side: under an overhang most of those at its position look the other way.
+    beside, _ = _angle_weighted(vertices, faces, angles, np.arange(len(vertices)))
+    own = np.where(_dot(own, beside)[:, None] < 0.0, -own, own)
     return np.where(np.any(own != 0.0, axis=1, keepdims=True), own, computed)
 
 
