@@ -219,8 +219,8 @@ def rule(found: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
 def against_coupled_waves(quick: bool) -> dict[str, list[float]] | str:
     """Largest difference of the two solvers in any order's efficiency, for each of some gratings of square grooves.
 
-    Coupled waves know no perfect conductor. Efficiencies go to its as 1/|n|: two high indices are extrapolated. TM waves
-    of such metals converge slowly, and beside an anomaly, as on the first grating, they are still far from the limit.
+    Coupled waves know no perfect conductor. Efficiencies go to its as 1/|n|: two high indices are extrapolated. TM
+    waves of such metals converge slowly, and beside an anomaly, as on the first grating, they are far from the limit.
     """
     absent = [name for name in ("gratinglab", "meent") if importlib.util.find_spec(name) is None]
     if absent:
@@ -262,7 +262,13 @@ def chart(found: dict[str, Any], folder: Path) -> str:
             periods, depths, error, norm=LogNorm(1e-3, 1.0), cmap="viridis", shading="nearest", rasterized=True
         )
         lines = axis.contour(
-            periods, depths, np.log10(error), np.log10(LEVELS), colors="white", linewidths=(0.7, 1, 1.6)
+            periods,
+            depths,
+            np.log10(error),
+            np.log10(LEVELS),
+            colors="white",
+            linewidths=(0.7, 1, 1.6),
+            linestyles="solid",
         )
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
         # The bound grows with the depth: where is it at its limit?

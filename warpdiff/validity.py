@@ -6,8 +6,8 @@ import math
 
 # Green light stands for the visible.
 WAVELENGTH_NM = 550.0
-# Of 117 gratings of this bound or more, 113 had an order that was wrong by more than a tenth of the light.
-UNTRUSTED = 2.0
+# Of 100 gratings of this bound or more, 97 had an order that was wrong by more than a tenth of the light.
+UNTRUSTED = 3.0
 
 
 def error_bound(rms_um: float, mean_slope: float, wavelength_nm: float = WAVELENGTH_NM) -> float:
@@ -17,6 +17,9 @@ def error_bound(rms_um: float, mean_slope: float, wavelength_nm: float = WAVELEN
     shares it and the mean slope. The first factor is what scalar theory takes from the mirror's order of a slightly
     rough surface; where the period is too short for other orders, all of it is wrong. The mean slope does not depend on
     how finely a wall is sampled, as its mean square does, nor on the waviness that makes a scan's strongest period.
+
+    It is a rule and no theorem. Of 748 gratings, 357 were within 0.1 by it, and one of these was wrong by more, by 0.12;
+    up to 0.5 no error exceeded it by more than a factor of 1.8. Sines of long periods are right far beyond it.
 
     Args:
         rms_um: Standard deviation of the heights [µm].
@@ -35,5 +38,5 @@ def error_bound(rms_um: float, mean_slope: float, wavelength_nm: float = WAVELEN
 def told(bound: float) -> str:
     """A bound in words."""
     if bound >= UNTRUSTED:
-        return f"not to be trusted at {WAVELENGTH_NM:g} nm: too steep and deep, bound of its error {bound:.2g} of 1"
-    return f"orders are right within {bound:.1g} of the reflected power at {WAVELENGTH_NM:g} nm"
+        return f"not to be trusted at {WAVELENGTH_NM:g} nm: too deep and too steep ({bound:.3g}; it serves below 0.1)"
+    return f"orders are right within some {bound:.2g} of the reflected power at {WAVELENGTH_NM:g} nm"
