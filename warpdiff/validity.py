@@ -18,8 +18,8 @@ def error_bound(rms_um: float, mean_slope: float, wavelength_nm: float = WAVELEN
     rough surface; where the period is too short for other orders, all of it is wrong. The mean slope does not depend on
     how finely a wall is sampled, as its mean square does, nor on the waviness that makes a scan's strongest period.
 
-    It is a rule and no theorem. Of 748 gratings, 357 were within 0.1 by it, and one of these was wrong by more, by 0.12;
-    up to 0.5 no error exceeded it by more than a factor of 1.8. Sines of long periods are right far beyond it.
+    It is a rule and no theorem. Of 748 gratings 357 were within 0.1 by it, of which one was wrong by more, by 0.12; up
+    to 0.5 no error exceeded it by more than a factor of 1.8. Sines of long periods are right far beyond it.
 
     Args:
         rms_um: Standard deviation of the heights [µm].
