@@ -15,7 +15,7 @@ The map of the package, in the order in which data flows:
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
 - ``render``: ``shade``, a picture of a mesh; ``evaluate``: the reflectance at arrays of directions; ``direct``: the
   same by a sum that approximates nothing
-- ``orders``: where the light of a periodic surface goes, in absolute terms
+- ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
 - ``device``, ``checks``, ``errors``: launches over threads; validation of arguments; the warning category
 """
