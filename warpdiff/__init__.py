@@ -15,6 +15,7 @@ The map of the package, in the order in which data flows:
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
 - ``render``: ``shade``, a picture of a mesh; ``evaluate``: the reflectance at arrays of directions; ``direct``: the
   same by a sum that approximates nothing
+- ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
 - ``device``, ``checks``, ``errors``: launches over threads; validation of arguments; the warning category
 """
@@ -28,6 +29,7 @@ from warpdiff.evaluate import brdf, brdf_map, reflectance, spectral_reflectance
 from warpdiff.heightfield import HeightField
 from warpdiff.image import Image
 from warpdiff.light import DirectionalLight
+from warpdiff.orders import OrderEfficiencies, order_efficiencies
 from warpdiff.planning import Plan, plan
 from warpdiff.render import shade
 from warpdiff.view import View
@@ -39,6 +41,7 @@ __all__ = [
     "DirectionalLight",
     "HeightField",
     "Image",
+    "OrderEfficiencies",
     "Plan",
     "View",
     "WarpdiffWarning",
@@ -46,6 +49,7 @@ __all__ = [
     "brdf_map",
     "gratings",
     "meshes",
+    "order_efficiencies",
     "plan",
     "reflectance",
     "shade",

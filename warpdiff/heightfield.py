@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, validity
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
@@ -33,9 +33,11 @@ class HeightFieldSummary:
         height_range_um: Highest minus lowest height [µm].
         rms_um: Standard deviation of the heights [µm].
         rms_slope: Root mean square of the slope (a ratio).
+        mean_slope: Mean absolute slope (a ratio), which walls change no more than their height.
         dominant_periods_um: Pairs (period [µm], direction [degrees]), see `HeightField.dominant_periods_um`.
         max_uv: Largest component of (u, v) = −ωi − ωr that the pitch supports at 380 nm: λ / (2 · pitch). From 2 on
             the whole hemisphere of lights and views is free of aliasing.
+        scalar_error: How wrong scalar diffraction can be at 550 nm, see `validity.error_bound`.
     """
 
     shape: tuple[int, int]
@@ -44,22 +46,26 @@ class HeightFieldSummary:
     height_range_um: float
     rms_um: float
     rms_slope: float
+    mean_slope: float
     dominant_periods_um: tuple[tuple[float, float], ...]
     max_uv: float
+    scalar_error: float
 
     def __str__(self) -> str:
         """Return the summary as lines of text."""
         ny, nx = self.shape
         periods = ", ".join(f"{period:.3g} µm at {angle:.0f}°" for period, angle in self.dominant_periods_um) or "none"
+        slope_deg = math.degrees(math.atan(self.rms_slope))
         supported = "the whole hemisphere" if self.max_uv >= 2.0 else f"|u|, |v| up to {self.max_uv:.2f}"
         return "\n".join(
             [
                 f"size              {self.size_um[1]:.4g} × {self.size_um[0]:.4g} µm (x × y), {nx} × {ny} samples",
                 f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)",
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
-                f"rms slope         {self.rms_slope:.3g} ({math.degrees(math.atan(self.rms_slope)):.1f}°)",
+                f"slope             rms {self.rms_slope:.3g} ({slope_deg:.1f}°), mean {self.mean_slope:.3g}",
                 f"dominant periods  {periods}",
                 f"supports          {supported} at {LAMBDA_MIN_NM} nm",
+                f"scalar theory     {validity.told(self.scalar_error)}",
             ]
         )
 
@@ -173,6 +179,13 @@ class HeightField:
             if self.shape[axis] > 1:
                 total += float(np.mean((np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2))
         return math.sqrt(total)
+
+    @property
+    def mean_slope(self) -> float:
+        """Mean absolute slope between neighbouring samples of the periodic field, across the edges as well."""
+        # An axis of one sample has no neighbour but itself.
+        steps = [(np.roll(self._heights_um, -1, axis) - self._heights_um) / self.pitch_um[axis] for axis in (0, 1)]
+        return float(np.mean(np.hypot(*steps)))
 
     def __repr__(self) -> str:
         ny, nx = self.shape
@@ -409,8 +422,10 @@ class HeightField:
             height_range_um=self.height_range_um,
             rms_um=self.rms_um,
             rms_slope=self.rms_slope,
+            mean_slope=self.mean_slope,
             dominant_periods_um=self.dominant_periods_um(),
             max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * max(sampled)) if sampled else math.inf,
+            scalar_error=validity.error_bound(self.rms_um, self.mean_slope),
         )
 
     def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:

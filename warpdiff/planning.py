@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables
+from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, validity
 from warpdiff.coefficients import METHODS as EXPANDED
 from warpdiff.coefficients import POWER_METHODS
 from warpdiff.coherence import Coherence
@@ -122,6 +122,8 @@ class Plan:
         rounding: Predicted error from float32 arithmetic.
         aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
             relative to theirs. It is a property of the data and no part of ``error``.
+        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
+            the surface and no part of ``error``.
         multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
         searched: Whether the errors were measured on a sample of the directions; otherwise they are bounds.
     """
@@ -151,6 +153,7 @@ class Plan:
     quadrature: float
     rounding: float
     aliasing: float
+    scalar_error: float
     multiply_adds: float
     searched: bool
 
@@ -214,7 +217,7 @@ class Plan:
     def __str__(self) -> str:
         if self.method == "direct":
             sums = f"Direct sum over the height samples in float64, {self.coherence}"
-            return f"{sums}: no approximation but the integral over λ."
+            return f"{sums}: no approximation but the integral over λ. {self._scalar}"
         scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
         how = "measured on a sample of the directions" if self.searched else "bounded for all directions"
         start = (
@@ -240,7 +243,11 @@ class Plan:
         parts.append(f"float32 rounds by {self.rounding:.1e}")
         text = "; ".join(parts)
         text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
-        return text + f" Some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction."
+        return text + f" Some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction. {self._scalar}"
+
+    @property
+    def _scalar(self) -> str:
+        return f"Scalar theory itself: {validity.told(self.scalar_error)}."
 
 
 def plan(
@@ -298,10 +305,19 @@ def plan(
         given = views if to_light is None else lights
         scope = _any_direction(hf, window, scope, None if to_light is None and to_view is None else given)
     gains = optics.gain(lights, views, normal=normal, masking=masking, per_light_cosine=window.kind == "source")
-    return plan_for(
+    result = plan_for(
         hf, scope, Pilots.among(deflections, lights, gains), tolerance=tolerance, method=method, coherence=window,
         strict=strict, count=count, illuminants=(illuminant,), device=target, threads=workers,
     )  # fmt: skip
+    if result.scalar_error >= validity.UNTRUSTED:
+        warnings.warn(
+            f"scalar diffraction is {validity.told(result.scalar_error)}; hf has a standard deviation of "
+            f"{hf.rms_um:.3g} µm and a mean slope of {hf.mean_slope:.3g}: use a rigorous solver, or take colours for a "
+            "likeness",
+            WarpdiffWarning,
+            stacklevel=2,
+        )
+    return result
 
 
 def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -479,6 +495,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         quadrature=tolerance * _QUADRATURE_SHARE if colour else 0.0,
         rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
         aliasing=0.0,
+        scalar_error=validity.error_bound(hf.rms_um, hf.mean_slope),
         multiply_adds=0.0,
         searched=False,
     )
