@@ -61,7 +61,7 @@ def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Call
     terms = made.rows.shape[2]
     rows = made.rows / np.array([math.factorial(n) for n in range(terms)], dtype=np.float64)
     rows = np.pad(rows, ((0, 0), (0, 0), (0, -terms % PACKET)))
-    tables = [Float(np.float32(each).ravel()) for each in (rows, made.wavenumbers, made.colours)]
+    tables = [Float(_aligned(each.ravel())) for each in (rows, made.wavenumbers, made.colours)]
     dr.eval(*tables)
 
     def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
