@@ -139,13 +139,10 @@ def _kernels() -> tuple[Any, Any]:
                 green += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[1])) ** 2)
                 blue += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[2])) ** 2)
             highlight = gains[i] * math.exp(-((roughness * u / w) ** 2))
-            red, green, blue = (
-                brightness * red + highlight,
-                brightness * green + highlight,
-                brightness * blue + highlight,
-            )
             for c in range(3):
-                xyz_out[i, c] = to_xyz[c, 0] * red + to_xyz[c, 1] * green + to_xyz[c, 2] * blue
+                orders = to_xyz[c, 0] * red + to_xyz[c, 1] * green + to_xyz[c, 2] * blue
+                white = to_xyz[c, 0] + to_xyz[c, 1] + to_xyz[c, 2]
+                xyz_out[i, c] = brightness * orders + highlight * white
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def cie(period, sigma, products, wavelengths, mirror, powers, deflections, gains, xyz_out):
