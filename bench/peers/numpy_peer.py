@@ -1,7 +1,7 @@
 """The published algorithm in plain NumPy, as one writes it without a compiler at hand.
 
-Arrays are vectorised over directions and neighbours; wavelengths are a loop. Directions go in chunks whose gathered
-coefficients stay in the second cache, and chunks side by side on threads, as NumPy releases the interpreter's lock.
+Arrays are vectorised over directions and neighbours; wavelengths are a loop. Directions go in chunks, large enough that
+the interpreter's time is small beside NumPy's, side by side on threads, as NumPy releases the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-CHUNK = 128
+CHUNK = 512
 
 
 def available() -> str | None:
