@@ -39,7 +39,8 @@ import reference  # noqa: E402
 from peers import drjit_peer, numpy_peer, raycasters, stam_analytic  # noqa: E402
 
 PEERS = {"NumPy": numpy_peer, "Dr.Jit": drjit_peer, "Stam, analytic": stam_analytic}
-DISC = "CD, 25.6 µm"
+# As long as the scan, or the window would see the same pits again.
+DISC = "CD, 64 µm"
 # Tables where they reach it, sampled wavelengths beyond.
 TOLERANCES = {1e-1: "low-rank/table", 1e-2: "low-rank/table", 1e-3: "low-rank"}
 Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
@@ -75,7 +76,10 @@ class Directions(NamedTuple):
 
 def surfaces(data: Path) -> dict[str, wd.HeightField]:
     """Synthetic fingers, a disc, and the scan where it is present."""
-    made = {"fingers, 25.6 µm": wd.gratings.fingers(seed=2), DISC: wd.gratings.disc("CD")}
+    made = {
+        "fingers, 25.6 µm": wd.gratings.fingers(seed=2),
+        DISC: wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08),
+    }
     scan = data / "elaphe_65um.png"
     if scan.is_file():
         made["scan, 65 µm"] = wd.HeightField.load(scan, extent_um=65.0, height_range_um=0.375).levelled(order=2)
@@ -193,7 +197,9 @@ def seen_by(hf: wd.HeightField, name: str, width: int) -> tuple[Directions, wd.V
 
 
 def pictures(folder: Path, hf: wd.HeightField, name: str, *, width: int = 320) -> Path:
-    """Draw a scene by ours and by every peer at its best, all at ours' exposure, each with its error against ours.
+    """Draw a scene by ours and by every peer at its best, each with its error against ours.
+
+    All are at ours' exposure but the analytic shader's rainbow, whose brightness is the artist's.
 
     Args:
         folder: Where to.
@@ -219,22 +225,23 @@ def pictures(folder: Path, hf: wd.HeightField, name: str, *, width: int = 320) -
         # The analytic shader's two forms are two models; of the others the last setting is the best.
         for setting in peer.SETTINGS if peer is stam_analytic else peer.SETTINGS[-1:]:
             made[f"{peer_name}, {label(setting)}"] = peer.prepare(hf, wd.Coherence(), **setting)
-    exact, exposure = None, 0.0
+    mine, exposure = None, 0.0
     figure, axes = plt.subplots(len(made), figsize=(width / 80, len(made) * (width * 3 // 4 / 80 + 0.4)), squeeze=False)
     for axis, (each, shade) in zip(axes[:, 0], made.items(), strict=True):
         xyz = shade(seen.deflections, seen.gains, resolve_threads(None))
-        if exact is None:
-            exact, exposure = xyz, 5.0 / np.percentile(xyz[:, 1], 99.0)
-        floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
-        error = np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        if mine is None:
+            mine, exposure = xyz, 5.0 / np.percentile(xyz[:, 1], 99.0)
+        floor = 1e-3 * np.percentile(mine[:, 1], 99.0)
+        error = np.linalg.norm(xyz - mine, axis=1) / np.maximum(np.linalg.norm(mine, axis=1), floor)
         image = np.zeros((view.height * view.width, 3))
-        image[lit] = srgb_encode(exposure * xyz_to_rgb(xyz))
+        own = "rainbow" in each
+        image[lit] = srgb_encode((1.0 / np.percentile(xyz[:, 1], 99.0) if own else exposure) * xyz_to_rgb(xyz))
         axis.imshow(image.reshape(view.height, view.width, 3))
         axis.set_axis_off()
         beside = (
-            "" if xyz is exact else f"\nagainst ours: median {np.median(error):.1e}, P99 {np.percentile(error, 99):.1e}"
+            "" if xyz is mine else f"\nagainst ours: median {np.median(error):.1e}, P99 {np.percentile(error, 99):.1e}"
         )
-        axis.set_title(each + beside, fontsize=7)
+        axis.set_title(each + (", its own exposure" if own else "") + beside, fontsize=7)
     figure.tight_layout()
     path = folder / f"peers_{name.split(',', maxsplit=1)[0].lower()}.png"
     folder.mkdir(parents=True, exist_ok=True)

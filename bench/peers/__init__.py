@@ -9,5 +9,8 @@ Shading, all of deflections (u, v, w) and gains as ``numba_published.shade`` tak
 Each has ``available()``, None or a sentence why it cannot run, ``SETTINGS``, from cheap to accurate, and
 ``prepare(hf, coherence, **setting)``, which returns ``shade(deflections, gains, threads)`` -> XYZ (n, 3).
 
-- ``raycasters``: Mitsuba 3 and Embree, for the rays.
+``deflections`` (n, 3) and ``gains`` (n,) are float64. A first call may compile: warm up with arrays of the length that
+is timed.
+
+- ``raycasters``: Mitsuba 3 and Embree, for the rays; its truth is in the tests' folder, which must be on the path.
 """

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
 ORDERS = 7
 # Wavelengths of the order 0, and nodes of an order's power in κ = w/λ.
-MIRROR_WAVELENGTHS, NODES = 8, 256
+MIRROR_WAVELENGTHS, NODES = 8, 128
 LARGEST_KAPPA = 2.0 / 0.38
 # Where the parabolas stand on 2λ − 1, λ [µm], and how narrow they are.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
