@@ -281,7 +281,7 @@ def main() -> None:
         print(f"Left out of the rays: {reason}.")
     view = wd.View((0.0, 0.8, 1.55), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=640, height=480)
     rays = raycasters.rays_of(meshes.tube(segments_along=128, segments_around=64), view)
-    raycasters.table(rays, threads=tuple({1: 0, threads: 0}), rounds=given.rounds, judged=given.judged)
+    raycasters.table(rays, threads=tuple({1: 0, threads: 0}), rounds=given.rounds, judged=1000)
 
 
 if __name__ == "__main__":
