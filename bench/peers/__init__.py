@@ -1,0 +1,16 @@
+"""Other programs' ways to what warpdiff computes, for comparisons of speed and accuracy.
+
+Shading, all of deflections (u, v, w) and gains as ``numba_published.shade`` takes them:
+
+- ``numpy_peer``: the published algorithm in plain vectorised NumPy.
+- ``drjit_peer``: the same in Dr.Jit, compiled by LLVM.
+- ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.
+
+Each has ``available()``, None or a sentence why it cannot run, ``SETTINGS``, from cheap to accurate, and
+``prepare(hf, coherence, **setting)``, which returns ``shade(deflections, gains, threads)`` -> XYZ (n, 3).
+
+``deflections`` (n, 3) and ``gains`` (n,) are float64. A first call may compile: warm up with arrays of the length that
+is timed.
+
+- ``raycasters``: Mitsuba 3 and Embree, for the rays; its truth is in the tests' folder, which must be on the path.
+"""

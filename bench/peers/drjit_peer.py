@@ -1,0 +1,135 @@
+"""The published algorithm in Dr.Jit (Jakob et al. 2022), compiled for the CPU by LLVM.
+
+Directions are SIMD, wavelengths a symbolic loop, neighbours and terms unrolled. A neighbour's terms come by packets of
+contiguous floats, which LLVM transposes, and the series goes by Horner's rule, whose factorials are in the table: a
+basis of its own for every term takes three times as long, for its numbers do not stay in registers.
+
+It needs LLVM's shared library, which Dr.Jit finds by its usual names or through ``DRJIT_LIBLLVM_PATH``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from peers.series import PUBLISHED, SETTINGS, Series, series
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    import warpdiff as wd
+
+__all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
+
+# Floats that are loaded at a time.
+PACKET = 8
+# Floats of a cache line.
+LINE = 16
+
+
+def available() -> str | None:
+    """None, or why Dr.Jit cannot run."""
+    try:
+        import drjit
+    except ImportError:
+        return "Dr.Jit is not installed: pip install drjit"
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        return "Dr.Jit finds no LLVM: install it, or set DRJIT_LIBLLVM_PATH to libLLVM.so"
+    return None
+
+
+def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+    """What shades directions at one setting of :func:`peers.series.series`.
+
+    Args:
+        hf: The height field.
+        coherence: A window, averaged or centred.
+        setting: One of ``SETTINGS``.
+
+    Returns:
+        ``shade(deflections, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3). Its first call of a length
+        compiles.
+    """
+    import drjit as dr
+    from drjit.llvm import Float
+
+    made = series(hf, coherence, **setting)
+    terms = made.rows.shape[2]
+    rows = made.rows / np.array([math.factorial(n) for n in range(terms)], dtype=np.float64)
+    rows = np.pad(rows, ((0, 0), (0, 0), (0, -terms % PACKET)))
+    tables = [Float(_aligned(each.ravel())) for each in (rows, made.wavenumbers, made.colours)]
+    dr.eval(*tables)
+
+    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+        if dr.thread_count() != threads:
+            dr.set_thread_count(threads)
+        u, v, w, gain = (Float(_aligned(each)) for each in (*deflections.T, gains))
+        xyz = _integral(made, tables, u, v, w)
+        found = [gain * each for each in xyz]
+        dr.eval(*found)
+        return np.stack([each.numpy() for each in found], axis=1)
+
+    return shade
+
+
+def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """A copy that begins on a cache line's border: Dr.Jit compiles once more for arrays that do not."""
+    memory = np.empty(len(values) + LINE, dtype=np.float32)
+    first = -memory.ctypes.data // memory.itemsize % LINE
+    memory[first : first + len(values)] = values
+    return memory[first : first + len(values)]
+
+
+def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[Any, Any, Any]:
+    """XYZ without gains."""
+    import drjit as dr
+    from drjit.llvm import ArrayXf, Float, Int, UInt
+
+    rows, wavenumbers, colours = tables
+    packets = math.ceil(made.rows.shape[2] / PACKET)
+    # A basis' first factor beyond 1 is 2πa/λ: that of the first wavelength gives 2πa.
+    scale = float(made.factors[0, 1] / made.wavenumbers[0])
+    steps = range(-made.reach, made.reach + 1)
+
+    def weights(q: Any, near: Any, falloff: float) -> list[Any]:
+        return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]
+
+    def coefficient(at: Any, x: Any) -> list[Any]:
+        """Real and imaginary part."""
+        parts = []
+        for part in (2 * at, 2 * at + 1):
+            value = Float(0.0)
+            for packet in reversed(range(packets)):
+                loaded = dr.gather(ArrayXf, rows, part * packets + packet, shape=(PACKET, dr.width(at)))
+                for n in reversed(range(PACKET)):
+                    value = dr.fma(value, x, loaded[n])
+            parts.append(value)
+        return parts
+
+    def add(k: Any, *xyz: Any) -> tuple[Any, ...]:
+        wavenumber = dr.gather(Float, wavenumbers, k)
+        qy, qx = v * made.lengths_um[0] * wavenumber, u * made.lengths_um[1] * wavenumber
+        near_y, near_x = dr.floor(qy + made.shift), dr.floor(qx + made.shift)
+        along_y, along_x = weights(qy, near_y, made.falloff[0]), weights(qx, near_x, made.falloff[1])
+        middle = (Int(near_y) + made.origin[0]) * made.columns + Int(near_x) + made.origin[1]
+        x = w * wavenumber * scale
+        power, re, im = Float(0.0), Float(0.0), Float(0.0)
+        for weight_y, j in zip(along_y, steps, strict=True):
+            for weight_x, m in zip(along_x, steps, strict=True):
+                found = coefficient(UInt(middle + (j * made.columns + m)), x)
+                weight = weight_y * weight_x
+                if made.powers:
+                    power = dr.fma(weight, dr.fma(found[0], found[0], found[1] * found[1]), power)
+                else:
+                    re, im = dr.fma(weight, found[0], re), dr.fma(weight, found[1], im)
+        if not made.powers:
+            power = re * re + im * im
+        return k + 1, *(dr.fma(power, dr.gather(Float, colours, 3 * k + c), each) for c, each in enumerate(xyz))
+
+    count = len(made.wavenumbers)
+    start = (UInt(0), Float(0.0), Float(0.0), Float(0.0))
+    return dr.while_loop(start, lambda k, *_: k < count, add, mode="symbolic")[1:]

@@ -1,0 +1,85 @@
+"""The published algorithm in plain NumPy, as one writes it without a compiler at hand.
+
+Arrays are vectorised over directions and neighbours; wavelengths are a loop. Directions go in chunks, large enough that
+the interpreter's time is small beside NumPy's, side by side on threads, as NumPy releases the interpreter's lock.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from peers.series import PUBLISHED, SETTINGS, Series, series
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    import warpdiff as wd
+
+__all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
+
+CHUNK = 512
+
+
+def available() -> str | None:
+    """None: NumPy is always there."""
+    return None
+
+
+def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+    """What shades directions at one setting of :func:`peers.series.series`.
+
+    Args:
+        hf: The height field.
+        coherence: A window, averaged or centred.
+        setting: One of ``SETTINGS``.
+
+    Returns:
+        ``shade(deflections, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
+    """
+    made = series(hf, coherence, **setting)
+
+    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+        xyz = np.empty((len(gains), 3), dtype=np.float32)
+
+        def run(first: int) -> None:
+            part = slice(first, first + CHUNK)
+            xyz[part] = gains[part, None] * _chunk(made, deflections[part])
+
+        with ThreadPoolExecutor(max_workers=threads) as pool:
+            list(pool.map(run, range(0, len(gains), CHUNK)))
+        return xyz
+
+    return shade
+
+
+def _chunk(made: Series, deflections: NDArray[np.float64]) -> NDArray[np.float32]:
+    """XYZ of few directions without their gains."""
+    terms = made.rows.shape[2]
+    # Shapes below are (directions, wavelengths, neighbours), the last along one axis.
+    offsets = np.arange(-made.reach, made.reach + 1, dtype=np.float32)
+    near, gaussians = [], []
+    for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):
+        q = np.float32(deflections[:, 1 - axis] * length)[:, None] * made.wavenumbers
+        found = np.floor(q + np.float32(made.shift))
+        near.append(found.astype(np.intp) + made.origin[axis])
+        gaussians.append(np.exp(np.float32(-falloff) * ((found - q)[:, :, None] + offsets) ** 2))
+    middle = near[0] * made.columns + near[1]
+    square = (offsets[:, None] * made.columns + offsets).ravel().astype(np.intp)
+    w_powers = np.float32(deflections[:, 2])[:, None] ** np.arange(terms, dtype=np.float32)
+    result = np.zeros((len(deflections), 3), dtype=np.float32)
+    for k, colour in enumerate(made.colours):
+        rows = made.rows.take(middle[:, k, None] + square, axis=0)
+        basis = made.factors[k] * w_powers
+        amplitudes = np.matmul(rows.reshape(len(basis), -1, terms), basis[:, :, None]).reshape(len(basis), -1, 2)
+        weights = (gaussians[0][:, k, :, None] * gaussians[1][:, k, None, :]).reshape(len(basis), -1)
+        if made.powers:
+            power = np.einsum("nac,nac,na->n", amplitudes, amplitudes, weights)
+        else:
+            power = np.square(np.einsum("nac,na->nc", amplitudes, weights)).sum(axis=1)
+        result += power[:, None] * colour
+    return result

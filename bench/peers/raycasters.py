@@ -1,0 +1,262 @@
+"""Rays through a picture's pixels by Mitsuba 3 and by Embree, beside ours: rays a second, hits and normals.
+
+All trace the same mesh, in the units of a prepared surface, along the same rays. What they find goes from the bare hit
+(face and barycentric coordinates) to the shading frame; a row says which. Mitsuba's LLVM variant traces by Embree as
+well, in packets; embreex hands Embree one ray after the other and releases the interpreter's lock, so that slices of
+the rays run side by side on threads. The truth is every ray against every triangle, in float64.
+"""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import brute_force
+import numpy as np
+import warp as wp
+
+from warpdiff import render, scene
+from warpdiff.device import launch, resolve_device
+from warpdiff.kernels import raycast, spectral
+from warpdiff.surface import prepare_surface
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    import warpdiff as wd
+    from warpdiff.surface import Surface
+
+wp.set_module_options(spectral.OPTIONS)
+
+# Cosines below this are tilted towards the viewer by ours.
+LEAST_COSINE = 0.02
+
+
+class Rays(NamedTuple):
+    """A picture's rays, near the mesh, and what they are sent at; shapes (n, 3)."""
+
+    surface: Surface
+    view: wd.View
+    origins: NDArray[np.float32]
+    directions: NDArray[np.float32]
+
+
+class Found(NamedTuple):
+    """Which rays (n,) met the mesh, and the interpolated unit normals there, of either side, shape (n, 3)."""
+
+    hit: NDArray[np.bool_]
+    normal: NDArray[np.float64]
+
+
+class Caster(NamedTuple):
+    """One way to trace all rays: what it finds, with so many threads, and a look at what it found last."""
+
+    finds: str
+    trace: Callable[[int], None]
+    found: Callable[[], Found]
+
+
+def missing() -> list[str]:
+    """Why casters are left out, a sentence each."""
+    reasons = []
+    try:
+        import embreex  # noqa: F401
+    except ImportError:
+        reasons.append("Embree is not installed: pip install embreex")
+    try:
+        import drjit
+        import mitsuba  # noqa: F401
+    except ImportError:
+        return [*reasons, "Mitsuba is not installed: pip install mitsuba"]
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        reasons.append("Mitsuba finds no LLVM: install it, or set DRJIT_LIBLLVM_PATH to libLLVM.so")
+    return reasons
+
+
+def rays_of(mesh: Any, view: wd.View) -> Rays:
+    """One ray through each pixel's centre, begun in float64 where it nears the mesh."""
+    surface = prepare_surface(mesh)
+    eye = np.asarray(view.eye, dtype=np.float64)
+    size = {"width": view.width, "height": view.height, "fov_y_deg": view.fov_y_deg}
+    origins, directions = brute_force.pixel_rays(eye, view.target, view.up, **size)
+    origins = (origins - surface.centre) / surface.radius
+    ahead = -np.einsum("ij,ij->i", origins, directions)
+    origins = origins + np.maximum(ahead - 2.0, 0.0)[:, None] * directions
+    return Rays(surface, view, np.float32(origins), np.float32(directions))
+
+
+def casters(rays: Rays) -> dict[str, Caster]:
+    """All that can run, by name."""
+    made = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, rays": _warp_cast(rays, covers=False)}
+    made["warpdiff, face by face"] = _warp_cast(rays, covers=True)
+    absent = " ".join(missing())
+    if "Mitsuba" not in absent:
+        made["Mitsuba 3, bare hits"] = _mitsuba(rays, bare=True)
+        made["Mitsuba 3, rays"] = _mitsuba(rays, bare=False)
+    if "Embree is" not in absent:
+        made["Embree, bare hits"] = _embree(rays)
+    return made
+
+
+def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Found, NDArray[np.bool_]]:
+    """What some of the rays meet, and which of these are sure: those that neither pass an edge nor graze."""
+    surface = rays.surface
+    origins, directions = (np.float64(each[chosen]) for each in (rays.origins, rays.directions))
+    vertices = surface.vertices.astype(np.float64)
+    _, face, bary, margin = brute_force.intersect(origins, directions, vertices, surface.faces)
+    normal = _interpolated(surface, face, bary)
+    grazing = np.abs(np.einsum("ij,ij->i", normal, directions)) < LEAST_COSINE
+    hit = face >= 0
+    return Found(hit, normal), (margin > 1e-5) & ~(hit & grazing)
+
+
+def table(rays: Rays, *, threads: tuple[int, ...], rounds: int, judged: int) -> None:
+    """Print rays a second of all, in turns, with what their hits and normals are off by."""
+    made = casters(rays)
+    chosen = np.sort(np.random.default_rng(0).choice(len(rays.origins), judged, replace=False))
+    exact, sure = truth(rays, chosen)
+    seconds: dict[tuple[str, int], list[float]] = {(name, count): [] for name in made for count in threads}
+    for _ in range(rounds + 1):
+        for (name, count), taken in seconds.items():
+            begin = time.perf_counter()
+            made[name].trace(count)
+            taken.append(time.perf_counter() - begin)
+    share = np.mean(exact.hit)
+    print(f"\n{len(rays.origins)} rays, {100.0 * share:.0f} % meet one of {len(rays.surface.faces)} faces.")
+    print("\n| by | finds | threads | M rays/s | spread | hits off | normal off, P99 / most | first call, s |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for (name, count), (first, *taken) in seconds.items():
+        found = made[name].found()
+        hit, normal = found.hit[chosen], found.normal[chosen]
+        off = np.mean(hit[sure] != exact.hit[sure])
+        both = sure & hit & exact.hit
+        side = np.sign(np.einsum("ij,ij->i", normal[both], exact.normal[both]))
+        away = np.linalg.norm(side[:, None] * normal[both] - exact.normal[both], axis=1)
+        rate = [1e-6 * len(rays.origins) / each for each in taken]
+        print(
+            f"| {name} | {made[name].finds} | {count} | {np.median(rate):.1f} | {min(rate):.1f} to {max(rate):.1f} | "
+            f"{off:.1e} | {np.percentile(away, 99.0):.1e} / {away.max():.1e} | {first:.2f} |",
+            flush=True,
+        )
+
+
+def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
+    """Unit normals of faces (n,), −1 for none, at barycentric coordinates (n, 3), in float64."""
+    normal = np.einsum("kc,kcd->kd", np.float64(bary), surface.normals[surface.faces[face]].astype(np.float64))
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+
+
+@wp.kernel
+def query(
+    # In:
+    mesh_id: wp.uint64,
+    origins: wp.array(dtype=wp.vec3f),
+    directions: wp.array(dtype=wp.vec3f),
+    first: wp.int32,
+    # Out:
+    face_out: wp.array(dtype=wp.int32),
+    bary_out: wp.array(dtype=wp.vec2f),
+):
+    """The bare hit of each ray: the face, or −1, and the shares of its first two corners."""
+    i = first + wp.tid()
+    found = wp.mesh_query_ray(mesh_id, origins[i], directions[i], raycast.FAR)
+    face_out[i] = -1
+    if found.result:
+        face_out[i] = found.face
+        bary_out[i] = wp.vec2f(found.u, found.v)
+
+
+def _warp_query(rays: Rays) -> Caster:
+    device = resolve_device(None)
+    arrays = scene.arrays_for(rays.surface, smooth=True, device=device)
+    count = len(rays.origins)
+    given = [wp.array(each, dtype=wp.vec3f, device=device) for each in (rays.origins, rays.directions)]
+    made = [wp.empty(count, dtype=wp.int32, device=device), wp.zeros(count, dtype=wp.vec2f, device=device)]
+
+    def trace(threads: int) -> None:
+        launch(query, count, [arrays.mesh_id, *given], made, device=device, threads=threads)
+
+    def found() -> Found:
+        face, (b0, b1) = made[0].numpy(), made[1].numpy().T
+        return Found(face >= 0, _interpolated(rays.surface, face, np.stack([b0, b1, 1.0 - b0 - b1], axis=1)))
+
+    return Caster("face, place", trace, found)
+
+
+def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
+    frame = render._Frame(rays.surface, rays.view, smooth=True, samples=1, device=resolve_device(None), threads=1)
+    frame._covers = covers
+    size = len(rays.origins) if covers else 0
+    frame._pixels.nearest = wp.empty(size, dtype=wp.uint64, device=frame._device)
+
+    def trace(threads: int) -> None:
+        frame._threads = threads
+        frame.cast(0)
+
+    def found() -> Found:
+        return Found(frame._pixels.hit.numpy() == 1, np.float64(frame._pixels.normal.numpy()))
+
+    return Caster("all of a pixel", trace, found)
+
+
+def _mitsuba(rays: Rays, *, bare: bool) -> Caster:
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    surface = rays.surface
+    mesh = mi.Mesh("surface", len(surface.vertices), len(surface.faces), has_vertex_normals=True)
+    arrays = mi.traverse(mesh)
+    arrays["vertex_positions"] = surface.vertices.ravel()
+    arrays["vertex_normals"] = surface.normals.ravel()
+    arrays["faces"] = surface.faces.ravel()
+    arrays.update()
+    world = mi.load_dict({"type": "scene", "surface": mesh})
+    ray = mi.Ray3f(mi.Point3f(rays.origins.T), mi.Vector3f(rays.directions.T))
+    dr.eval(ray)
+    last: list[Any] = [None]
+
+    def trace(threads: int) -> None:
+        if dr.thread_count() != threads:
+            dr.set_thread_count(threads)
+        last[0] = world.ray_intersect_preliminary(ray) if bare else world.ray_intersect(ray)
+        dr.eval(last[0])
+        dr.sync_thread()
+
+    def found() -> Found:
+        hit = last[0].is_valid().numpy()
+        if not bare:
+            return Found(hit, np.float64(last[0].sh_frame.n.numpy().T))
+        # Mitsuba's coordinates are those of the second and third corner.
+        b1, b2 = last[0].prim_uv.numpy()
+        face = np.where(hit, last[0].prim_index.numpy(), 0)
+        return Found(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
+
+    return Caster("face, place" if bare else "shading frame", trace, found)
+
+
+def _embree(rays: Rays) -> Caster:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    surface, world = rays.surface, EmbreeScene()
+    TriangleMesh(world, surface.vertices, surface.faces)
+    last: list[dict[str, Any]] = []
+
+    def run(part: NDArray[np.int64]) -> dict[str, Any]:
+        rows = slice(part[0], part[-1] + 1)
+        return world.run(rays.origins[rows], rays.directions[rows], query="INTERSECT", output=1)
+
+    def trace(threads: int) -> None:
+        parts = np.array_split(np.arange(len(rays.origins)), threads)
+        with ThreadPoolExecutor(max_workers=threads) as pool:
+            last[:] = pool.map(run, parts)
+
+    def found() -> Found:
+        face, b1, b2 = (np.concatenate([part[name] for part in last]) for name in ("primID", "u", "v"))
+        return Found(face >= 0, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
+
+    return Caster("face, place", trace, found)

@@ -1,0 +1,137 @@
+"""What the peers of the published algorithm share: a Taylor series of Fourier coefficients, and a rule in λ.
+
+The sum is the one of ``numba_published`` (Single 2014, eqs. 3.8, 3.20 and 3.24), whatever computes it: at wavelengths
+equally spaced in λ, the series at a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle
+rule.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff import fourier, spectrum
+from warpdiff.expansions import EXPANSIONS
+from warpdiff.tables import falloff_um2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    import warpdiff as wd
+
+# Largest |(u, v)| / λ [1/µm]: both directions at the horizon, at 380 nm.
+FREQUENCY = 2.0 / 0.38
+MOST_REACH = 4
+
+# As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights as they are.
+PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "reach": 1, "rounded": False, "centred": False}
+# From cheap to accurate, centred and rounded, which is the cheapest way to any error. The nearest coefficient alone is
+# enough of patches that are small against the window.
+_SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
+SETTINGS: list[dict[str, Any]] = [
+    {"wavelengths": wavelengths, "terms": terms, "reach": reach, "rounded": True, "centred": True}
+    for wavelengths, terms, reach in _SHAPES
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A height field's series at one setting.
+
+    Attributes:
+        rows: Real parts of iⁿ DFT{gⁿ} for all n, then the imaginary ones, shape (my·mx, 2, terms).
+        columns: The mx.
+        origin: Where the order (0, 0) lies (y, x).
+        lengths_um: Coefficients per unit of frequency (y, x) [µm].
+        falloff: The Gaussian's exponents per square of a coefficient's distance (y, x).
+        factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is that times wⁿ.
+        wavenumbers: 1/λ [1/µm], shape (m,).
+        colours: What a wavelength adds to XYZ, shape (m, 3).
+        reach: Neighbours on either side.
+        shift: What is added before floor(): 0.5 rounds.
+        powers: Whether coefficients add as powers (averaged) or as amplitudes (centred).
+    """
+
+    rows: NDArray[np.float32]
+    columns: int
+    origin: tuple[int, int]
+    lengths_um: tuple[float, float]
+    falloff: tuple[float, float]
+    factors: NDArray[np.float32]
+    wavenumbers: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    reach: int
+    shift: float
+    powers: bool
+
+
+def series(
+    hf: wd.HeightField,
+    coherence: wd.Coherence,
+    *,
+    wavelengths: int,
+    terms: int,
+    reach: int,
+    rounded: bool,
+    centred: bool,
+) -> Series:
+    """Transform a height field for one setting.
+
+    Args:
+        hf: The height field.
+        coherence: A window, averaged or centred.
+        wavelengths: Their number, 380 to 780 nm.
+        terms: Terms of the Taylor series, n = 0 … terms − 1.
+        reach: Neighbours on either side of the one that is found, 0 to 4.
+        rounded: Whether that one is found by rounding in place of floor().
+        centred: Whether heights count from the middle of their range; otherwise from the lowest.
+
+    Returns:
+        The series.
+    """
+    if coherence.kind not in ("averaged", "centred"):
+        raise ValueError(f"coherence must be a window, 'averaged' or 'centred', got {coherence.kind!r}")
+    if not 0 <= reach <= MOST_REACH:
+        raise ValueError(f"reach must be 0 to {MOST_REACH}, got {reach}")
+    rows, block, lengths, scale = _rows(hf, terms, centred)
+    nodes = np.linspace(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM, wavelengths)
+    products = spectrum.colour_products()
+    grid = np.linspace(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM, len(products))
+    colours = np.stack([np.interp(nodes, grid, products[:, c]) for c in range(3)], axis=1)
+    falloff = falloff_um2(coherence)
+    return Series(
+        rows=rows,
+        columns=block.count[1],
+        origin=block.origin,
+        lengths_um=lengths,
+        falloff=(falloff / lengths[0] ** 2, falloff / lengths[1] ** 2),
+        factors=np.float32(EXPANSIONS["taylor"].basis(scale * 1e3 / nodes, terms)),
+        wavenumbers=np.float32(1e3 / nodes),
+        colours=np.float32(colours / colours[:, 1].sum()),
+        reach=reach,
+        shift=0.5 if rounded else 0.0,
+        powers=coherence.adds_powers,
+    )
+
+
+@functools.lru_cache(maxsize=3)
+def _rows(
+    hf: wd.HeightField, terms: int, centred: bool
+) -> tuple[NDArray[np.float32], fourier.Block, tuple[float, float], float]:
+    """The rows, which coefficients they are, how many there are per unit of frequency [µm], and the basis' 2πa [µm]."""
+    grid = fourier.patch_grid(hf)
+    block = fourier.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
+    if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
+        raise ValueError(f"hf must be finer, got {hf!r}: coefficients are not repeated here; use hf.resampled()")
+    expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
+    made = fourier.series_coefficients(hf, expansion, terms, block, dtype=np.complex64)
+    # A centred window lies at the patch's centre; powers do not see this phase.
+    s, r = block.orders()
+    turns = s[:, None] * (hf.shape[0] // 2 / hf.shape[0]) + r * (hf.shape[1] // 2 / hf.shape[1])
+    made *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
+    rows = np.stack([made.real, made.imag], axis=2).reshape(-1, 2, terms)
+    return rows, block, grid.lengths_um, 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
