@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
-import sys
 import time
 import warnings
 from pathlib import Path
@@ -23,16 +21,10 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import meshes, render
+from warpdiff.bench import inputs, multiply_adds, numba_published
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.integration import Integrator
 from warpdiff.surface import prepare_surface
-
-ROOT = Path(__file__).resolve().parents[1]
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-sys.path[:0] = [str(ROOT / "bench")]
-
-import multiply_adds  # noqa: E402
-import numba_published  # noqa: E402
 
 BAR = 3e-2
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
@@ -246,7 +238,7 @@ def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--surface", default="scan", help="scan, or the size of synthetic fingers in µm (scan)")
-    parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
     parser.add_argument(
         "--samples", type=int, nargs="*", default=[256, 512], help="rays a pixel of the truth (256 512)"
     )
@@ -255,7 +247,7 @@ def main() -> None:
     parser.add_argument("--device", help="a CUDA device (default: the CPU)")
     given = parser.parse_args()
     device = resolve_device(given.device)
-    data = given.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
+    data = inputs.folder(given.data)
     threads = resolve_threads(given.threads)
     hf = surface_of(given.surface, data)
     mesh = meshes.tube(segments_along=128, segments_around=64)

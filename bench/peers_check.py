@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,18 +23,12 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import meshes, optics, render
+from warpdiff.bench import inputs, reference
+from warpdiff.bench.peers import drjit_peer, numpy_peer, raycasters, stam_analytic
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.integration import Integrator
 from warpdiff.scope import Scope
 from warpdiff.surface import prepare_surface
-
-ROOT = Path(__file__).resolve().parents[1]
-# Threads that spin between calls would take the other methods' time.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "bench")]
-
-import reference  # noqa: E402
-from peers import drjit_peer, numpy_peer, raycasters, stam_analytic  # noqa: E402
 
 PEERS = {"NumPy": numpy_peer, "Dr.Jit": drjit_peer, "Stam, analytic": stam_analytic}
 # As long as the scan, or the window would see the same pits again.
@@ -257,12 +249,12 @@ def main() -> None:
     parser.add_argument("--judged", type=int, default=300, help="of these compared with the truth (300)")
     parser.add_argument("--rounds", type=int, default=5, help="timed rounds (5)")
     parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
-    parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
     parser.add_argument("--surfaces", nargs="+", default=["fingers", "CD", "scan"], metavar="NAME")
     parser.add_argument("--pictures", type=Path, help="a folder to draw pictures into, in place of the tables")
     parser.add_argument("--no-rays", action="store_true", help="leave the table of rays out")
     given = parser.parse_args()
-    data = given.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
+    data = inputs.folder(given.data)
     threads = resolve_threads(given.threads)
     chosen = {name: hf for name, hf in surfaces(data).items() if name.split(",", maxsplit=1)[0] in given.surfaces}
     if given.pictures:

@@ -8,8 +8,6 @@ light. It runs from a checkout, whose tests hold the reference.
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 import time
 from pathlib import Path
 
@@ -17,12 +15,8 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import meshes
+from warpdiff.bench import inputs, reference
 from warpdiff.surface import prepare_surface
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-import reference  # noqa: E402
 
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 
@@ -43,13 +37,13 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pixels", type=int, default=2000, help="stratified random pixels to judge (2000)")
-    parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
     parser.add_argument("--width", type=int, default=320, help="width of the picture; 4:3 (320)")
     parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 1e-2, 1e-3], metavar="TOLERANCE")
     parser.add_argument("--kinds", nargs="+", default=["averaged", "centred", "source"], metavar="KIND")
     parser.add_argument("--sigma-um", type=float, default=16.25, help="standard deviation of the window (16.25)")
     options = parser.parse_args()
-    data = options.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
+    data = inputs.folder(options.data)
 
     mesh = meshes.tube(segments_along=128, segments_around=64)
     body = reference.Body.of(prepare_surface(mesh))

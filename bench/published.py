@@ -18,7 +18,6 @@ import argparse
 import copy
 import functools
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -28,20 +27,11 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import meshes, optics, planning, render
+from warpdiff.bench import inputs, multiply_adds, numba_published, picture_error, reference
 from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.integration import Integrator
 from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
-
-ROOT = Path(__file__).resolve().parents[1]
-# Threads that spin between calls would take the other methods' time.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "bench")]
-
-import multiply_adds  # noqa: E402
-import numba_published  # noqa: E402
-import picture_error  # noqa: E402
-import reference  # noqa: E402
 
 SCAN = "scan, 65 µm, levelled"
 # The published numbers, and the design's bar for a baseline: 80 × 25 × 9 in so many µs at so many multiply-adds.
@@ -364,14 +354,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pixels", type=int, default=2000, help="stratified random pixels to judge (2000)")
     parser.add_argument("--timed", type=int, default=12_000, help="stratified random pixels to time (12000)")
-    parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
     parser.add_argument("--width", type=int, default=640, help="width of the picture; 4:3 (640)")
     parser.add_argument("--tolerance", type=float, default=1e-2, help="of the automatic choice (1e-2)")
     parser.add_argument("--kinds", nargs="+", choices=list(MOST_REACH), default=list(MOST_REACH), metavar="KIND")
     parser.add_argument("--rounds", type=int, default=9, help="timed rounds (9)")
     parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
     options = parser.parse_args()
-    data = options.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
+    data = inputs.folder(options.data)
     fields = picture_error.height_fields(data)
     if SCAN not in fields:
         raise SystemExit("the comparison is on the scan: give its folder with --data")

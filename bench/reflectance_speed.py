@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import sys
 import time
 from pathlib import Path
 
@@ -18,11 +17,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import demo
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-import reference  # noqa: E402
+from warpdiff.bench import reference
 
 TOLERANCES = (1e-1, 1e-2, 1e-3)
 FORMS = (wd.Coherence(), wd.Coherence("centred"), wd.Coherence("source"), wd.Coherence("replicas", copies=(1, 10)))

@@ -19,12 +19,8 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import direct
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-import numpy_methods as methods  # noqa: E402
-import reference  # noqa: E402
+from warpdiff.bench import numpy_methods as methods
+from warpdiff.bench import reference
 
 TOLERANCE = 1e-2
 # What a method is asked for where its own limit is to be seen.
@@ -471,7 +467,7 @@ def table(panel: Panel) -> str:
 def main() -> int:
     """Print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "pictures" / "stability.png", help="the figure")
+    parser.add_argument("--output", type=Path, default=Path("stability.png"), help="the figure")
     parser.add_argument("--only", choices=[each.__name__ for each in REGIMES], help="print one regime, draw nothing")
     options = parser.parse_args()
     if options.only is None:

@@ -16,8 +16,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-import os
-import sys
 import time
 import warnings
 from pathlib import Path
@@ -27,16 +25,12 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import demo, optics, search, tables
+from warpdiff.bench import inputs, reference
 from warpdiff.coefficients import METHODS, POWER_METHODS
 from warpdiff.device import launch, resolve_device, resolve_threads
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
 from warpdiff.scope import Scope, lateral
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-import reference  # noqa: E402
 
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 DIRECTIONS = 128
@@ -422,9 +416,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of everything drawn (0)")
     parser.add_argument("--rounds", type=int, default=7, help="timed rounds (7)")
     parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
-    parser.add_argument("--data", type=Path, help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
     options = parser.parse_args()
-    data = options.data or Path(os.environ.get("WARPDIFF_DATA") or ROOT.parent / "shared" / "data")
+    data = inputs.folder(options.data)
     every = configurations(data, options.count, options.seed)
     if options.only is not None:
         every = [every[options.only]]

@@ -28,12 +28,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff import demo, planning
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-import configurations  # noqa: E402
-import reference  # noqa: E402
+from warpdiff.bench import configurations, inputs, reference
 
 # Where f, a thousandth of this, is less than what the reference settles to.
 DARK = 1e3 * configurations.LEAST
@@ -259,7 +254,7 @@ def main() -> int:
     parser.add_argument("--index", type=int, nargs="+", help="explain these configurations, one after the other")
     parser.add_argument("--output", type=Path, help="file for the table, Markdown")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes, each of one thread (one a core)")
-    parser.add_argument("--data", help="folder with the scan; default WARPDIFF_DATA or ../shared/data")
+    parser.add_argument("--data", help=inputs.HELP)
     parser.add_argument("--truths", type=Path, help="folder that keeps what the reference computed for the next run")
     parser.add_argument("--many", action="store_true", help="plan as for so many directions that a table pays")
     options = parser.parse_args()

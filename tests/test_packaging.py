@@ -41,12 +41,18 @@ CHECK = f"""{PRELUDE}
 from pathlib import Path
 import warpdiff as wd
 import warpdiff.kernels.spectral as spectral
-expected = {{wd: "warpdiff/__init__.py", spectral: "KERNELS/spectral.py"}}
-kernels = "warpdiff/kernels" if source == target else "kernels"
+import warpdiff.bench.reference as reference
+import warpdiff.bench.peers as peers
+installed = "warpdiff/" if source == target else ""
+expected = {{
+    wd: "warpdiff/__init__.py", spectral: installed + "kernels/spectral.py",
+    reference: installed + "bench/reference.py", peers: installed + "bench/peers/__init__.py",
+}}
 for module, path in expected.items():
-    where = Path(source, path.replace("KERNELS", kernels)).resolve()
+    where = Path(source, path).resolve()
     assert Path(module.__file__).resolve() == where, (module.__file__, where)
 assert Path(wd.__file__).with_name("py.typed").is_file()
+assert Path(reference.__file__).with_name("rigorous.json").is_file()
 xyz = wd.reflectance(wd.HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1])
 assert abs(xyz[1] - 1.0) < 1e-2, xyz
 print("as", wd.__version__)

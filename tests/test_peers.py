@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-import reference
 from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import meshes, optics, spectrum
-
-BENCH = Path(__file__).resolve().parents[1] / "bench"
-if not (BENCH / "peers").is_dir():
-    pytest.skip("these tests need the benches", allow_module_level=True)
-sys.path.insert(0, str(BENCH))
-
-from peers import drjit_peer, numpy_peer, raycasters, stam_analytic  # noqa: E402
+from warpdiff.bench import reference
+from warpdiff.bench.peers import drjit_peer, numpy_peer, raycasters, stam_analytic
 
 SERIES = {"numpy": numpy_peer, "drjit": drjit_peer}
 FINE = {"wavelengths": 544, "terms": 16, "reach": 1, "rounded": True, "centred": True}

@@ -10,11 +10,11 @@ import weakref
 
 import numpy as np
 import pytest
-import reference
 from conftest import at_angle, hemisphere
 
 import warpdiff as wd
 from warpdiff import coefficients, fourier, optics, tables
+from warpdiff.bench import reference
 from warpdiff.expansions import EXPANSIONS
 
 UP = [0.0, 0.0, 1.0]

@@ -7,12 +7,12 @@ import itertools
 
 import numpy as np
 import pytest
-import reference
 import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import optics, projection, spectrum
+from warpdiff.bench import reference
 from warpdiff.kernels import polar as kernels
 from warpdiff.kernels.lookup import lookup
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from brute_force import intersect, pixel_rays, shading_frame
 from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 from warpdiff import meshes
+from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff.kernels import raycast
 from warpdiff.scene import SceneArrays, camera, lies_ahead, needs_shadow_rays
 from warpdiff.surface import prepare_surface

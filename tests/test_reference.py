@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import reference
 from conftest import hemisphere
 
 from warpdiff import direct, gratings
+from warpdiff.bench import reference
 from warpdiff.coherence import Coherence
 from warpdiff.heightfield import HeightField
 

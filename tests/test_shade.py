@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-import reference
 import trimesh
 from PIL import Image
 from trimesh.visual import TextureVisuals
@@ -15,6 +14,7 @@ from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
 from warpdiff import meshes
+from warpdiff.bench import reference
 from warpdiff.surface import prepare_surface
 
 # More are judged by bench/picture_error.py.

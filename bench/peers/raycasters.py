@@ -12,11 +12,11 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import brute_force
 import numpy as np
 import warp as wp
 
 from warpdiff import render, scene
+from warpdiff.bench import brute_force
 from warpdiff.device import launch, resolve_device
 from warpdiff.kernels import raycast, spectral
 from warpdiff.surface import prepare_surface
@@ -190,14 +190,14 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
     frame = render._Frame(rays.surface, rays.view, smooth=True, samples=1, device=resolve_device(None), threads=1)
     frame._covers = covers
     size = len(rays.origins) if covers else 0
-    frame._pixels.nearest = wp.empty(size, dtype=wp.uint64, device=frame._device)
+    frame._seen.pixels.nearest = wp.empty(size, dtype=wp.uint64, device=frame._device)
 
     def trace(threads: int) -> None:
         frame._threads = threads
         frame.cast(0)
 
     def found() -> Found:
-        return Found(frame._pixels.hit.numpy() == 1, np.float64(frame._pixels.normal.numpy()))
+        return Found(frame._seen.pixels.hit.numpy() == 1, np.float64(frame._seen.pixels.normal.numpy()))
 
     return Caster("all of a pixel", trace, found)
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
-from numpy_methods import outcome
 
 import warpdiff as wd
+from warpdiff.bench.numpy_methods import outcome
 
 # Derandomised, so that a failure is the same everywhere.
 SETTINGS = settings(

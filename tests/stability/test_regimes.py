@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy_methods as methods
 import pytest
-import reference
 
 import warpdiff as wd
 from warpdiff import direct
+from warpdiff.bench import numpy_methods as methods
+from warpdiff.bench import reference
 
 TOLERANCE = 1e-2
 WINDOW = wd.Coherence()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy_methods as methods
 import pytest
-import reference
 
 import warpdiff as wd
 from warpdiff import expansions
+from warpdiff.bench import numpy_methods as methods
+from warpdiff.bench import reference
 from warpdiff.expansions import EXPANSIONS
 
 SIGMA = 2.0

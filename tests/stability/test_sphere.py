@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from numpy_methods import best_effort
 
 import warpdiff as wd
+from warpdiff.bench.numpy_methods import best_effort
 
 COHERENCES = {
     "averaged": wd.Coherence(),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from configurations import STRATA, configuration, figure, truth_tolerance
-from reference import reference_reflectance
 
 import warpdiff as wd
+from warpdiff.bench.configurations import STRATA, configuration, figure, truth_tolerance
+from warpdiff.bench.reference import reference_reflectance
 
 # Of those whose truth is cheap, with every surface and layout.
 SYNTHETIC = [

@@ -14,7 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from brute_force import intersect, pixel_rays, shading_frame
+
+from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
 
 WIDTHS = 9.0
 # A Gaussian exp(−WIDTHS²/2) is what is left out.

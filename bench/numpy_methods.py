@@ -12,10 +12,10 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-import reference
 
 import warpdiff as wd
 from warpdiff import fourier, spectrum
+from warpdiff.bench import reference
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
 
 SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")

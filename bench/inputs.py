@@ -1,0 +1,22 @@
+"""Where real inputs are found: ``--data``, ``WARPDIFF_DATA``, or ``../shared/data`` beside a checkout."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import warpdiff as wd
+
+HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data beside a checkout"
+
+
+def folder(given: str | Path | None = None) -> Path:
+    """The folder with real inputs, which need not exist."""
+    found = given or os.environ.get("WARPDIFF_DATA")
+    return Path(found) if found else Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def scan(given: str | Path | None = None) -> wd.HeightField | None:
+    """The 65 µm scan of a corn snake's skin as it was measured, or None where it is absent."""
+    path = folder(given) / "elaphe_65um.png"
+    return wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375) if path.is_file() else None
