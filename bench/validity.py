@@ -2,10 +2,10 @@
 
 Light falls across the grooves at three angles, and both polarisations are averaged. What is right comes from a solver
 by boundary integrals that others wrote (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It takes
-minutes, so that its efficiencies are kept in ``rigorous.json``; ``--recompute`` makes that file again. It is itself
-judged by energy, by finer meshes, and by coupled waves, which others wrote, too (meent; Moharam et al. 1995, J. Opt.
-Soc. Am. A 12, 1068). Errors are relative to what a flat surface reflects: of a perfect mirror all, of glass a little,
-which the library has from Schlick's formula; that formula's own error is left out.
+minutes, so that its efficiencies are kept in ``rigorous.json``, which ``python bench/validity.py`` makes again. It is
+itself judged by energy, by finer meshes, and by coupled waves, which others wrote, too (meent; Moharam et al. 1995, J.
+Opt. Soc. Am. A 12, 1068). Errors are relative to what a flat surface reflects: of a perfect mirror all, of glass a
+little, which the library has from Schlick's formula; that formula's own error is left out.
 """
 
 from __future__ import annotations
@@ -19,13 +19,17 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import warpdiff as wd
 from warpdiff import optics
+from warpdiff.bench import figures
 from warpdiff.validity import UNTRUSTED, error_bound
+
+if TYPE_CHECKING:
+    from warpdiff.bench.suite import Setting
 
 STORED = Path(__file__).with_name("rigorous.json")
 # Profile, index of refraction (None: a perfect conductor).
@@ -170,9 +174,9 @@ def errors(shape: str, index: float | None, period: float, depth: float, angle: 
     return [float(np.max(np.abs(found - right))), float(np.max(np.abs(found - right)[strong] / right[strong]))]
 
 
-def measure(quick: bool) -> dict[str, Any]:
+def measure(setting: Setting) -> dict[str, Any]:
     """Maps of the error, how well the library's rule holds on them, and how good the rigorous solutions are."""
-    stored, step = json.loads(STORED.read_text()), 2 if quick else 1
+    stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     maps, bounds, solver = {}, {}, {}
     for case, (shape, index) in CASES.items():
@@ -195,7 +199,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "maps": maps,
         "rule": {case: rule(maps[case], np.array(bounds[case])) for case in CASES},
         "solver": solver,
-        "coupled_waves": against_coupled_waves(quick),
+        "coupled_waves": against_coupled_waves(setting.quick),
     }
 
 
@@ -244,15 +248,11 @@ def against_coupled_waves(quick: bool) -> dict[str, list[float]] | str:
     return found
 
 
-def chart(found: dict[str, Any], folder: Path) -> str:
+def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
     """Draw the maps into ``validity.png`` and ``validity.svg``; the finding in a sentence."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
     from matplotlib.colors import LogNorm
 
-    plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "svg.hashsalt": "validity"})
+    plt = figures.pyplot()
     periods, depths = np.array(found["periods_in_wavelengths"]), np.array(found["depths_in_wavelengths"])
     figure, axes = plt.subplots(2, 2, figsize=(10.0, 8.6), sharex=True, sharey=True, layout="constrained")
     fine = np.geomspace(periods[0], periods[-1], 200)
@@ -295,39 +295,34 @@ def chart(found: dict[str, Any], folder: Path) -> str:
         "rule: (4πs/λ)² min(1, λ/P) = 0.1, s rms height, P period of a sine of the same mean slope",
         fontsize=11,
     )
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / "validity.png", dpi=110)
-    figure.savefig(folder / "validity.svg", metadata={"Date": None})
-    plt.close(figure)
+    figures.save(figure, folder, "validity")
     total = {name: sum(each[name] for each in found["rule"].values()) for name in found["rule"]["Sine, n = 1.5"]}
     worst = max(each["worst_inside"] for each in found["rule"].values())
     right = total["inside"] - total["inside_and_beyond_a_tenth"]
-    return (
+    text = (
         f"Where (4πs/λ)² min(1, λ/P) is at most 0.1, {right} of {total['inside']} gratings had all their orders right "
         f"within 0.1 of the reflected power (worst {worst:.2f}); of all that had, {total['right_within_a_tenth']}, the "
         f"rule finds {right / total['right_within_a_tenth']:.0%}."
     )
+    return {"validity": text}
+
+
+def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+    """How the rule does, by name: [value, least, most, unit]."""
+    return {
+        f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
+        for case, each in found["rule"].items()
+        for name, value in each.items()
+    }
 
 
 def main() -> int:
-    """Measure, draw, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, default=Path("validity"), help="folder for figures and the chart")
-    parser.add_argument("--quick", action="store_true", help="every other period and depth, one check of the solver")
-    parser.add_argument("--recompute", action="store_true", help="solve rigorously again, for minutes")
-    options = parser.parse_args()
-    needed = ["matplotlib", *(["gratinglab"] if options.recompute else [])]
-    if absent := [name for name in needed if importlib.util.find_spec(name) is None]:
-        print(f"error: {' and '.join(absent)} not installed: pip install -e .[bench]", file=sys.stderr)
+    """Solve rigorously again."""
+    argparse.ArgumentParser(description="Solve all gratings rigorously again, for minutes.").parse_args()
+    if importlib.util.find_spec("gratinglab") is None:
+        print("error: gratinglab is not installed: pip install -e .[bench]", file=sys.stderr)
         return 1
-    if options.recompute:
-        recompute()
-    begin = time.perf_counter()
-    found = measure(options.quick)
-    print(chart(found, options.output))
-    print(json.dumps({name: found[name] for name in ("rule", "solver", "coupled_waves")}, indent=1))
-    (options.output / "validity.json").write_text(json.dumps(found, indent=1) + "\n")
-    print(f"{time.perf_counter() - begin:.0f} s, in {options.output}")
+    recompute()
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The command line: ``warpdiff demo``, ``render``, ``brdf`` and ``info``.
+"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info`` and ``bench``.
 
 Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted.
 """
@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import inspect
 import math
 import sys
@@ -171,6 +172,27 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     info.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     _add_tolerance(info)
+
+    bench = _add(
+        commands, common, "bench", _bench, "chart speed against accuracy, beside other programs",
+        "warpdiff bench --quick --output charts\n  warpdiff bench --compare before/results.json after/results.json",
+    )  # fmt: skip
+    bench.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
+    bench.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
+    bench.add_argument(
+        "--filter", nargs="+", metavar="PART", help="some parts: previews pareto rays scaling stability validity"
+    )
+    bench.add_argument(
+        "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
+    )
+    bench.add_argument("--device", help="cpu (default) or cuda")
+    bench.add_argument("--threads", type=int, help="threads on the CPU, of peers, too (default: one a core)")
+    bench.add_argument(
+        "--compare",
+        nargs=2,
+        metavar=("OLD", "NEW"),
+        help="which figures of two results.json moved by more than their noise",
+    )
     return parser
 
 
@@ -298,6 +320,21 @@ def _demo(options: argparse.Namespace) -> None:
 
     written = demo.run(options.output, data=options.data, scale=options.scale, say=print, progress=Bar)
     print(f"{len(written)} pictures in {Path(options.output).resolve()}")
+
+
+def _bench(options: argparse.Namespace) -> None:
+    from warpdiff.bench import suite
+
+    if options.compare:
+        print("\n".join(suite.compare(*map(Path, options.compare))))
+        return
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError("charts are drawn with matplotlib, which is not installed: pip install 'warpdiff[bench]'")
+    report = suite.run(
+        Path(options.output), quick=options.quick, parts=options.filter, device=options.device,
+        threads=options.threads, data=options.data and Path(options.data),
+    )  # fmt: skip
+    print(f"wrote {report.resolve()}, with results.json and results.csv beside it")
 
 
 def _render(options: argparse.Namespace) -> None:

@@ -8,7 +8,6 @@ the rays run side by side on threads. The truth is every ray against every trian
 
 from __future__ import annotations
 
-import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -111,36 +110,6 @@ def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Found, NDArray[np.bool
     grazing = np.abs(np.einsum("ij,ij->i", normal, directions)) < LEAST_COSINE
     hit = face >= 0
     return Found(hit, normal), (margin > 1e-5) & ~(hit & grazing)
-
-
-def table(rays: Rays, *, threads: tuple[int, ...], rounds: int, judged: int) -> None:
-    """Print rays a second of all, in turns, with what their hits and normals are off by."""
-    made = casters(rays)
-    chosen = np.sort(np.random.default_rng(0).choice(len(rays.origins), judged, replace=False))
-    exact, sure = truth(rays, chosen)
-    seconds: dict[tuple[str, int], list[float]] = {(name, count): [] for name in made for count in threads}
-    for _ in range(rounds + 1):
-        for (name, count), taken in seconds.items():
-            begin = time.perf_counter()
-            made[name].trace(count)
-            taken.append(time.perf_counter() - begin)
-    share = np.mean(exact.hit)
-    print(f"\n{len(rays.origins)} rays, {100.0 * share:.0f} % meet one of {len(rays.surface.faces)} faces.")
-    print("\n| by | finds | threads | M rays/s | spread | hits off | normal off, P99 / most | first call, s |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    for (name, count), (first, *taken) in seconds.items():
-        found = made[name].found()
-        hit, normal = found.hit[chosen], found.normal[chosen]
-        off = np.mean(hit[sure] != exact.hit[sure])
-        both = sure & hit & exact.hit
-        side = np.sign(np.einsum("ij,ij->i", normal[both], exact.normal[both]))
-        away = np.linalg.norm(side[:, None] * normal[both] - exact.normal[both], axis=1)
-        rate = [1e-6 * len(rays.origins) / each for each in taken]
-        print(
-            f"| {name} | {made[name].finds} | {count} | {np.median(rate):.1f} | {min(rate):.1f} to {max(rate):.1f} | "
-            f"{off:.1e} | {np.percentile(away, 99.0):.1e} / {away.max():.1e} | {first:.2f} |",
-            flush=True,
-        )
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:

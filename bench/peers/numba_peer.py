@@ -1,0 +1,46 @@
+"""The published algorithm in Numba, ``numba_published``, with the interface of a peer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numpy as np
+
+from warpdiff.bench import numba_published
+from warpdiff.bench.peers import series
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    import warpdiff as wd
+
+DEFAULT_UM = 16.25
+PUBLISHED = series.PUBLISHED
+# Its squares begin at 3 × 3.
+SETTINGS = [each for each in series.SETTINGS if each["reach"] > 0]
+
+
+def available() -> str | None:
+    """None: to import this takes Numba."""
+    return None
+
+
+def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+    """What shades directions: ``shade(deflections, gains, threads)`` to XYZ (n, 3)."""
+    if coherence.sigma_um != DEFAULT_UM:
+        raise ValueError(f"coherence must have the default window, σ = {DEFAULT_UM} µm, got {coherence}")
+    options = dict(setting)
+    given = {"terms": options.pop("terms"), "centred": options.pop("centred")}
+    held = numba_published.tables(hf, **given, frequency=series.FREQUENCY)
+    powers = coherence.kind == "averaged"
+
+    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+        numba.set_num_threads(threads)
+        return numba_published.shade(held, deflections, gains, powers=powers, **options)
+
+    # Refuses what it cannot do before anything is timed.
+    shade(np.zeros((1, 3)), np.ones(1), 1)
+    return shade
