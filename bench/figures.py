@@ -55,11 +55,11 @@ def label_ends(axis: Any, ends: Sequence[tuple[float, float, str, str]], *, gap:
     low, high = (math.log10(each) for each in axis.get_ylim())
     left, right = (math.log10(each) for each in axis.get_xlim())
     order = sorted(ends, key=lambda each: each[1])
-    places = [float(np.clip((math.log10(max(y, 1e-300)) - low) / (high - low), 0.0, 1.0)) for _, y, _, _ in order]
+    places = [float(np.clip((math.log10(max(y, 1e-300)) - low) / (high - low), 0.0, 0.97)) for _, y, _, _ in order]
     apart = list(places)
     for k in range(1, len(apart)):
         apart[k] = max(apart[k], apart[k - 1] + gap)
-    excess = max((apart[-1] if apart else 0.0) - 1.0, 0.0)
+    excess = max((apart[-1] if apart else 0.0) - 0.97, 0.0)
     apart = [each - excess for each in apart]
     for k in range(len(apart) - 2, -1, -1):
         apart[k] = min(apart[k], apart[k + 1] - gap)

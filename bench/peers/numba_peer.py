@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -23,6 +24,12 @@ PUBLISHED = series.PUBLISHED
 SETTINGS = [each for each in series.SETTINGS if each["reach"] > 0]
 
 
+@functools.lru_cache(maxsize=4)
+def _tables(hf: wd.HeightField, terms: int, *, centred: bool) -> numba_published.Tables:
+    """Those of all settings with so many terms."""
+    return numba_published.tables(hf, terms=terms, centred=centred, frequency=series.FREQUENCY)
+
+
 def available() -> str | None:
     """None: to import this takes Numba."""
     return None
@@ -33,8 +40,7 @@ def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Call
     if coherence.sigma_um != DEFAULT_UM:
         raise ValueError(f"coherence must have the default window, σ = {DEFAULT_UM} µm, got {coherence}")
     options = dict(setting)
-    given = {"terms": options.pop("terms"), "centred": options.pop("centred")}
-    held = numba_published.tables(hf, **given, frequency=series.FREQUENCY)
+    held = _tables(hf, options.pop("terms"), centred=options.pop("centred"))
     powers = coherence.kind == "averaged"
 
     def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
