@@ -166,7 +166,9 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
         frame.cast(0)
 
     def found() -> Found:
-        return Found(frame._seen.pixels.hit.numpy() == 1, np.float64(frame._seen.pixels.normal.numpy()))
+        hit = frame._seen.pixels.hit.numpy() == 1
+        # Where nothing is met, normals are whatever was there.
+        return Found(hit, np.where(hit[:, None], frame._seen.pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster("all of a pixel", trace, found)
 
