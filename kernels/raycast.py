@@ -52,7 +52,7 @@ class Sampling:
     samples: wp.int32
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels of which each is met by a tile of rays, one after the other; empty is none
-    places: wp.array(dtype=wp.vec2d)  # where these rays lie, (right, down) of the pixel's centre [pixels]
+    places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
     faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, in whose middle nothing else is; or empty
 
 
@@ -376,9 +376,11 @@ def cast(
     pixel = ray
     offset = pixel_offset(sampling, pixel)
     rays = sampling.places.shape[0]
-    if rays > 0:
+    if sampling.tiles.shape[0] > 0:
         pixel = sampling.tiles[ray // rays]
         offset = sampling.places[ray % rays]
+    elif rays > 0:
+        offset = sampling.places[sampling.sample]
 
     # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
     one = wp.float64(1.0)

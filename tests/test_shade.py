@@ -227,7 +227,7 @@ def test_many_samples_a_pixel():
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
     # A narrow window on a flat surface: one broad lobe.
-    options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3}
+    options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
     light = wd.DirectionalLight((-0.3, 0.6, 1.2))
     one = wd.shade(disc, FLAT, light, view, **options)
     many = wd.shade(disc, FLAT, light, view, samples_per_pixel=16, **options)

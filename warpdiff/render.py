@@ -84,7 +84,8 @@ def shade(
             colour in its centre: no aliasing, no speckle of orders that fall between pixels. None is on for an averaged
             window where a table keeps the tolerance, and off otherwise. Where the picture is so steep that first
             order will not do, 9 or 25 rays of a pixel have footprints of their own.
-        samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre.
+        samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre. With
+            footprints, 4, 9, 16 and 25 lie on a grid, where means over parts of a pixel add up best.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
@@ -122,7 +123,7 @@ def shade(
         spectrum.check_illuminant(name, f"light[{index}].illuminant")
     surface = prepare_surface(mesh, tangents=tangents)
 
-    frame = _Frame(surface, view, smooth=smooth, samples=samples, device=target, threads=workers)
+    frame = _Frame(surface, view, smooth=smooth, samples=samples, means=blurred, device=target, threads=workers)
     area = hf.size_um[0] * hf.size_um[1]
     frame.light_up(
         [frame.light_arguments(each, window, area, pigment=pigment / normal, shadows=shadows) for each in lights],
@@ -209,14 +210,28 @@ class _Frame:
     """The arrays of one picture on a device, and the launches that fill them."""
 
     def __init__(
-        self, surface: Surface, view: View, *, smooth: bool, samples: int, device: wp.Device, threads: int
+        self,
+        surface: Surface,
+        view: View,
+        *,
+        smooth: bool,
+        samples: int,
+        means: bool = False,
+        device: wp.Device,
+        threads: int,
     ) -> None:
+        """A frame of so many samples a pixel, of which each shows a mean over its part of the pixel if ``means``."""
         import warp as wp
 
         from warpdiff import scene
 
         self._view = view
         self._samples = samples
+        # What is a mean already lies best on a grid.
+        self._tile = supersample.TILES.get(samples) if means else None
+        self._places: np.ndarray = self._tile.rays[0] if self._tile else np.zeros((0, 2))
+        self._weights: np.ndarray = self._tile.rays[1] if self._tile else np.full(samples, 1.0 / samples)
+        self._sample = 0
         self._device = device
         self._threads = threads
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
@@ -229,7 +244,7 @@ class _Frame:
 
         self._seen = _Seen.by(size, device=device, covered=self._covers)
         self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
-        self._hits = np.zeros(size, dtype=np.int64)
+        self._hits = np.zeros(size)
         self._lit = np.zeros(size, dtype=np.bool_)
         self._lights: list[Any] = []
         self._reflection: Any = None
@@ -268,7 +283,7 @@ class _Frame:
         for sample in range(self._samples):
             if self._samples > 1:
                 self.cast(sample)
-            self._hits += self._seen.pixels.hit.numpy()
+            self._hits += self._weights[sample] * self._seen.pixels.hit.numpy()
             for index, light in enumerate(self._lights):
                 # The survey has left behind what a single pass needs.
                 if passes > 1:
@@ -399,10 +414,15 @@ class _Frame:
         self._cast(sample, self._samples)
 
     def _cast(self, sample: int, samples: int) -> None:
+        import warp as wp
+
         from warpdiff.kernels import raycast
 
         sampling = raycast.Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
+        self._sample = sample
+        if samples > 1:
+            sampling.places = wp.array(self._places, dtype=wp.vec2d, device=self._device)
         pixels = self._seen.pixels
         if self._covers:
             pixels.nearest.fill_(raycast.UNSEEN)
@@ -414,7 +434,7 @@ class _Frame:
 
     def deflect(self, light: Any) -> None:
         """Compute the deflections and gains under one light, and add its pigment."""
-        self._deflect(light, self._seen, 1.0 / self._samples, self._xyz)
+        self._deflect(light, self._seen, float(self._weights[self._sample]), self._xyz)
 
     def _deflect(self, light: Any, seen: _Seen, weight: float, xyz: wp.array) -> None:
         from warpdiff.kernels import directions
@@ -429,7 +449,7 @@ class _Frame:
 
     def spread(self, light: Any) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
-        deviation = supersample.FILTER_DEVIATION / math.sqrt(self._samples)
+        deviation = self._tile.deviation if self._tile else supersample.FILTER_DEVIATION / math.sqrt(self._samples)
         return self._spread(light, self._seen, self._view.width, self._view.height, deviation)
 
     def _spread(self, light: Any, seen: _Seen, width: int, height: int, deviation: float) -> wp.array:
@@ -445,7 +465,7 @@ class _Frame:
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
         shape = (self._view.height, self._view.width)
-        coverage = (self._hits / self._samples).astype(np.float32).reshape(shape)
+        coverage = self._hits.astype(np.float32).reshape(shape)
         return Image(
             xyz=self._xyz.numpy().reshape(*shape, 3).copy(),
             mask=coverage > 0.0,

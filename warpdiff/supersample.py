@@ -43,30 +43,34 @@ class Tile:
         across: Rays along each side.
         apart: Their distance [pixels].
         deviation: Of their own filters [pixels].
-        weights: By the smaller and the larger of a ray's distances along the sides from the middle, in rays.
-        above: The tile is for pixels whose predicted error exceeds the tolerance by this factor.
+        weights: By the smaller and the larger of a ray's distances along the sides from the middle, in half of
+            ``apart``.
     """
 
     across: int
     apart: float
     deviation: float
     weights: dict[tuple[int, int], float]
-    above: float
 
     @functools.cached_property
     def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Places (right, down) of the pixel's centre (n, 2), and weights (n,), which add up to 1."""
-        steps = range(-(self.across // 2), self.across // 2 + 1)
-        places = [(right * self.apart, down * self.apart) for down in steps for right in steps]
-        weights = [
-            self.weights[min(abs(right), abs(down)), max(abs(right), abs(down))] for down in steps for right in steps
-        ]
-        return np.array(places), np.array(weights) / sum(weights)
+        halves = range(1 - self.across, self.across, 2)
+        pairs = [(right, down) for down in halves for right in halves]
+        weights = [self.weights[min(abs(x), abs(y)), max(abs(x), abs(y))] for x, y in pairs]
+        return np.array(pairs) * (self.apart / 2.0), np.array(weights) / sum(weights)
 
 
-_SMALL = {(0, 0): 0.3035, (0, 1): 0.1234, (1, 1): 0.0507}
-_LARGE = {(0, 0): 0.1638, (0, 1): 0.099, (0, 2): 0.0214, (1, 1): 0.055, (1, 2): 0.016, (2, 2): 0.0016}
-TILES = (Tile(3, 0.525, 0.34, _SMALL, above=1.0), Tile(5, 0.45, 0.22, _LARGE, above=3.0))
+_TILES = (
+    Tile(2, 0.5, 0.42, {(1, 1): 0.25}),
+    Tile(3, 0.525, 0.34, {(0, 0): 0.3035, (0, 2): 0.1234, (2, 2): 0.0507}),
+    Tile(4, 0.525, 0.28, {(1, 1): 0.1706, (1, 3): 0.0372, (3, 3): 0.005}),
+    Tile(5, 0.45, 0.22, {(0, 0): 0.1638, (0, 2): 0.099, (0, 4): 0.0214, (2, 2): 0.055, (2, 4): 0.016, (4, 4): 0.0016}),
+)
+# By their number of rays.
+TILES = {tile.across**2: tile for tile in _TILES}
+# Pixels whose predicted error exceeds the tolerance by these factors take so many rays.
+_TAKEN = ((1.0, TILES[9]), (3.0, TILES[25]))
 
 
 @dataclass(frozen=True)
@@ -101,12 +105,12 @@ def batches(
     inputs, outputs = [colours, gains, width, max(floor, np.finfo(np.float32).tiny)], [contrast, surrounded]
     launch(directions.contrast, len(gains), inputs, outputs, device=device, threads=threads, slice_size=_SLICE)
     excess = (_ERROR_OF_CONTRAST / tolerance) * contrast.numpy()
-    candidates = np.flatnonzero(excess > TILES[0].above)
+    candidates = np.flatnonzero(excess > _TAKEN[0][0])
     excess, shadows = excess[candidates], ~surrounded.numpy()[candidates]
     found = []
-    for tile, above in zip(TILES, [*(each.above for each in TILES[1:]), math.inf], strict=True):
+    for (above, tile), below in zip(_TAKEN, [*(factor for factor, _ in _TAKEN[1:]), math.inf], strict=True):
         for shadowed in (False, True):
-            pixels = candidates[(excess > tile.above) & (excess <= above) & (shadows == shadowed)].astype(np.int32)
+            pixels = candidates[(excess > above) & (excess <= below) & (shadows == shadowed)].astype(np.int32)
             parts = -(-len(pixels) * tile.across**2 // _MOST_RAYS)
             found += [Batch(tile, part, shadowed) for part in np.array_split(pixels, parts or 1) if len(part)]
     return found
