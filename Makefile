@@ -24,7 +24,7 @@ demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
 
 test: $(TEST_STAMP) ## run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 lint: $(LINT_STAMP) ## check style and types
 	$(BIN)/python -m ruff check
