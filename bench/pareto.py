@@ -281,7 +281,7 @@ def _draw(name: str, found: dict[str, Any], folder: Path) -> str:
                     )  # fmt: skip
             last = int(np.argmin(y))
             ends.append((x[last], y[last], title, colour))
-        axis.set(xscale="log", yscale="log", xlabel="time a pixel [µs]", xlim=(1e-2, 2e2))
+        axis.set(xscale="log", yscale="log", xlabel="time a pixel [µs]", xlim=(1e-2, 1e3))
         axis.set_ylim(least if min(e[1] for e in ends) <= least else None, 30.0 if quantity == "p99" else 300.0)
         figures.label_ends(axis, ends)
         axis.grid(color="#00000014", linewidth=0.8)

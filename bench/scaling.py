@@ -31,7 +31,7 @@ BASE: dict[str, Any] = {
 # Parameter, what of it is x, its values, and a title.
 SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "pixels": ("width", (80, 160, 320, 640, 1280), "pixels of the picture"),
-    "samples": ("pitch_um", (0.2, 0.1, 0.05, 0.025), "samples of the height field"),
+    "samples": ("pitch_um", (0.13, 0.1, 0.05, 0.025), "samples of the height field"),
     "patch": ("size_um", (6.4, 12.8, 25.6, 51.2, 102.4), "side of the patch [µm]"),
     "heights": ("height_um", (0.1, 0.3, 1.0, 3.0), "height range [µm]"),
     "window": ("sigma_um", (2.0, 4.0, 8.0, 16.25, 32.5), "σ of the window [µm]"),

@@ -96,9 +96,10 @@ def run(
         results["figures"] |= module.numbers(found)
         results["findings"] |= module.chart(found, folder)
         results["seconds"][name] = round(time.perf_counter() - begin, 1)
-    write(folder / "results.json", json.dumps(results, indent=1, default=_plain) + "\n")
-    write_csv(folder / "results.csv", results["figures"])
-    write(folder / "report.md", report(results))
+        # After each part, or a later one that fails would take all with it.
+        write(folder / "results.json", json.dumps(results, indent=1, default=_plain) + "\n")
+        write_csv(folder / "results.csv", results["figures"])
+        write(folder / "report.md", report(results))
     return folder / "report.md"
 
 
