@@ -1,0 +1,189 @@
+"""The analytic diffraction shader of a regular grating: every order is a line at nλ = d|u|.
+
+Stam, *Simulating Diffraction*, GPU Gems (2004), chapter 8, whose model is that of tracks at a distance d: of light with
+the deflection u across them, only the wavelengths d|u|/n are reflected, n = 1 … 7. It has two forms here.
+
+- ``"rainbow"``, as published: orders of equal strength whatever v is, wavelengths of 0.5 to 1 µm coloured by three
+  parabolas, max(0, 1 − x²), and a white highlight exp(−(r u/w)²). The chapter leaves the brightness and r to the
+  artist: here the orders have the mean luminance of the true colours of random directions, and the highlight has the
+  window's width.
+- ``"cie"``, the same lines with what the chapter leaves out: the power |H_n0|² of each order, from the heights, the
+  window's Gaussian across, integrated along, CIE colours, and the gains.
+
+With q = u/λ a line's share of the integral over λ is |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²): the averaged window's
+Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0, which no delta makes, is summed at eight wavelengths.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff import spectrum
+
+try:
+    # Before colour-science, which puts a stand-in where SciPy is absent that Numba takes for it.
+    import numba
+except ImportError:
+    numba = None
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
+ORDERS = 7
+# Wavelengths of the order 0, and nodes of an order's power in κ = w/λ.
+MIRROR_WAVELENGTHS, NODES = 8, 128
+LARGEST_KAPPA = 2.0 / 0.38
+# Where the parabolas stand on 2λ − 1, λ [µm], and how narrow they are.
+PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
+CALIBRATING = 2000
+
+
+def available() -> str | None:
+    """None, or why the shader cannot run."""
+    return None if numba else "Numba, which compiles the analytic shader, is not installed: pip install numba"
+
+
+def grating_um(hf: wd.HeightField) -> float:
+    """The distance d along x [µm] of what repeats: of the strongest order, with the noise of 1/f scans evened out."""
+    power = np.sum(np.abs(np.fft.rfft(hf.heights_um, axis=1)) ** 2, axis=0)
+    return float(hf.size_um[1] / np.argmax(power * np.arange(len(power))))
+
+
+def prepare(
+    hf: wd.HeightField, coherence: wd.Coherence, *, colours: str, period_um: float | None = None
+) -> Callable[..., NDArray[np.float32]]:
+    """What shades directions.
+
+    Args:
+        hf: The height field, a grating along x.
+        coherence: An averaged window.
+        colours: ``"rainbow"`` or ``"cie"``.
+        period_um: The distance d [µm]; None takes :func:`grating_um`.
+
+    Returns:
+        ``shade(deflections, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
+    """
+    if coherence.kind != "averaged" or coherence.sigma_um is None:
+        raise ValueError(f"coherence must be an averaged window, got {coherence}")
+    if colours not in ("rainbow", "cie"):
+        raise ValueError(f"colours must be 'rainbow' or 'cie', got {colours!r}")
+    period = grating_um(hf) if period_um is None else period_um
+    sigma = coherence.sigma_um
+    if colours == "rainbow":
+        # exp(−(r u/w)²) at w = 2 is the window's Gaussian at 550 nm.
+        roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
+        run = functools.partial(_kernels()[0], period, roughness, spectrum.RGB_TO_XYZ)
+        fixed: tuple[Any, ...] = (_brightness(hf, coherence, run),)
+    else:
+        products = np.ascontiguousarray(spectrum.colour_products())
+        nodes = np.linspace(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM, MIRROR_WAVELENGTHS)
+        mirror = spectrum.quadrature_weights(nodes)
+        run = functools.partial(_kernels()[1], period, sigma, products, nodes * 1e-3, mirror)
+        fixed = (order_powers(hf, period),)
+
+    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+        numba.set_num_threads(threads)
+        xyz = np.empty((len(gains), 3), dtype=np.float32)
+        run(*fixed, np.float64(deflections), np.float64(gains), xyz)
+        return xyz
+
+    return shade
+
+
+def order_powers(hf: wd.HeightField, period_um: float) -> NDArray[np.float64]:
+    """|H_n0|² of the orders n = −7 … 7 at κ = 0 … −2/0.38 /µm, shape (nodes, 15).
+
+    The frequency n/d need not be one of the patch's: then it is the power at the nearest.
+    """
+    orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * hf.size_um[1] / period_um).astype(int)
+    result = np.empty((NODES, len(orders)))
+    for node, kappa in enumerate(np.linspace(0.0, -LARGEST_KAPPA, NODES)):
+        mean = np.exp(2j * math.pi * kappa * hf.heights_um).mean(axis=0)
+        result[node] = np.abs(np.fft.ifft(mean)[orders % hf.shape[1]]) ** 2
+    return result
+
+
+def _brightness(hf: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
+    """What gives the rainbow's orders the mean luminance of the true colours, highlights left out."""
+    rng = np.random.default_rng(0)
+    z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
+    s = np.sqrt(1.0 - z * z)
+    lights, views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=2)
+    true = wd.reflectance(hf, lights, views, tolerance=3e-2, coherence=coherence)[:, 1]
+    found = np.empty((CALIBRATING, 3), dtype=np.float32)
+    run(1.0, -lights - views, np.zeros(CALIBRATING), found)
+    return float(true.mean() / found[:, 1].mean())
+
+
+@functools.cache
+def _kernels() -> tuple[Any, Any]:
+    """The two forms, compiled where they are first used."""
+
+    @numba.njit(parallel=True, fastmath=True, error_model="numpy")
+    def rainbow(period, roughness, to_xyz, brightness, deflections, gains, xyz_out):
+        for i in numba.prange(len(gains)):
+            u, w = abs(deflections[i, 0]), deflections[i, 2]
+            red = green = blue = 0.0
+            for n in range(1, ORDERS + 1):
+                # Wavelengths of 0.5 to 1 µm as 0 to 1.
+                at = 2.0 * period * u / n - 1.0
+                red += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[0])) ** 2)
+                green += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[1])) ** 2)
+                blue += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[2])) ** 2)
+            highlight = gains[i] * math.exp(-((roughness * u / w) ** 2))
+            for c in range(3):
+                orders = to_xyz[c, 0] * red + to_xyz[c, 1] * green + to_xyz[c, 2] * blue
+                white = to_xyz[c, 0] + to_xyz[c, 1] + to_xyz[c, 2]
+                xyz_out[i, c] = brightness * orders + highlight * white
+
+    @numba.njit(parallel=True, fastmath=True, error_model="numpy")
+    def cie(period, sigma, products, wavelengths, mirror, powers, deflections, gains, xyz_out):
+        falloff = (2.0 * math.pi * sigma) ** 2
+        per_kappa = (len(powers) - 1) / LARGEST_KAPPA
+        for i in numba.prange(len(gains)):
+            u, v, w = deflections[i]
+            x = y = z = 0.0
+            side = 1 if u > 0.0 else -1
+            for n in range(1, ORDERS + 1):
+                wavelength = period * abs(u) / n
+                place = 1e3 * wavelength - 380.0
+                exponent = falloff * (v / wavelength) ** 2
+                if place < 0.0 or place >= 400.0 or exponent > 80.0:
+                    continue
+                k = int(place)
+                share = place - k
+                node = -w / wavelength * per_kappa
+                below = int(node)
+                rest = node - below
+                order = ORDERS + side * n
+                power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
+                # In nm, as the products are.
+                length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
+                power *= length * math.exp(-exponent)
+                x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])
+                y += power * ((1.0 - share) * products[k, 1] + share * products[k + 1, 1])
+                z += power * ((1.0 - share) * products[k, 2] + share * products[k + 1, 2])
+            for k in range(len(wavelengths)):
+                exponent = falloff * (u * u + v * v) / wavelengths[k] ** 2
+                if exponent < 80.0:
+                    node = -w / wavelengths[k] * per_kappa
+                    below = min(int(node), len(powers) - 2)
+                    rest = node - below
+                    power = (1.0 - rest) * powers[below, ORDERS] + rest * powers[below + 1, ORDERS]
+                    power *= math.exp(-exponent)
+                    x += power * mirror[k, 0]
+                    y += power * mirror[k, 1]
+                    z += power * mirror[k, 2]
+            xyz_out[i, 0] = gains[i] * x
+            xyz_out[i, 1] = gains[i] * y
+            xyz_out[i, 2] = gains[i] * z
+
+    return rainbow, cie
