@@ -54,6 +54,12 @@ PUBLISHED = {
     ("scan", "copies"): "1052.308 (49.678)",
 }
 PUBLISHED_SCAN_NM = 1144.262
+FLOOR = "3 × 3 by floor, on the seam"
+
+# What differs from the published result, and why.
+BLAZED_DIFFERS = SCAN_DIFFERS = WINDOWS_DIFFERS = COPIES_DIFFERS = GRATINGS_DIFFERS = STEPS_DIFFERS = ""
+SIGMAS_DIFFERS = TERMS_DIFFERS = INCIDENCES_DIFFER = METHODS_DIFFER = ORDERS_DIFFER = LIGHTS_DIFFER = ""
+ZOOM_DIFFERS = PIGMENT_DIFFERS = TANGENTS_DIFFER = STAM_DIFFERS = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,6 +114,12 @@ def at_angle(degrees: ArrayLike) -> Floats:
     return np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=-1)
 
 
+def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
+    """View angles [degrees] at which first orders of periods [nm] between two lie."""
+    sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
+    return np.degrees(np.arcsin(sines))
+
+
 def periods_at(angles_deg: Floats, wavelengths_nm: Floats) -> Floats:
     """d = λ/(sin θi + sin θr) [nm] of the first order."""
     return wavelengths_nm / (math.sin(math.radians(INCIDENCE_DEG)) + np.sin(np.radians(angles_deg)))
@@ -140,10 +152,13 @@ def first_order(
     return angles, rho, angles[np.argmax(sought, axis=0)]
 
 
-def library(hf: wd.HeightField, **options: Any) -> Callable[[Floats, Floats, Floats], Floats]:
-    """The library's ρ, for :func:`first_order`."""
+def library(
+    hf: wd.HeightField, *, opposite: bool = False, **options: Any
+) -> Callable[[Floats, Floats, Floats], Floats]:
+    """The library's ρ, for :func:`first_order`; ``opposite`` turns light and views by 180° about the normal."""
+    turned = np.array([-1.0, -1.0, 1.0]) if opposite else np.ones(3)
     return lambda light, views, wavelengths: wd.spectral_reflectance(
-        hf, light, views, wavelengths, masking=False, **options
+        hf, light * turned, views * turned, wavelengths, masking=False, **options
     )
 
 
@@ -168,14 +183,16 @@ def ways(hf: wd.HeightField, *, copies: tuple[int, int]) -> dict[str, tuple[str,
     seam = wd.Coherence("centred", centre_um=(0.0, 0.0))
     repeated = wd.Coherence("replicas", copies=copies)
     many = f"{copies[0]} × {copies[1]} copies"
+    other = library(hf, opposite=True, strict=False)
     found: dict[str, tuple[str, Any, float]] = {
         f"averaged, {method}": ("full", library(hf, method=method, strict=False), GRID_DEG)
         for method in ("low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred")
     }
     found |= {
+        "averaged, light from the other side": ("full", other, GRID_DEG),
         "centred on the middle": ("full", library(hf, coherence=wd.Coherence("centred"), strict=False), GRID_DEG),
         "centred on the seam": ("full", library(hf, coherence=seam, strict=False), GRID_DEG),
-        "3 × 3 by floor, seam (as published)": (
+        FLOOR: (
             "full", functools.partial(variants.neighbours, hf, masking=False), 0.02,
         ),
         "source of 0.53°": ("full", library(hf, coherence=wd.Coherence("source"), strict=False), GRID_DEG),
@@ -222,25 +239,460 @@ def period_figure(
 
 def blazed_periods(setup: Setup) -> Figure:
     """The blazed grating's."""
-    shown = [
-        "averaged, low-rank",
-        "3 × 3 by floor, seam (as published)",
-        "1 × 26 copies, exact",
-        "1 × 26 copies, linear",
-    ]
+    shown = ["averaged, low-rank", FLOOR, "1 × 26 copies, exact", "1 × 26 copies, linear"]
     hf = wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM)
     table = period_figure(setup, "blazed", hf, BLAZED_UM, shown, copies=(1, 26))
-    return Figure("periods_blazed", "Periods of a blazed grating of 2500 nm", "", table)
+    return Figure("periods_blazed", "Periods: a blazed grating of 2500 nm", BLAZED_DIFFERS, table)
 
 
 def scan_periods(setup: Setup) -> Figure:
     """The scan's."""
-    shown = ["averaged, low-rank", "centred on the seam", "3 × 3 by floor, seam (as published)", "1 × 1 copies, linear"]
+    shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 copies, linear"]
     table = period_figure(setup, "scan", setup.natural, SCAN_PERIOD_UM, shown, copies=(1, 1))
-    return Figure("periods_scan", "Periods of the Elaphe scan", "", table)
+    return Figure("periods_scan", "Periods: the scan of Elaphe", SCAN_DIFFERS, table)
 
 
-# Pictures.
+def scan_windows(setup: Setup) -> Figure:
+    """The first-order period under windows all over the scan."""
+    from matplotlib import pyplot as plt
+
+    hf, wavelengths = setup.natural, WAVELENGTHS[:: 100 if setup.quick else 10]
+    places = np.arange(0.0, hf.size_um[1], 13.0 if setup.quick else 5.0)
+
+    def period(coherence: wd.Coherence, *, opposite: bool) -> float:
+        rho = library(hf, coherence=coherence, opposite=opposite, strict=False)
+        best = first_order(rho, SCAN_PERIOD_UM, wavelengths_nm=wavelengths, grid_deg=0.05)[2]
+        return float(np.median(periods_at(best, wavelengths)))
+
+    figure, axes = plt.subplots(1, 4, figsize=(19.0, 4.6), width_ratios=(1.0, 1.0, 1.2, 1.4))
+    rows = [["light from", "windows", "5, 25, 50, 75, 95 % [nm]", "mean (variance)", "averaged form", "seam"]]
+    for axis, opposite, colour in zip(axes, (False, True), ("#1b6cb5", "#e08214"), strict=False):
+        side = "−x" if opposite else "+x"
+        found = np.array(
+            [[period(wd.Coherence("centred", centre_um=(y, x)), opposite=opposite) for x in places] for y in places]
+        )
+        image = axis.pcolormesh(places, places, found, cmap="viridis", vmin=1000.0, vmax=1200.0, shading="nearest")
+        axis.set(title=f"period under a window [nm], light from {side}", xlabel="its centre: x [µm]", ylabel="y [µm]")
+        axis.set_aspect("equal")
+        figure.colorbar(image, ax=axis, shrink=0.8)
+        label = f"light from {side}"
+        axes[2].hist(found.ravel(), np.arange(900.0, 1301.0, 5.0), histtype="step", color=colour, lw=1.8, label=label)
+        averaged = period(wd.Coherence(), opposite=opposite)
+        axes[2].axvline(averaged, color=colour, linestyle=":", label=f"averaged form, {averaged:.0f} nm")
+        shares = ", ".join(f"{each:.0f}" for each in np.percentile(found, (5, 25, 50, 75, 95)))
+        rows.append([side, str(found.size), shares, written(found), f"{averaged:.0f}", f"{found[0, 0]:.0f}"])
+
+        angles = view_angles(1300.0, 900.0, 600, np.array(550.0))
+        views = at_angle(angles)
+        for coherence, style, what in (
+            (wd.Coherence(), {"lw": 1.8}, "averaged"),
+            (wd.Coherence("centred", centre_um=(0.0, 0.0)), {"lw": 0.9, "ls": "--"}, "window on the seam"),
+        ):
+            rho = library(hf, coherence=coherence, opposite=opposite)(at_angle(INCIDENCE_DEG), views, np.array([550.0]))
+            x = periods_at(angles, np.array(550.0))
+            axes[3].plot(x, rho[:, 0] / rho.max(), color=colour, label=f"{what}, {label}", **style)
+    for axis in axes[2:]:
+        axis.axvline(PUBLISHED_SCAN_NM, color="#b2182b", label="published, 1144 nm")
+        axis.set_xlabel("period of the first order [nm]")
+        axis.set_xlim(950.0, 1250.0)
+        axis.legend(fontsize=7, loc="upper left")
+    axes[2].set_ylabel("windows")
+    axes[3].set(ylabel="reflectance at 550 nm, of the largest", ylim=(0.0, 1.6))
+    save(setup, figure, "scan_windows")
+    return Figure("scan_windows", "The period depends on where the window lies", WINDOWS_DIFFERS, rows)
+
+
+def scan_copies(setup: Setup) -> Figure:
+    """Why whole copies fail on a natural grating: the period is that of the cut."""
+    from matplotlib import pyplot as plt
+
+    hf, wavelengths = setup.natural, np.array([450.0, 550.0, 650.0])
+    sizes = np.arange(22.0, 65.0, 8.0 if setup.quick else 1.0)
+    figure, axes = plt.subplots(1, 2, figsize=(14.0, 4.6))
+    kinds = {"4 × 4 copies": ("#c51b7d", wd.Coherence("replicas", copies=(4, 4))), "averaged": ("black", None)}
+    rows = [["cuts of 22 to 65 µm", "mean (variance) [nm, nm²]", "away from a whole part of the cut, in the mean"]]
+    for label, (colour, coherence) in kinds.items():
+        found = []
+        for size in sizes:
+            rho = library(hf.cropped(size), coherence=coherence, strict=False)
+            best = first_order(rho, SCAN_PERIOD_UM, wavelengths_nm=wavelengths, grid_deg=0.01)[2]
+            found.append(float(np.median(periods_at(best, wavelengths))))
+        axes[0].plot(sizes, found, "o", color=colour, markersize=4, label=label)
+        orders = 1e3 * sizes / np.array(found)
+        rows.append([label, written(np.array(found)), f"{np.abs(orders - np.rint(orders)).mean():.3f} orders"])
+        angles = view_angles(1300.0, 900.0, 4000, np.array(550.0))
+        rho = library(hf, coherence=coherence, strict=False)(
+            at_angle(INCIDENCE_DEG), at_angle(angles), np.array([550.0])
+        )
+        axes[1].plot(periods_at(angles, np.array(550.0)), rho[:, 0] / rho.max(), color=colour, lw=1.0, label=label)
+    cuts = np.linspace(sizes[0], 65.0, 200)
+    for order in range(15, 80):
+        axes[0].plot(cuts, 1e3 * cuts / order, color="#bbbbbb", lw=0.6, zorder=0)
+    axes[0].set(xlabel="side of the cut [µm]", ylabel="period found [nm]", ylim=(850.0, 1400.0))
+    axes[1].set(xlabel="period of the first order [nm]", ylabel="reflectance at 550 nm, of the largest")
+    for axis in axes:
+        axis.legend(fontsize=8, loc="upper right")
+    save(setup, figure, "scan_copies")
+    return Figure("scan_copies", "Whole copies have the periods of the cut", COPIES_DIFFERS, rows)
+
+
+# Maps.
+
+
+@dataclasses.dataclass(frozen=True)
+class Disc:
+    """The pixels of ``wd.brdf_map`` as directions, for what the library has no map of.
+
+    Attributes:
+        size: Width and height [pixels].
+        mask: Those within, shape (size, size).
+        views: Their directions, shape (n, 3).
+    """
+
+    size: int
+    mask: NDArray[np.bool_]
+    views: Floats
+
+    @classmethod
+    def of(cls, size: int, *, reach: float = 1.0) -> Disc:
+        """The disc of all directions, or its square of −reach … reach."""
+        axis = reach * ((2.0 * np.arange(size) + 1.0) / size - 1.0)
+        x, y = np.meshgrid(axis, -axis)
+        mask = x * x + y * y < 1.0
+        views = np.stack([x[mask], y[mask], np.sqrt(1.0 - x[mask] ** 2 - y[mask] ** 2)], axis=1)
+        return cls(size, mask, views)
+
+    def image(self, xyz: Floats) -> Floats:
+        """Colours (n, 3) in their places, nan outside."""
+        result = np.full((self.size, self.size, 3), np.nan)
+        result[self.mask] = xyz
+        return result
+
+
+LIGHT = np.array([0.0, 0.0, 1.0])
+STEPS_NM = (1, 5, 10, 25, 50, 100)
+SIGMAS_UM = (3.25, 6.5, 15.0, 30.0, 45.0, 65.0)
+# The largest powers n of the published series, whose first is 0.
+TAYLOR = (0, 1, 4, 9, 10, 23, 25, 39)
+# Exposures, as the demonstration's: gratings of one dimension have all their light on a line.
+LINE, AREA = 0.04, 3.0
+STRIP = 0.1
+
+
+def of_map(image: wd.Image) -> Floats:
+    """XYZ of a map, nan outside."""
+    return np.where(image.mask[..., None], image.xyz.astype(np.float64), np.nan)
+
+
+def exposure(xyz: Floats) -> float:
+    """1 over the 99th percentile of luminance, as ``wd.Image.auto_exposure``."""
+    return 1.0 / float(np.nanpercentile(xyz[..., 1], 99.0))
+
+
+def strip(xyz: Floats) -> Floats:
+    """The middle rows of a map."""
+    half = len(xyz) / 2.0
+    return xyz[math.floor(half * (1.0 - STRIP)) : math.ceil(half * (1.0 + STRIP))]
+
+
+def error_of(xyz: Floats, truth: Floats) -> str:
+    """P99 of ‖ΔXYZ‖ / max(‖XYZ‖, a thousandth of the 99th percentile of Y)."""
+    least = 1e-3 * np.nanpercentile(truth[..., 1], 99.0)
+    difference = np.linalg.norm(xyz - truth, axis=-1) / np.maximum(np.linalg.norm(truth, axis=-1), least)
+    return f"{np.nanpercentile(difference, 99.0):.1e}"
+
+
+def mosaic(setup: Setup, name: str, rows: list[tuple[str, list[tuple[str, Floats, float]]]], *, inch: float) -> None:
+    """Draw rows of pictures, each a label, XYZ with nan where it is transparent, and an exposure."""
+    from matplotlib import pyplot as plt
+
+    columns = max(len(row) for _, row in rows)
+    shapes = [row[0][1].shape for _, row in rows]
+    heights = [shape[0] / shape[1] + 0.16 for shape in shapes]
+    figure, axes = plt.subplots(
+        len(rows), columns, squeeze=False, figsize=(inch * columns + 0.3, inch * sum(heights)), height_ratios=heights
+    )
+    for line, (title, row) in zip(axes, rows, strict=True):
+        for axis in line:
+            axis.axis("off")
+        line[0].text(-0.04, 0.5, title, transform=line[0].transAxes, rotation=90, ha="right", va="center", fontsize=9)
+        for axis, (label, xyz, factor) in zip(line, row, strict=False):
+            colours = spectrum.srgb_encode(spectrum.xyz_to_rgb(factor * np.nan_to_num(xyz, posinf=1e9, neginf=0.0)))
+            alpha = ~np.isnan(xyz[..., :1])
+            axis.imshow(np.concatenate([np.clip(colours, 0.0, 1.0), alpha], axis=2), interpolation="nearest")
+            axis.set_title(label, fontsize=8, pad=3)
+    save(setup, figure, name)
+
+
+def map_gratings(setup: Setup) -> Figure:
+    """Each grating."""
+    made = {
+        "sine, 2 µm, 0.3 deep": (wd.gratings.sinusoidal(2.0, 0.3), LINE),
+        "square, 2 µm, 0.12 deep": (wd.gratings.lamellar(2.0, 0.12), LINE),
+        "blazed, 2.5 µm, 0.25 deep": (wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), LINE),
+        "bumps, 2 × 1 µm": (wd.gratings.bumps(), LINE),
+        "CD": (wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08), AREA),
+        "DVD": (wd.gratings.disc("DVD"), AREA),
+        "fingers": (wd.gratings.fingers(size_um=32.0, pitch_um=0.08), AREA),
+        setup.natural_name: (setup.natural, AREA),
+    }
+    tiles = []
+    for name, (hf, factor) in made.items():
+        image = wd.brdf_map(hf, LIGHT, size=setup.pixels(300))
+        tiles.append((name, of_map(image), factor * image.auto_exposure))
+    mosaic(setup, "map_gratings", [("", tiles[:4]), ("", tiles[4:])], inch=3.0)
+    return Figure("map_gratings", "Maps: gratings", GRATINGS_DIFFERS)
+
+
+def map_steps(setup: Setup) -> Figure:
+    """Wavelength steps: the published sum and the library's weights for the same number of samples."""
+    disc = Disc.of(setup.pixels(210))
+    rows, table = [], [["P99 of the error", *(f"{step} nm" for step in STEPS_NM)]]
+    for name, hf, cut, factor in (
+        ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), strip, LINE),
+        (setup.natural_name, setup.natural, np.asarray, AREA),
+    ):
+        truth = of_map(wd.brdf_map(hf, LIGHT, size=disc.size, tolerance=1e-3))
+        exposed = factor * exposure(truth)
+        rho = wd.spectral_reflectance(hf, LIGHT, disc.views, WAVELENGTHS, tolerance=1e-3)
+        plan = wd.plan(hf, LIGHT, method="low-rank", tolerance=1e-3, strict=False)
+        published, ours = [], []
+        for step in STEPS_NM:
+            products = spectrum.colour_products()[::step]
+            published.append(disc.image(rho[:, ::step] @ (products / products[:, 1].sum())))
+            fewer = dataclasses.replace(plan, wavelengths=400 // step + 1, adaptive=False, nodes=0, footprint=False)
+            ours.append(of_map(wd.brdf_map(hf, LIGHT, size=disc.size, plan=fewer)))
+        for title, images in (("plain sum", published), ("library", ours)):
+            labels = [f"{step} nm: {error_of(image, truth)}" for step, image in zip(STEPS_NM, images, strict=True)]
+            tiles = [(label, cut(image), exposed) for label, image in zip(labels, images, strict=True)]
+            rows.append((f"{name}\n{title}", tiles))
+            table.append([f"{name}, {title}", *(label.split(": ")[1] for label in labels)])
+    mosaic(setup, "map_steps", rows, inch=2.2)
+    return Figure("map_steps", "Maps: wavelength steps", STEPS_DIFFERS, table)
+
+
+def map_sigmas(setup: Setup) -> Figure:
+    """Widths of the window."""
+    rows = []
+    for name, hf, factor in (
+        ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), LINE),
+        (setup.natural_name, setup.natural, AREA),
+    ):
+        for kind in ("averaged", "centred"):
+            tiles = []
+            for sigma in SIGMAS_UM:
+                image = wd.brdf_map(
+                    hf, LIGHT, size=setup.pixels(210), coherence=wd.Coherence(kind, sigma), tolerance=3e-2, strict=False
+                )
+                tiles.append((f"σ = {sigma:g} µm", of_map(image), factor * image.auto_exposure))
+            rows.append((f"{name}\n{kind}", tiles))
+            if name == "blazed":
+                break
+    mosaic(setup, "map_sigmas", rows, inch=2.2)
+    return Figure("map_sigmas", "Maps: widths of the window", SIGMAS_DIFFERS)
+
+
+def map_terms(setup: Setup) -> Figure:
+    """Terms of the Taylor series, with heights as they are, as published, and centred."""
+    hf, size = setup.natural, setup.pixels(180)
+    truth = of_map(wd.brdf_map(hf, LIGHT, size=size, tolerance=1e-3))
+    rows, table = [], [["P99 of the error", *(f"N = {last}" for last in TAYLOR)]]
+    for title, method in (("as published", "taylor-uncentred"), ("centred", "taylor")):
+        plan = wd.plan(hf, LIGHT, method=method, tolerance=1e-3, strict=False)
+        tiles, errors = [], []
+        for last in TAYLOR:
+            fewer = dataclasses.replace(plan, terms=last + 1, adaptive=False, nodes=0, footprint=False)
+            image = of_map(wd.brdf_map(hf, LIGHT, size=size, plan=fewer))
+            errors.append(error_of(image, truth))
+            tiles.append((f"N = {last}: {errors[-1]}", image, AREA * exposure(truth)))
+        rows.append((title, tiles))
+        table.append([title, *errors])
+    mosaic(setup, "map_terms", rows, inch=1.9)
+    return Figure("map_terms", "Maps: terms of the Taylor series", TERMS_DIFFERS, table)
+
+
+def map_incidences(setup: Setup) -> Figure:
+    """Angles of incidence."""
+    rows = []
+    for name, hf, factor in (
+        ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), LINE),
+        (setup.natural_name, setup.natural, AREA),
+    ):
+        tiles = []
+        for angle in (0.0, 10.0, 20.0):
+            image = wd.brdf_map(hf, at_angle(angle), size=setup.pixels(300))
+            tiles.append((f"{angle:g}°", of_map(image), factor * image.auto_exposure))
+        rows.append((name, tiles))
+    mosaic(setup, "map_incidences", rows, inch=3.0)
+    return Figure("map_incidences", "Maps: angles of incidence", INCIDENCES_DIFFER)
+
+
+def map_methods(setup: Setup) -> Figure:
+    """Full sampling, copies and Stam's analytic model."""
+    import variants
+
+    disc = Disc.of(setup.pixels(120))
+    wavelengths = WAVELENGTHS[:: 20 if setup.quick else 5]
+    weights = spectrum.quadrature_weights(wavelengths)
+    deflections = -LIGHT - disc.views
+    gains = optics.gain(
+        np.broadcast_to(LIGHT, disc.views.shape), disc.views, normal=optics.normal_reflectance(1.5), masking=True
+    )
+    rows = []
+    for name, hf, copies, factor in (
+        ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), (1625, 26), LINE),
+        ("CD", wd.gratings.disc("CD"), (2, 2), AREA),
+        (setup.natural_name, setup.natural, (1, 1), AREA),
+    ):
+        images = {
+            "averaged": of_map(wd.brdf_map(hf, LIGHT, size=disc.size)),
+            "centred": of_map(wd.brdf_map(hf, LIGHT, size=disc.size, coherence=wd.Coherence("centred"))),
+            "3 × 3 by floor": disc.image(variants.neighbours(hf, LIGHT, disc.views, wavelengths) @ weights),
+        }
+        many = wd.Coherence("replicas", copies=copies)
+        images["copies, exact"] = of_map(wd.brdf_map(hf, LIGHT, size=disc.size, coherence=many, tolerance=3e-2))
+        for how in ("linear", "sinc"):
+            rho = variants.copies(hf, LIGHT, disc.views, wavelengths, count=copies, interpolation=how)
+            images[f"copies, {how}"] = disc.image(rho @ weights)
+        for colours in ("rainbow", "cie"):
+            found = variants.stam_directions(hf, deflections, gains, colours=colours)
+            images[f"Stam, {colours}"] = disc.image(found)
+        rows.append((name, [(label, image, factor * exposure(image)) for label, image in images.items()]))
+    mosaic(setup, "map_methods", rows, inch=1.9)
+    return Figure("map_methods", "Maps: methods", METHODS_DIFFER)
+
+
+def map_orders(setup: Setup) -> Figure:
+    """The shortcut by wavelengths of orders, and the library without it."""
+    import variants
+
+    hf = setup.natural
+    rows = []
+    table = [["mean colour, Y = 1: X, Z", "whole disc", "within 0.05 to 0.25 of the mirror direction"]]
+    colours: dict[str, list[str]] = {}
+    for name, reach in (("whole disc", 1.0), ("around the mirror direction", 0.25)):
+        disc = Disc.of(setup.pixels(240), reach=reach)
+        rho = wd.spectral_reflectance(hf, LIGHT, disc.views, WAVELENGTHS, tolerance=1e-3)
+        deflections = -LIGHT - disc.views
+        images = {
+            "where orders fall": variants.order_colour(rho, deflections, hf.size_um),
+            "the same, weighted by λ²": variants.order_colour(rho, deflections, hf.size_um, jacobian=True),
+            "library": wd.reflectance(hf, LIGHT, disc.views),
+        }
+        radius = np.hypot(disc.views[:, 0], disc.views[:, 1])
+        chosen = (radius > 0.05) & (radius < reach)
+        for label, xyz in images.items():
+            # Every direction's colour counts alike, or the mirror's tail would be all.
+            mean = (xyz[chosen] / np.maximum(xyz[chosen, 1:2], 1e-12)).clip(0.0, 10.0).mean(axis=0)
+            colours.setdefault(label, []).append(f"{mean[0]:.2f}, {mean[2]:.2f}")
+        exposed = AREA * exposure(disc.image(images["library"])) * (1.0 if reach == 1.0 else 0.3)
+        rows.append((name, [(label, disc.image(xyz), exposed) for label, xyz in images.items()]))
+    table += [[label, *values] for label, values in colours.items()]
+    mosaic(setup, "map_orders", rows, inch=3.0)
+    return Figure("map_orders", "Maps: wavelengths at which an order falls", ORDERS_DIFFER, table)
+
+
+# Renderings.
+
+
+def pictures(setup: Setup, name: str, views: list[tuple[str, dict[str, Any]]], *, columns: int) -> None:
+    """Draw renderings of the snake: labels, and what differs from the usual arguments of ``wd.shade``."""
+    tiles = []
+    for label, options in views:
+        arguments: dict[str, Any] = {
+            "mesh": snake(setup), "hf": setup.natural, "light": LIGHTS["left, behind"], "view": camera(setup),
+            "tolerance": 3e-2, "samples_per_pixel": 1 if setup.quick else 4, "pigment": 0.05,
+        }  # fmt: skip
+        image = wd.shade(**(arguments | options))
+        xyz = np.where(image.mask[..., None], image.xyz / np.maximum(image.coverage, 1e-3)[..., None], np.nan)
+        tiles.append((label, xyz, RENDERED * image.auto_exposure))
+    rows = [("", tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
+    mosaic(setup, name, rows, inch=4.2)
+
+
+LIGHTS = {
+    "left, behind": wd.DirectionalLight((-0.9, 0.7, 0.5)),
+    "right, behind": wd.DirectionalLight((0.5, 0.75, -0.8)),
+    "above": wd.DirectionalLight((0.0, 1.0, 0.1)),
+    "front": wd.DirectionalLight((0.1, 0.6, 1.0)),
+}
+RENDERED = 10.0
+
+
+@functools.cache
+def body(tangent: str, ventrals: int) -> Any:
+    """The snake."""
+    return wd.meshes.snake(tangent=tangent, ventrals=ventrals)
+
+
+def snake(setup: Setup, tangent: str = "around") -> Any:
+    """The snake, with fewer scales if quick."""
+    return body(tangent, 65 if setup.quick else 130)
+
+
+def camera(setup: Setup, fov_deg: float = 12.2) -> wd.View:
+    """The view of the front half of the snake."""
+    size = setup.pixels(420), setup.pixels(250)
+    return wd.View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=fov_deg, width=size[0], height=size[1])
+
+
+def render_lights(setup: Setup) -> Figure:
+    """Directions of the light."""
+    pictures(setup, "render_lights", [(name, {"light": light}) for name, light in LIGHTS.items()], columns=2)
+    return Figure("render_lights", "Renderings: light from several directions", LIGHTS_DIFFER)
+
+
+def render_zoom(setup: Setup) -> Figure:
+    """A series of closer views."""
+    views = [(f"{fov:g}° of view", {"view": camera(setup, fov)}) for fov in (12.2, 6.0, 3.0, 1.5)]
+    pictures(setup, "render_zoom", views, columns=2)
+    return Figure("render_zoom", "Renderings: closer and closer", ZOOM_DIFFERS)
+
+
+def render_pigment(setup: Setup) -> Figure:
+    """With and without the texture."""
+    views = [("pigment, 0.05", {}), ("no pigment", {"pigment": 0.0})]
+    pictures(setup, "render_pigment", views, columns=2)
+    return Figure("render_pigment", "Renderings: with the pigment's texture and without", PIGMENT_DIFFERS)
+
+
+def render_tangents(setup: Setup) -> Figure:
+    """The tangent field around the body and along it."""
+    views = [
+        (f"dispersion {tangent} the body", {"mesh": snake(setup, tangent), "pigment": 0.0})
+        for tangent in ("around", "along")
+    ]
+    pictures(setup, "render_tangents", views, columns=2)
+    return Figure("render_tangents", "Renderings: tangent field across the body and along it", TANGENTS_DIFFER)
+
+
+def render_stam(setup: Setup) -> Figure:
+    """Stam's analytic model beside the library, on a disc and on the skin."""
+    import variants
+
+    side = setup.pixels(260)
+    of_disc = wd.View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=side, height=side * 7 // 10)
+    cd = wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
+    rows = []
+    for name, mesh, hf, light, view, factor in (
+        ("CD", wd.meshes.disc(), cd, wd.DirectionalLight((0.15, 0.9, 1.0)), of_disc, 6.0),
+        ("skin", snake(setup), setup.natural, LIGHTS["left, behind"], camera(setup), RENDERED),
+    ):
+        image = wd.shade(mesh, hf, light, view, pigment=0.0, tolerance=3e-2)
+        colours = {
+            f"Stam, {how}": variants.stam_picture(mesh, hf, light, view, colours=how) for how in ("rainbow", "cie")
+        }
+        colours["library"] = image.xyz
+        tiles = []
+        for label, xyz in colours.items():
+            exposed = factor / np.percentile(xyz[..., 1][image.lit], 99.0)
+            tiles.append((label, np.where(image.mask[..., None], xyz, np.nan), exposed))
+        rows.append((name, tiles))
+    mosaic(setup, "render_stam", rows, inch=4.0)
+    return Figure("render_stam", "Renderings: Stam's analytic model beside the library", STAM_DIFFERS)
+
+
+# The page.
 
 
 def save(setup: Setup, figure: Any, name: str) -> None:
@@ -252,7 +704,27 @@ def save(setup: Setup, figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-SECTIONS: tuple[tuple[Callable[[Setup], Figure], bool], ...] = ((blazed_periods, False), (scan_periods, True))
+# What is drawn, and whether it takes the scan.
+SECTIONS: tuple[tuple[Callable[[Setup], Figure], bool], ...] = (
+    (blazed_periods, False), (scan_periods, True), (scan_windows, True), (scan_copies, True), (map_gratings, False),
+    (map_steps, False), (map_sigmas, False), (map_terms, False), (map_incidences, False), (map_methods, False),
+    (map_orders, False), (render_lights, False), (render_zoom, False), (render_pigment, False),
+    (render_tangents, False), (render_stam, False),
+)  # fmt: skip
+
+
+def contact_sheet(setup: Setup, figures: list[Figure]) -> None:
+    """All figures in one picture."""
+    from matplotlib import pyplot as plt
+
+    columns = 4
+    figure, axes = plt.subplots(-(-len(figures) // columns), columns, squeeze=False, figsize=(20.0, 17.0))
+    for axis in axes.flat:
+        axis.axis("off")
+    for axis, each in zip(axes.flat, figures, strict=False):
+        axis.imshow(plt.imread(setup.folder / f"{each.name}.png"))
+        axis.set_title(each.title, fontsize=9)
+    save(setup, figure, "contact_sheet")
 
 
 def page(figures: list[Figure]) -> str:
@@ -302,6 +774,7 @@ def main() -> int:
         print(f"{options.output / figures[-1].name}.png  {figures[-1].title}  ({time.perf_counter() - begin:.0f} s)")
         for row in figures[-1].table:
             print("| " + " | ".join(row) + " |", flush=True)
+    contact_sheet(setup, figures)
     (options.output / "index.html").write_text(page(figures), encoding="utf-8")
     return 0
 
