@@ -20,7 +20,6 @@ import math
 import os
 import sys
 import time
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +29,7 @@ import warpdiff as wd
 from warpdiff import optics, spectrum
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -121,7 +120,7 @@ def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm
 
 
 def periods_at(angles_deg: Floats, wavelengths_nm: Floats) -> Floats:
-    """d = λ/(sin θi + sin θr) [nm] of the first order."""
+    """D = λ/(sin θi + sin θr) [nm] of the first order."""
     return wavelengths_nm / (math.sin(math.radians(INCIDENCE_DEG)) + np.sin(np.radians(angles_deg)))
 
 
@@ -206,8 +205,8 @@ def ways(hf: wd.HeightField, *, copies: tuple[int, int]) -> dict[str, tuple[str,
 
 def period_figure(
     setup: Setup, name: str, hf: wd.HeightField, expected_um: float, shown: list[str], *, copies: tuple[int, int]
-) -> list[list[str]]:
-    """Draw reflectance over wavelength and angle for the ways that are shown; returns the table of all of them."""
+) -> tuple[Any, list[list[str]]]:
+    """Reflectance over wavelength and angle for the ways that are shown, and the table of all of them."""
     from matplotlib import pyplot as plt
 
     wavelengths = WAVELENGTHS[::20] if setup.quick else WAVELENGTHS
@@ -233,23 +232,23 @@ def period_figure(
         axis.set_xlabel("wavelength [nm]")
     axes[0].set_ylabel("view angle [°]")
     axes[0].legend(loc="upper left", fontsize=8)
-    save(setup, figure, f"periods_{name}")
-    return rows
+    return figure, rows
 
 
 def blazed_periods(setup: Setup) -> Figure:
     """The blazed grating's."""
     shown = ["averaged, low-rank", FLOOR, "1 × 26 copies, exact", "1 × 26 copies, linear"]
     hf = wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM)
-    table = period_figure(setup, "blazed", hf, BLAZED_UM, shown, copies=(1, 26))
-    return Figure("periods_blazed", "Periods: a blazed grating of 2500 nm", BLAZED_DIFFERS, table)
+    figure, table = period_figure(setup, "blazed", hf, BLAZED_UM, shown, copies=(1, 26))
+    made = Figure("periods_blazed", "Periods: a blazed grating of 2500 nm", BLAZED_DIFFERS, table)
+    return save(setup, figure, made)
 
 
 def scan_periods(setup: Setup) -> Figure:
     """The scan's."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 copies, linear"]
-    table = period_figure(setup, "scan", setup.natural, SCAN_PERIOD_UM, shown, copies=(1, 1))
-    return Figure("periods_scan", "Periods: the scan of Elaphe", SCAN_DIFFERS, table)
+    figure, table = period_figure(setup, "scan", setup.natural, SCAN_PERIOD_UM, shown, copies=(1, 1))
+    return save(setup, figure, Figure("periods_scan", "Periods: the scan of Elaphe", SCAN_DIFFERS, table))
 
 
 def scan_windows(setup: Setup) -> Figure:
@@ -257,7 +256,7 @@ def scan_windows(setup: Setup) -> Figure:
     from matplotlib import pyplot as plt
 
     hf, wavelengths = setup.natural, WAVELENGTHS[:: 100 if setup.quick else 10]
-    places = np.arange(0.0, hf.size_um[1], 13.0 if setup.quick else 5.0)
+    places = np.arange(0.0, hf.size_um[1], 22.0 if setup.quick else 5.0)
 
     def period(coherence: wd.Coherence, *, opposite: bool) -> float:
         rho = library(hf, coherence=coherence, opposite=opposite, strict=False)
@@ -272,7 +271,7 @@ def scan_windows(setup: Setup) -> Figure:
             [[period(wd.Coherence("centred", centre_um=(y, x)), opposite=opposite) for x in places] for y in places]
         )
         image = axis.pcolormesh(places, places, found, cmap="viridis", vmin=1000.0, vmax=1200.0, shading="nearest")
-        axis.set(title=f"period under a window [nm], light from {side}", xlabel="its centre: x [µm]", ylabel="y [µm]")
+        axis.set(title=f"period [nm], light from {side}", xlabel="centre of the window: x [µm]", ylabel="y [µm]")
         axis.set_aspect("equal")
         figure.colorbar(image, ax=axis, shrink=0.8)
         label = f"light from {side}"
@@ -298,8 +297,9 @@ def scan_windows(setup: Setup) -> Figure:
         axis.legend(fontsize=7, loc="upper left")
     axes[2].set_ylabel("windows")
     axes[3].set(ylabel="reflectance at 550 nm, of the largest", ylim=(0.0, 1.6))
-    save(setup, figure, "scan_windows")
-    return Figure("scan_windows", "The period depends on where the window lies", WINDOWS_DIFFERS, rows)
+    return save(
+        setup, figure, Figure("scan_windows", "The period depends on where the window lies", WINDOWS_DIFFERS, rows)
+    )
 
 
 def scan_copies(setup: Setup) -> Figure:
@@ -307,33 +307,36 @@ def scan_copies(setup: Setup) -> Figure:
     from matplotlib import pyplot as plt
 
     hf, wavelengths = setup.natural, np.array([450.0, 550.0, 650.0])
-    sizes = np.arange(22.0, 65.0, 8.0 if setup.quick else 1.0)
-    figure, axes = plt.subplots(1, 2, figsize=(14.0, 4.6))
-    kinds = {"4 × 4 copies": ("#c51b7d", wd.Coherence("replicas", copies=(4, 4))), "averaged": ("black", None)}
-    rows = [["cuts of 22 to 65 µm", "mean (variance) [nm, nm²]", "away from a whole part of the cut, in the mean"]]
-    for label, (colour, coherence) in kinds.items():
-        found = []
-        for size in sizes:
-            rho = library(hf.cropped(size), coherence=coherence, strict=False)
-            best = first_order(rho, SCAN_PERIOD_UM, wavelengths_nm=wavelengths, grid_deg=0.01)[2]
-            found.append(float(np.median(periods_at(best, wavelengths))))
-        axes[0].plot(sizes, found, "o", color=colour, markersize=4, label=label)
-        orders = 1e3 * sizes / np.array(found)
-        rows.append([label, written(np.array(found)), f"{np.abs(orders - np.rint(orders)).mean():.3f} orders"])
-        angles = view_angles(1300.0, 900.0, 4000, np.array(550.0))
-        rho = library(hf, coherence=coherence, strict=False)(
-            at_angle(INCIDENCE_DEG), at_angle(angles), np.array([550.0])
-        )
-        axes[1].plot(periods_at(angles, np.array(550.0)), rho[:, 0] / rho.max(), color=colour, lw=1.0, label=label)
-    cuts = np.linspace(sizes[0], 65.0, 200)
-    for order in range(15, 80):
-        axes[0].plot(cuts, 1e3 * cuts / order, color="#bbbbbb", lw=0.6, zorder=0)
-    axes[0].set(xlabel="side of the cut [µm]", ylabel="period found [nm]", ylim=(850.0, 1400.0))
+    sizes = np.arange(24.0, 65.1, 8.0 if setup.quick else 1.0)
+    copies = wd.Coherence("replicas", copies=(4, 4))
+
+    def period(cut: wd.HeightField, coherence: wd.Coherence) -> float:
+        rho = library(cut, coherence=coherence, strict=False)
+        best = first_order(rho, SCAN_PERIOD_UM, wavelengths_nm=wavelengths, grid_deg=0.01)[2]
+        return float(np.median(periods_at(best, wavelengths)))
+
+    found = {
+        "4 × 4 copies of a cut": [period(hf.cropped(size), copies) for size in sizes],
+        # As much of the surface, under a smooth window that repeats nothing.
+        "one window, σ a quarter of the cut": [period(hf, wd.Coherence("centred", size / 4.0)) for size in sizes],
+    }
+    figure, axes = plt.subplots(1, 2, figsize=(14.0, 4.8))
+    rows = [["24 to 65 µm", "mean (variance) [nm, nm²]", "distance from L/r, mean of 0 … 0.5 orders"]]
+    for (label, periods), colour in zip(found.items(), ("#c51b7d", "black"), strict=True):
+        axes[0].plot(sizes, periods, "o", color=colour, markersize=4, label=label)
+        orders = 1e3 * sizes / np.array(periods)
+        rows.append([label, written(np.array(periods)), f"{np.abs(orders - np.rint(orders)).mean():.3f}"])
+    for order in range(18, 73):
+        axes[0].plot(sizes, 1e3 * sizes / order, color="#bbbbbb", lw=0.6, zorder=0)
+    angles, green = view_angles(1250.0, 950.0, 3000, np.array(550.0)), np.array([550.0])
+    for coherence, colour in ((copies, "#c51b7d"), (wd.Coherence(), "black")):
+        rho = library(hf, coherence=coherence, strict=False)(at_angle(INCIDENCE_DEG), at_angle(angles), green)[:, 0]
+        axes[1].plot(periods_at(angles, green), rho / rho.max(), color=colour, lw=1.0, label=str(coherence))
+    axes[0].set(xlabel="side L of the cut [µm]; grey: L/r", ylabel="period found [nm]", ylim=(900.0, 1300.0))
     axes[1].set(xlabel="period of the first order [nm]", ylabel="reflectance at 550 nm, of the largest")
     for axis in axes:
         axis.legend(fontsize=8, loc="upper right")
-    save(setup, figure, "scan_copies")
-    return Figure("scan_copies", "Whole copies have the periods of the cut", COPIES_DIFFERS, rows)
+    return save(setup, figure, Figure("scan_copies", "Whole copies have the periods of the cut", COPIES_DIFFERS, rows))
 
 
 # Maps.
@@ -385,8 +388,8 @@ def of_map(image: wd.Image) -> Floats:
 
 
 def exposure(xyz: Floats) -> float:
-    """1 over the 99th percentile of luminance, as ``wd.Image.auto_exposure``."""
-    return 1.0 / float(np.nanpercentile(xyz[..., 1], 99.0))
+    """1 over the 99th percentile of luminance, as ``wd.Image.auto_exposure``, or over the largest where that is 0."""
+    return 1.0 / float(np.nanpercentile(xyz[..., 1], 99.0) or np.nanmax(xyz[..., 1]))
 
 
 def strip(xyz: Floats) -> Floats:
@@ -402,7 +405,9 @@ def error_of(xyz: Floats, truth: Floats) -> str:
     return f"{np.nanpercentile(difference, 99.0):.1e}"
 
 
-def mosaic(setup: Setup, name: str, rows: list[tuple[str, list[tuple[str, Floats, float]]]], *, inch: float) -> None:
+def mosaic(
+    setup: Setup, made: Figure, rows: list[tuple[str, list[tuple[str, Floats, float]]]], *, inch: float
+) -> Figure:
     """Draw rows of pictures, each a label, XYZ with nan where it is transparent, and an exposure."""
     from matplotlib import pyplot as plt
 
@@ -421,7 +426,7 @@ def mosaic(setup: Setup, name: str, rows: list[tuple[str, list[tuple[str, Floats
             alpha = ~np.isnan(xyz[..., :1])
             axis.imshow(np.concatenate([np.clip(colours, 0.0, 1.0), alpha], axis=2), interpolation="nearest")
             axis.set_title(label, fontsize=8, pad=3)
-    save(setup, figure, name)
+    return save(setup, figure, made)
 
 
 def map_gratings(setup: Setup) -> Figure:
@@ -440,8 +445,9 @@ def map_gratings(setup: Setup) -> Figure:
     for name, (hf, factor) in made.items():
         image = wd.brdf_map(hf, LIGHT, size=setup.pixels(300))
         tiles.append((name, of_map(image), factor * image.auto_exposure))
-    mosaic(setup, "map_gratings", [("", tiles[:4]), ("", tiles[4:])], inch=3.0)
-    return Figure("map_gratings", "Maps: gratings", GRATINGS_DIFFERS)
+    return mosaic(
+        setup, Figure("map_gratings", "Maps: gratings", GRATINGS_DIFFERS), [("", tiles[:4]), ("", tiles[4:])], inch=3.0
+    )
 
 
 def map_steps(setup: Setup) -> Figure:
@@ -467,8 +473,7 @@ def map_steps(setup: Setup) -> Figure:
             tiles = [(label, cut(image), exposed) for label, image in zip(labels, images, strict=True)]
             rows.append((f"{name}\n{title}", tiles))
             table.append([f"{name}, {title}", *(label.split(": ")[1] for label in labels)])
-    mosaic(setup, "map_steps", rows, inch=2.2)
-    return Figure("map_steps", "Maps: wavelength steps", STEPS_DIFFERS, table)
+    return mosaic(setup, Figure("map_steps", "Maps: wavelength steps", STEPS_DIFFERS, table), rows, inch=2.2)
 
 
 def map_sigmas(setup: Setup) -> Figure:
@@ -488,8 +493,7 @@ def map_sigmas(setup: Setup) -> Figure:
             rows.append((f"{name}\n{kind}", tiles))
             if name == "blazed":
                 break
-    mosaic(setup, "map_sigmas", rows, inch=2.2)
-    return Figure("map_sigmas", "Maps: widths of the window", SIGMAS_DIFFERS)
+    return mosaic(setup, Figure("map_sigmas", "Maps: widths of the window", SIGMAS_DIFFERS), rows, inch=2.2)
 
 
 def map_terms(setup: Setup) -> Figure:
@@ -507,8 +511,7 @@ def map_terms(setup: Setup) -> Figure:
             tiles.append((f"N = {last}: {errors[-1]}", image, AREA * exposure(truth)))
         rows.append((title, tiles))
         table.append([title, *errors])
-    mosaic(setup, "map_terms", rows, inch=1.9)
-    return Figure("map_terms", "Maps: terms of the Taylor series", TERMS_DIFFERS, table)
+    return mosaic(setup, Figure("map_terms", "Maps: terms of the Taylor series", TERMS_DIFFERS, table), rows, inch=1.9)
 
 
 def map_incidences(setup: Setup) -> Figure:
@@ -523,8 +526,7 @@ def map_incidences(setup: Setup) -> Figure:
             image = wd.brdf_map(hf, at_angle(angle), size=setup.pixels(300))
             tiles.append((f"{angle:g}°", of_map(image), factor * image.auto_exposure))
         rows.append((name, tiles))
-    mosaic(setup, "map_incidences", rows, inch=3.0)
-    return Figure("map_incidences", "Maps: angles of incidence", INCIDENCES_DIFFER)
+    return mosaic(setup, Figure("map_incidences", "Maps: angles of incidence", INCIDENCES_DIFFER), rows, inch=3.0)
 
 
 def map_methods(setup: Setup) -> Figure:
@@ -558,8 +560,7 @@ def map_methods(setup: Setup) -> Figure:
             found = variants.stam_directions(hf, deflections, gains, colours=colours)
             images[f"Stam, {colours}"] = disc.image(found)
         rows.append((name, [(label, image, factor * exposure(image)) for label, image in images.items()]))
-    mosaic(setup, "map_methods", rows, inch=1.9)
-    return Figure("map_methods", "Maps: methods", METHODS_DIFFER)
+    return mosaic(setup, Figure("map_methods", "Maps: methods", METHODS_DIFFER), rows, inch=1.9)
 
 
 def map_orders(setup: Setup) -> Figure:
@@ -588,26 +589,26 @@ def map_orders(setup: Setup) -> Figure:
         exposed = AREA * exposure(disc.image(images["library"])) * (1.0 if reach == 1.0 else 0.3)
         rows.append((name, [(label, disc.image(xyz), exposed) for label, xyz in images.items()]))
     table += [[label, *values] for label, values in colours.items()]
-    mosaic(setup, "map_orders", rows, inch=3.0)
-    return Figure("map_orders", "Maps: wavelengths at which an order falls", ORDERS_DIFFER, table)
+    return mosaic(
+        setup, Figure("map_orders", "Maps: wavelengths at which an order falls", ORDERS_DIFFER, table), rows, inch=3.0
+    )
 
 
 # Renderings.
 
 
-def pictures(setup: Setup, name: str, views: list[tuple[str, dict[str, Any]]], *, columns: int) -> None:
+def pictures(setup: Setup, made: Figure, views: list[tuple[str, dict[str, Any]]]) -> Figure:
     """Draw renderings of the snake: labels, and what differs from the usual arguments of ``wd.shade``."""
     tiles = []
     for label, options in views:
         arguments: dict[str, Any] = {
-            "mesh": snake(setup), "hf": setup.natural, "light": LIGHTS["left, behind"], "view": camera(setup),
+            "mesh": snake(setup), "hf": setup.natural, "light": LIGHTS["right, behind"], "view": camera(setup),
             "tolerance": 3e-2, "samples_per_pixel": 1 if setup.quick else 4, "pigment": 0.05,
         }  # fmt: skip
         image = wd.shade(**(arguments | options))
-        xyz = np.where(image.mask[..., None], image.xyz / np.maximum(image.coverage, 1e-3)[..., None], np.nan)
-        tiles.append((label, xyz, RENDERED * image.auto_exposure))
-    rows = [("", tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
-    mosaic(setup, name, rows, inch=4.2)
+        tiles.append((label, image.xyz, RENDERED * image.auto_exposure))
+    rows = [("", tiles[first : first + 2]) for first in range(0, len(tiles), 2)]
+    return mosaic(setup, made, rows, inch=4.2)
 
 
 LIGHTS = {
@@ -617,6 +618,8 @@ LIGHTS = {
     "front": wd.DirectionalLight((0.1, 0.6, 1.0)),
 }
 RENDERED = 10.0
+# A place of the back with an order in sight.
+COLOURED = (-0.453, 0.190, -0.137)
 
 
 @functools.cache
@@ -630,30 +633,32 @@ def snake(setup: Setup, tangent: str = "around") -> Any:
     return body(tangent, 65 if setup.quick else 130)
 
 
-def camera(setup: Setup, fov_deg: float = 12.2) -> wd.View:
-    """The view of the front half of the snake."""
-    size = setup.pixels(420), setup.pixels(250)
-    return wd.View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=fov_deg, width=size[0], height=size[1])
+def camera(setup: Setup, target: tuple[float, float, float] = (-0.56, 0.06, 0.07), fov_deg: float = 12.2) -> wd.View:
+    """The view of the front half of the snake, or nearer."""
+    return wd.View((-1.6, 2.2, 2.6), target, fov_y_deg=fov_deg, width=setup.pixels(420), height=setup.pixels(250))
 
 
 def render_lights(setup: Setup) -> Figure:
     """Directions of the light."""
-    pictures(setup, "render_lights", [(name, {"light": light}) for name, light in LIGHTS.items()], columns=2)
-    return Figure("render_lights", "Renderings: light from several directions", LIGHTS_DIFFER)
+    return pictures(
+        setup,
+        Figure("render_lights", "Renderings: light from several directions", LIGHTS_DIFFER),
+        [(name, {"light": light}) for name, light in LIGHTS.items()],
+    )
 
 
 def render_zoom(setup: Setup) -> Figure:
     """A series of closer views."""
-    views = [(f"{fov:g}° of view", {"view": camera(setup, fov)}) for fov in (12.2, 6.0, 3.0, 1.5)]
-    pictures(setup, "render_zoom", views, columns=2)
-    return Figure("render_zoom", "Renderings: closer and closer", ZOOM_DIFFERS)
+    views = [(f"{fov:g}° of view", {"view": camera(setup, COLOURED, fov)}) for fov in (12.2, 5.0, 2.0, 0.8)]
+    return pictures(setup, Figure("render_zoom", "Renderings: closer and closer", ZOOM_DIFFERS), views)
 
 
 def render_pigment(setup: Setup) -> Figure:
     """With and without the texture."""
     views = [("pigment, 0.05", {}), ("no pigment", {"pigment": 0.0})]
-    pictures(setup, "render_pigment", views, columns=2)
-    return Figure("render_pigment", "Renderings: with the pigment's texture and without", PIGMENT_DIFFERS)
+    return pictures(
+        setup, Figure("render_pigment", "Renderings: with the pigment's texture and without", PIGMENT_DIFFERS), views
+    )
 
 
 def render_tangents(setup: Setup) -> Figure:
@@ -662,8 +667,11 @@ def render_tangents(setup: Setup) -> Figure:
         (f"dispersion {tangent} the body", {"mesh": snake(setup, tangent), "pigment": 0.0})
         for tangent in ("around", "along")
     ]
-    pictures(setup, "render_tangents", views, columns=2)
-    return Figure("render_tangents", "Renderings: tangent field across the body and along it", TANGENTS_DIFFER)
+    return pictures(
+        setup,
+        Figure("render_tangents", "Renderings: tangent field across the body and along it", TANGENTS_DIFFER),
+        views,
+    )
 
 
 def render_stam(setup: Setup) -> Figure:
@@ -676,7 +684,7 @@ def render_stam(setup: Setup) -> Figure:
     rows = []
     for name, mesh, hf, light, view, factor in (
         ("CD", wd.meshes.disc(), cd, wd.DirectionalLight((0.15, 0.9, 1.0)), of_disc, 6.0),
-        ("skin", snake(setup), setup.natural, LIGHTS["left, behind"], camera(setup), RENDERED),
+        ("skin", snake(setup), setup.natural, LIGHTS["right, behind"], camera(setup), RENDERED),
     ):
         image = wd.shade(mesh, hf, light, view, pigment=0.0, tolerance=3e-2)
         colours = {
@@ -685,23 +693,29 @@ def render_stam(setup: Setup) -> Figure:
         colours["library"] = image.xyz
         tiles = []
         for label, xyz in colours.items():
-            exposed = factor / np.percentile(xyz[..., 1][image.lit], 99.0)
-            tiles.append((label, np.where(image.mask[..., None], xyz, np.nan), exposed))
+            exposed = factor * exposure(np.where(image.lit[..., None], xyz, np.nan))
+            tiles.append((label, xyz, exposed))
         rows.append((name, tiles))
-    mosaic(setup, "render_stam", rows, inch=4.0)
-    return Figure("render_stam", "Renderings: Stam's analytic model beside the library", STAM_DIFFERS)
+    return mosaic(
+        setup,
+        Figure("render_stam", "Renderings: Stam's analytic model beside the library", STAM_DIFFERS),
+        rows,
+        inch=4.0,
+    )
 
 
 # The page.
 
 
-def save(setup: Setup, figure: Any, name: str) -> None:
-    """Write a figure and forget it."""
+def save(setup: Setup, figure: Any, made: Figure) -> Figure:
+    """Write a figure and forget it; returns what it is."""
     from matplotlib import pyplot as plt
 
+    figure.suptitle(made.title, fontsize=12)
     figure.tight_layout()
-    figure.savefig(setup.folder / f"{name}.png", dpi=90)
+    figure.savefig(setup.folder / f"{made.name}.png", dpi=90)
     plt.close(figure)
+    return made
 
 
 # What is drawn, and whether it takes the scan.
@@ -714,17 +728,21 @@ SECTIONS: tuple[tuple[Callable[[Setup], Figure], bool], ...] = (
 
 
 def contact_sheet(setup: Setup, figures: list[Figure]) -> None:
-    """All figures in one picture."""
-    from matplotlib import pyplot as plt
+    """All figures in one picture, each in the column that is shortest yet."""
+    from PIL import Image
 
-    columns = 4
-    figure, axes = plt.subplots(-(-len(figures) // columns), columns, squeeze=False, figsize=(20.0, 17.0))
-    for axis in axes.flat:
-        axis.axis("off")
-    for axis, each in zip(axes.flat, figures, strict=False):
-        axis.imshow(plt.imread(setup.folder / f"{each.name}.png"))
-        axis.set_title(each.title, fontsize=9)
-    save(setup, figure, "contact_sheet")
+    columns, width, gap = 3, 900, 24
+    ends, placed = [0] * columns, []
+    for each in figures:
+        with Image.open(setup.folder / f"{each.name}.png") as picture:
+            small = picture.convert("RGB").resize((width, round(picture.height * width / picture.width)), Image.LANCZOS)
+        column = int(np.argmin(ends))
+        placed.append((small, (column * (width + gap), ends[column])))
+        ends[column] += small.height + gap
+    sheet = Image.new("RGB", (columns * (width + gap) - gap, max(ends)), "white")
+    for small, at in placed:
+        sheet.paste(small, at)
+    sheet.save(setup.folder / "contact_sheet.png")
 
 
 def page(figures: list[Figure]) -> str:

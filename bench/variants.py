@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from peers import stam_analytic  # noqa: E402
+from peers import stam_analytic
 
 SERIES = EXPANSIONS["jacobi-anger"]
 ACCURACY = 1e-6
@@ -162,7 +162,8 @@ def order_colour(rho: Floats, deflections: Floats, size_um: tuple[float, float],
         rho: ρ at 380, 381 … 780 nm, shape (n, 401); it is interpolated linearly.
         deflections: (u, v, w), shape (n, 3).
         size_um: The patch's extent (y, x) [µm].
-        jacobian: Whether a wavelength stands for as much of the spectrum as lies between it and the next, λ²/(L|u|).
+        jacobian: Whether a wavelength stands for what of the spectrum lies between it and the next, λ²/(L|u|), so that
+            it weighs λ².
 
     Returns:
         Shape (n, 3); 0 where no order is in sight, which is so around the mirror direction.
@@ -178,7 +179,7 @@ def order_colour(rho: Floats, deflections: Floats, size_um: tuple[float, float],
             place = np.clip(wavelength - spectrum.LAMBDA_MIN_NM, 0.0, len(products) - 1.0)
             below = np.minimum(place.astype(int), len(products) - 2)
             share = place - below
-            weight = seen * (wavelength**2 / np.maximum(path, 1.0) if jacobian else 1.0)
+            weight = seen * (wavelength**2 if jacobian else 1.0)
             curves = (1.0 - share[:, None]) * products[below] + share[:, None] * products[below + 1]
             value = (1.0 - share) * rho[row, below] + share * rho[row, below + 1]
             total += (weight * value)[:, None] * curves
