@@ -195,7 +195,11 @@ class Setup:
     @functools.cached_property
     def scan(self) -> wd.HeightField | None:
         """The levelled scan."""
-        return self.raw and self.raw.levelled(order=2)
+        return None if self.raw is None else self.raw.levelled(order=2)
+
+    def some(self, settings: tuple[Any, ...]) -> tuple[Any, ...]:
+        """All settings, or every third if quick."""
+        return settings[:: 3 if self.quick else 1]
 
     def pixels(self, count: int) -> int:
         """A size in pixels, a third of it if quick; odd, so that a map has a row in the plane of incidence."""
@@ -203,13 +207,15 @@ class Setup:
 
     @functools.cached_property
     def natural(self) -> wd.HeightField:
-        """The scan, or synthetic fingers in its place."""
-        return self.scan or wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
+        """The scan, the middle of it if quick, or synthetic fingers in its place."""
+        if self.scan is None:
+            return wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
+        return self.scan.cropped(32.0) if self.quick else self.scan
 
     @property
     def natural_name(self) -> str:
         """What it is called."""
-        return "Elaphe" if self.scan else "fingers"
+        return "fingers" if self.scan is None else "Elaphe"
 
 
 def at_angle(degrees: ArrayLike) -> Floats:
@@ -298,13 +304,11 @@ def ways(
         "averaged, light from the other side": ("full", other, GRID_DEG),
         "centred on the middle": ("full", library(hf, coherence=wd.Coherence("centred"), strict=False), GRID_DEG),
         "centred on the seam": ("full", library(hf, coherence=SEAM, strict=False), GRID_DEG),
-        FLOOR: (
-            "full", functools.partial(variants.neighbours, hf, masking=False), 0.02,
-        ),
+        FLOOR: ("full", functools.partial(variants.neighbours, hf, masking=False), coarse),
         "source of 0.53°": ("full", library(hf, coherence=wd.Coherence("source"), strict=False), GRID_DEG),
         f"{many}, exact": ("copies", library(hf, coherence=repeated, tolerance=1e-3, strict=False), GRID_DEG),
     }  # fmt: skip
-    if raw:
+    if raw is not None:
         found["centred on the seam, not levelled"] = ("full", library(raw, coherence=SEAM, strict=False), GRID_DEG)
     for interpolation in ("linear", "sinc"):
         rho = functools.partial(variants.copies, hf, count=copies, interpolation=interpolation, masking=False)
@@ -363,7 +367,7 @@ def blazed_periods(setup: Setup) -> Figure:
 def scan_periods(setup: Setup) -> Figure:
     """The scan's."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 copies, linear"]
-    figure, table = period_figure(setup, "scan", setup.natural, SCAN_PERIOD_UM, shown, copies=(1, 1), raw=setup.raw)
+    figure, table = period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, copies=(1, 1), raw=setup.raw)
     return save(setup, figure, Figure("periods_scan", "Periods: the scan of Elaphe", SCAN_DIFFERS, table))
 
 
@@ -371,7 +375,7 @@ def scan_windows(setup: Setup) -> Figure:
     """The first-order period under windows all over the scan."""
     from matplotlib import pyplot as plt
 
-    hf, wavelengths = setup.natural, WAVELENGTHS[:: 100 if setup.quick else 10]
+    hf, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
     places = np.arange(0.0, hf.size_um[1], 22.0 if setup.quick else 5.0)
 
     def period(coherence: wd.Coherence, *, opposite: bool) -> float:
@@ -422,8 +426,8 @@ def scan_copies(setup: Setup) -> Figure:
     """Why whole copies fail on a natural grating: the period is that of the cut."""
     from matplotlib import pyplot as plt
 
-    hf, wavelengths = setup.natural, np.array([450.0, 550.0, 650.0])
-    sizes = np.arange(24.0, 65.1, 8.0 if setup.quick else 1.5)
+    hf, wavelengths = setup.scan, np.array([450.0, 550.0, 650.0])
+    sizes = np.arange(24.0, 65.1, 20.0 if setup.quick else 1.5)
     copies = wd.Coherence("replicas", copies=(4, 4))
 
     def period(cut: wd.HeightField, coherence: wd.Coherence) -> float:
@@ -607,7 +611,7 @@ def map_sigmas(setup: Setup) -> Figure:
     ):
         for kind in ("averaged", "centred"):
             tiles = []
-            for sigma in SIGMAS_UM:
+            for sigma in setup.some(SIGMAS_UM):
                 options = {"coherence": wd.Coherence(kind, sigma), "tolerance": 3e-2, "strict": False}
                 xyz = mean_map(hf, LIGHT, setup.pixels(210), **options)
                 tiles.append((f"σ = {sigma:g} µm", xyz, factor * exposure(xyz)))
@@ -621,11 +625,11 @@ def map_terms(setup: Setup) -> Figure:
     """Terms of the Taylor series, with heights as they are, as published, and centred."""
     hf, size = setup.natural, setup.pixels(180)
     truth = of_map(wd.brdf_map(hf, LIGHT, size=size, tolerance=1e-3))
-    rows, table = [], [["P99 of the error", *(f"N = {last}" for last in TAYLOR)]]
+    rows, table = [], [["P99 of the error", *(f"N = {last}" for last in setup.some(TAYLOR))]]
     for title, method in (("as published", "taylor-uncentred"), ("centred", "taylor")):
         plan = wd.plan(hf, LIGHT, method=method, tolerance=1e-3, strict=False)
         tiles, errors = [], []
-        for last in TAYLOR:
+        for last in setup.some(TAYLOR):
             fewer = dataclasses.replace(plan, terms=last + 1, adaptive=False, nodes=0, footprint=False)
             image = of_map(wd.brdf_map(hf, LIGHT, size=size, plan=fewer))
             errors.append(error_of(image, truth))
