@@ -93,8 +93,8 @@ COPIES_DIFFER = (
 GRATINGS_DIFFER = (
     "Exposures and the conversion to sRGB are ours, as the published ones are not on record: relative to the 99th "
     "percentile of luminance. A pixel is the mean of 3 × 3 directions. Gratings of one dimension have all their light "
-    "on a line as wide as the window's lobe, 0.2°; published maps of a narrow window show it wider. The illuminant is "
-    "D65, once, before the integral."
+    "on a line as wide as the window's lobe, 0.2°, which a narrow window makes wider. The illuminant is D65, once, "
+    "before the integral."
 )
 STEPS_DIFFER = (
     "Published is a plain sum over equal steps; the library takes as many samples equally spaced in 1/λ, with weights "
@@ -136,21 +136,23 @@ ORDERS_DIFFER = (
     "there is light between them; the library integrates it, and is white around the mirror."
 )
 LIGHTS_DIFFER = (
-    "The body is this library's snake, with scales and the pattern of a corn snake; the published mesh and its field "
-    "of fingers are not available. Shadows are traced. A pixel is the mean over what it sees, where the published "
-    "shader takes its centre and speckles."
+    "The published pictures are on another mesh, with a measured field of the fingers' directions, which are not at "
+    "hand: the body is this library's snake, with the pattern of a corn snake. Shadows are traced, and a pixel is the "
+    "mean over what it sees, where the published shader takes the pixel's centre."
 )
 ZOOM_DIFFERS = (
-    "Nearer, a pixel sees less of (u, v), and the mean over it turns from white to the colours of single places of a "
-    "scale. Published close-ups show the colours already from afar, as their pixels are points."
+    "Far away a pixel sees all colours of a scale and is their mean, near white; nearer it sees the colours of single "
+    "places, blue towards the highlight and red away from it. A shader that takes the pixel's centre shows these "
+    "colours from afar, too, as noise."
 )
 PIGMENT_DIFFERS = (
-    "The pigment lies under the layer in the same units, some 1e-4 of the mirror; the published shader adds its "
-    "texture with a weight chosen by eye. Here a factor, 0.05, makes it a dark skin's."
+    "The pigment lies under the layer in the same units, where a white one is some 1e-4 of the mirror, as the orders "
+    "are; the published derivation has none. A factor, 0.05, makes it a dark skin's."
 )
 TANGENTS_DIFFER = (
     "Dispersion across the body, as the fingers of the real skin have it, spreads colours to both sides of a "
-    "highlight; along the body it moves them along the highlight's line. Both kinds are published."
+    "highlight; along the body it moves them along the highlight's line. The published field follows the measured "
+    "fingers; here it follows the texture coordinates."
 )
 STAM_DIFFERS = (
     "As in the published comparison Stam's shader is right in angle on the disc, though its rainbow has three "
