@@ -770,7 +770,7 @@ def render_lights(setup: Setup) -> Figure:
     return pictures(
         setup,
         Figure("render_lights", "Renderings: light from several directions", LIGHTS_DIFFER),
-        [(name, {"light": light}) for name, light in LIGHTS.items()],
+        [(name, {"light": light, "pigment": 0.01}) for name, light in LIGHTS.items()],
     )
 
 
