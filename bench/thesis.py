@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SCAN = "elaphe_65um.png"
 WAVELENGTHS = np.arange(380.0, 781.0)
 INCIDENCE_DEG = 75.0
 GRID_DEG = 0.0025
@@ -892,12 +891,9 @@ def main() -> int:
     import matplotlib as mpl
 
     mpl.use("Agg")
-    data = inputs.folder(options.data)
-    raw = None
-    if (data / SCAN).is_file():
-        raw = wd.HeightField.load(data / SCAN, extent_um=65.0, height_range_um=0.375)
-    else:
-        print(f"{SCAN} is not in {data}: its figures are skipped or show synthetic fingers")
+    raw = inputs.scan(options.data)
+    if raw is None:
+        print(f"The scan is not in {inputs.folder(options.data)}: its figures are skipped or show synthetic fingers")
     options.output.mkdir(parents=True, exist_ok=True)
     setup = Setup(options.output, options.quick, raw)
     figures = []
