@@ -679,7 +679,10 @@ def map_methods(setup: Setup) -> Figure:
         for colours in ("rainbow", "cie"):
             found = variants.stam_directions(hf, deflections, gains, colours=colours)
             images[f"Stam, {colours}"] = disc.image(found)
-        rows.append((name, [(label, image, factor * exposure(image)) for label, image in images.items()]))
+        # The rainbow's brightness is that of the true colours; its own highest percentile is a white highlight.
+        exposures = {label: exposure(image) for label, image in images.items()}
+        exposures["Stam, rainbow"] = exposures["averaged"]
+        rows.append((name, [(label, image, factor * exposures[label]) for label, image in images.items()]))
     return mosaic(setup, Figure("map_methods", "Maps: methods", METHODS_DIFFER), rows, inch=1.9)
 
 

@@ -274,7 +274,7 @@ def lookup(functions: int) -> types.SimpleNamespace:
     @wp.func
     def polar(table: Colours, u: wp.float32, v: wp.float32) -> wp.vec2f:
         """The logarithm of |(u, v)|, and the angle."""
-        return wp.vec2f(wp.log(wp.max(wp.sqrt(u * u + v * v), table.least_uv)), wp.atan2(v, u))
+        return wp.vec2f(0.5 * wp.log(wp.max(u * u + v * v, table.least_uv * table.least_uv)), wp.atan2(v, u))
 
     @wp.func
     def foresee(table: Colours, at: wp.vec2f):

@@ -100,7 +100,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
         Picture(
             "disc_cd",
             "a compact disc, 1.6 µm tracks with pits",
-            lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, samples_per_pixel=2, progress=progress),
+            lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, samples_per_pixel=4, progress=progress),
             6.0,
         ),
         Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), 0.04),

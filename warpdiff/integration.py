@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Directions that a thread looks up one after the other on the CPU, where it asks for the next one's rows beforehand;
 # those of a slice, which must be worth a launch, and slices for each thread.
-_RUN, _LEAST_SLICE, _SLICES = 32, 1024, 8
+_RUN, _LEAST_SLICE, _SLICES = 32, 1024, 4
 
 
 class Integrator:
