@@ -500,14 +500,13 @@ STRIP = 0.1
 
 def of_map(image: wd.Image) -> Floats:
     """XYZ of a map, nan outside."""
-    return np.where(image.mask[..., None], image.xyz.astype(np.float64), np.nan)
+    return np.where(image.coverage[..., None] == 1.0, image.xyz.astype(np.float64), np.nan)
 
 
 def mean_map(setup: Setup, hf: wd.HeightField, light: Floats, pixels: int, **options: Any) -> Floats:
     """XYZ of a map, each pixel the mean of 3 × 3 directions, of one if quick, nan outside."""
-    size, times = setup.pixels(pixels), 1 if setup.quick else 3
-    fine = of_map(wd.brdf_map(hf, light, size=times * size, **options))
-    return fine.reshape(size, times, size, times, 3).mean(axis=(1, 3))
+    samples = 1 if setup.quick else 9
+    return of_map(wd.brdf_map(hf, light, size=setup.pixels(pixels), samples_per_pixel=samples, **options))
 
 
 def exposure(xyz: Floats) -> float:

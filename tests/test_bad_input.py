@@ -201,6 +201,8 @@ SINGLE = [
     (lambda _: wd.spectral_reflectance(HF, UP, UP, "blue"), TypeError, "wavelengths_nm must be an array of real"),
     (lambda _: wd.brdf_map(HF, [1, 0, 0]), ValueError, r"to_light must lie above the horizon \(z > 0\)"),
     (lambda _: wd.brdf_map(HF, [0, 0, -1]), ValueError, r"to_light must lie above the horizon \(z > 0\)"),
+    (lambda _: wd.brdf_map(HF, UP, samples_per_pixel=8), ValueError, "samples_per_pixel must be a square number"),
+    (lambda _: wd.brdf_map(HF, UP, samples_per_pixel=0), ValueError, "samples_per_pixel must be at least 1|samples"),
     (lambda _: wd.brdf_map(HF, [UP, UP]), ValueError, r"to_light must have shape \(3,\) for a map, got \(2, 3\)"),
     # Meshes, lights and views of a picture
     (lambda d: shade(d / "no.obj"), FileNotFoundError, "mesh: there is no file .*no.obj"),

@@ -407,3 +407,13 @@ def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
     assert np.all(np.diff(sizes) < 0)
     fixed = tables.quadrature_for(rough, dataclasses.replace(plan, adaptive=False), "D65", device="cpu")
     assert fixed.firsts.numpy().tolist() == [0, plan.wavelengths]
+
+
+def test_a_maps_pixels_may_be_means(rough):
+    """Of a grid of directions each, with their share of the disc as coverage."""
+    light = [0.2, 0.1, 1.0]
+    fine = wd.brdf_map(rough, light, size=36, tolerance=3e-2)
+    means = wd.brdf_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)
+    np.testing.assert_allclose(means.xyz, fine.xyz.reshape(12, 3, 12, 3, 3).mean(axis=(1, 3)), rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(means.coverage, fine.mask.reshape(12, 3, 12, 3).mean(axis=(1, 3)), rtol=1e-6)
+    assert np.any((means.coverage > 0.0) & (means.coverage < 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -148,6 +149,7 @@ def brdf_map(
     coherence: Coherence | None = None,
     ior: float = 1.5,
     masking: bool = True,
+    samples_per_pixel: int = 1,
     plan: Plan | None = None,
     strict: bool = True,
     device: Any = None,
@@ -168,6 +170,7 @@ def brdf_map(
         coherence: As in :func:`reflectance`.
         ior: As in :func:`reflectance`.
         masking: As in :func:`reflectance`.
+        samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
         plan: As in :func:`reflectance`.
         strict: As in :func:`reflectance`.
         device: As in :func:`reflectance`.
@@ -176,6 +179,9 @@ def brdf_map(
 
     Returns:
         The map; its mask is the inside of the disc.
+
+    Raises:
+        ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
     """
     check_call(
         hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
@@ -188,18 +194,25 @@ def brdf_map(
     if light[0, 2] <= optics.HORIZON:
         raise ValueError(f"to_light must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}")
     size = checks.count(size, "size", least=2)
-    axis = (2.0 * np.arange(size) + 1.0) / size - 1.0
+    across = math.isqrt(checks.count(samples_per_pixel, "samples_per_pixel"))
+    if across * across != samples_per_pixel:
+        raise ValueError(f"samples_per_pixel must be a square number, for they lie on a grid, got {samples_per_pixel}")
+    count = across * size
+    axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
     x, y = np.meshgrid(axis, -axis)
     radius2 = x * x + y * y
-    mask = radius2 < 1.0
-    views = np.stack([x[mask], y[mask], np.sqrt(1.0 - radius2[mask])], axis=1)
+    inside = radius2 < 1.0
+    views = np.stack([x[inside], y[inside], np.sqrt(1.0 - radius2[inside])], axis=1)
     call = _Call(
         hf, light, views, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
         strict=strict, device=device, threads=threads, illuminant=illuminant,
     )  # fmt: skip
-    xyz = np.zeros((size, size, 3), dtype=np.float32)
-    xyz[mask] = call.colours(illuminant, progress=progress)
-    return Image(xyz=xyz, mask=mask, lit=mask, coverage=mask.astype(np.float32), plan=call.plan)
+    colours = np.zeros((count, count, 3), dtype=np.float32)
+    colours[inside] = call.colours(illuminant, progress=progress)
+    xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
+    coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
+    mask = coverage > 0.0
+    return Image(xyz=xyz, mask=mask, lit=mask, coverage=coverage, plan=call.plan)
 
 
 def brdf(
