@@ -11,7 +11,7 @@ import pytest
 from conftest import at_angle
 
 import warpdiff as wd
-from warpdiff.validity import UNTRUSTED, error_bound
+from warpdiff.validity import UNTRUSTED, error_bound, told
 
 RIGOROUS = Path(__file__).resolve().parents[1] / "bench" / "rigorous.json"
 
@@ -54,6 +54,7 @@ def test_summary_and_plan_say_it():
     hf = wd.gratings.sinusoidal(2.0, 0.2)
     for text in (str(hf.summary()), str(wd.plan(hf)), str(wd.plan(hf, method="direct"))):
         assert "right within some 0.72 of the reflected power at 550 nm" in text
+    assert "how bright they are may be all wrong at 550 nm (1.5)" in told(1.5)
 
 
 def test_a_plan_warns_where_nothing_is_right():

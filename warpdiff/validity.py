@@ -39,4 +39,6 @@ def told(bound: float) -> str:
     """A bound in words."""
     if bound >= UNTRUSTED:
         return f"not to be trusted at {WAVELENGTH_NM:g} nm: too deep and too steep ({bound:.3g}; it serves below 0.1)"
+    if bound >= 1.0:
+        return f"where orders lie is right, how bright they are may be all wrong at {WAVELENGTH_NM:g} nm ({bound:.2g})"
     return f"orders are right within some {bound:.2g} of the reflected power at {WAVELENGTH_NM:g} nm"
