@@ -343,7 +343,7 @@ def finding(found: dict[str, Any]) -> str:
         text += f", the best peer ({STYLES[best][2]}) {rivals[best]:.2g}, {rivals[best] / mine:.2g} times as much"
     rest = {name: us for name, us in others.items() if name not in rivals}
     cheapest = min(rest, key=lambda name: rest[name], default=None)
-    if cheapest is not None and rest[cheapest] < 0.95 * mine:
+    if cheapest is not None and rest[cheapest] < 0.8 * mine:
         text += f"; a setting of {STYLES[cheapest][2]} takes {rest[cheapest]:.2g}, which the choice misses"
     never = [STYLES[name][2] for name in curves if name != AUTOMATIC and name not in others]
     if never:

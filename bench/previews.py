@@ -85,8 +85,8 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
     for scene in found.values():
         stam = scene["pictures"].get(pareto.STYLES["Stam, CIE"][2])
         if stam:
-            lines.append(f"{scene['scene']} {stam['median']:.0e}")
+            lines.append(f"{stam['median']:.2g} ({scene['scene']})")
     text = "The published algorithm at its best setting cannot be told from ours."
     if lines:
-        text += f" The analytic shader with CIE colours, which knows tracks alone, is off by {', '.join(lines)}."
+        text += f" The analytic shader with CIE colours, which knows tracks alone, errs by {', '.join(lines)} in the median."
     return {"previews": text}
