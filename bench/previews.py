@@ -88,5 +88,6 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
             lines.append(f"{stam['median']:.2g} ({scene['scene']})")
     text = "The published algorithm at its best setting cannot be told from ours."
     if lines:
-        text += f" The analytic shader with CIE colours, which knows tracks alone, errs by {', '.join(lines)} in the median."
+        medians = ", ".join(lines)
+        text += f" The analytic shader with CIE colours, which knows tracks alone, errs by {medians} in the median."
     return {"previews": text}
