@@ -1,4 +1,14 @@
-"""Measurements of speed and accuracy, and what they are measured against."""
+"""Measurements of speed and accuracy, and what they are measured against.
+
+- ``suite``: ``warpdiff bench``. Its parts, each with ``measure``, ``numbers`` and ``chart``: ``previews``, ``pareto``,
+  ``rays``, ``scaling``, ``stability``, ``validity``; what these share: ``scenes``, ``timing``, ``errors``, ``figures``,
+  ``inputs``; the programs beside ours: ``peers``
+- to run by themselves, ``python bench/NAME.py``: ``frame``, ``published``, ``tight_plans``, ``tolerance_sweep``,
+  ``picture_error``, ``cold_start``; ``thesis``, the published evaluation, with its ``variants``
+- references, which share no code with the kernels and serve the tests, too: ``reference`` (float64), ``brute_force``
+  (rays), ``numpy_methods``; ``configurations``, random calls
+- baselines: ``numba_published``, the published algorithm; ``multiply_adds``, what the machine can do
+"""
 
 import os
 

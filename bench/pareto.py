@@ -9,13 +9,12 @@ coefficients and table of a height field that was not seen before.
 from __future__ import annotations
 
 import time
-import warnings
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench import figures, reference
+from warpdiff.bench import errors, figures, reference
 from warpdiff.bench.scenes import FRAME_PIXELS, Directions, Scene, scenes
 from warpdiff.bench.timing import in_turns
 from warpdiff.device import resolve_device
@@ -178,14 +177,13 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
         counts[key] = int(np.clip(TARGET_S / each, FEWEST, len(seen.gains)))
         timed = seen.some(counts[key])
         calls[" | ".join(key)] = lambda s=shade, t=timed: s(t.deflections, t.gains, setting.threads)
-        size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(exact[:, 1], 99.0))
-        error = np.linalg.norm(found - exact, axis=1) / size
+        error = errors.relative(found, exact)
         columns = ("setting", "median", "p99", "delta_e", "us", "pixels")
         curve = curves.setdefault(key[0], {column: [] for column in columns})
         curve["setting"].append(key[1])
         curve["median"].append(float(np.median(error)))
         curve["p99"].append(float(np.percentile(error, 99.0)))
-        curve["delta_e"].append(colour_difference(found, exact))
+        curve["delta_e"].append(errors.colour_difference(found, exact))
         curve["pixels"].append(counts[key])
     taken = in_turns(calls, setting.rounds)
     for key, count in counts.items():
@@ -204,18 +202,6 @@ def _before(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Se
             plan = wd.plan(hf, coherence=coherence, method=method, device=setting.device, threads=setting.threads)
             ours(hf, plan, few, resolve_device(setting.device))(few.deflections, few.gains, setting.threads)
             yield method, time.perf_counter() - begin
-
-
-def colour_difference(found: np.ndarray, exact: np.ndarray) -> float:
-    """99th percentile of ΔE2000 against D65 where the exact luminance, exposed, is at most 1."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import colour
-    exposure = 1.0 / np.percentile(exact[:, 1], 99.0)
-    inside = exact[:, 1] * exposure <= 1.0
-    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    labs = [colour.XYZ_to_Lab(np.float64(each[inside]) * exposure, white) for each in (found, exact)]
-    return float(np.percentile(colour.delta_E(*labs, method="CIE 2000"), 99.0))
 
 
 def measure(setting: Setting) -> dict[str, Any]:

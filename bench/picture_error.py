@@ -2,7 +2,7 @@
 
 Pictures are of the tube with synthetic fingers and, where the data is present, with the levelled scan. The error is
 the design's: ‖ΔXYZ‖ / max(‖XYZ‖, f), f a thousandth of the 99th percentile of Y over the lit pixels; no pigment, one
-light. It runs from a checkout, whose tests hold the reference.
+light.
 """
 
 from __future__ import annotations

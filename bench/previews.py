@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench import figures, pareto
+from warpdiff.bench import errors, figures, pareto
 from warpdiff.bench.scenes import scenes
 from warpdiff.device import resolve_device
 from warpdiff.spectrum import srgb_encode, xyz_to_rgb
@@ -38,8 +38,7 @@ def measure(setting: Setting) -> dict[str, Any]:
         for name, shade in shades.items():
             xyz = np.float64(shade(seen.deflections, seen.gains, setting.threads))
             mine = xyz if mine is None else mine
-            size = np.maximum(np.linalg.norm(mine, axis=1), 1e-3 * np.percentile(mine[:, 1], 99.0))
-            error = np.linalg.norm(xyz - mine, axis=1) / size
+            error = errors.relative(xyz, mine)
             # The brightness of the published rainbow is the artist's.
             by, exposure = (xyz, 1.0) if "rainbow" in name else (mine, EXPOSURE)
             image = np.zeros((3 * WIDTH // 4 * WIDTH, 3))

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 BASE: dict[str, Any] = {
     "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
-    "threads": 0,
 }  # fmt: skip
 # Parameter, what of it is x, its values, and a title.
 SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
@@ -71,7 +70,7 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     hf = wd.gratings.fingers(size_um=p["size_um"], pitch_um=p["pitch_um"], height_um=p["height_um"], seed=2)
     mesh = wd.meshes.tube(segments_along=p["along"], segments_around=max(p["along"] // 2, 3))
     view = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=p["width"], height=3 * p["width"] // 4)
-    options = {"device": device, "threads": p["threads"] or None}
+    options = {"device": device, "threads": p["threads"]}
     small = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     few = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=32, height=24)
     # Loads libraries and most kernels.
@@ -115,7 +114,7 @@ def measure(setting: Setting) -> dict[str, Any]:
         for value in chosen:
             # The first of two compiles what the height field needs; its times are not kept.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
-                result = _in_process({parameter: value}, setting)
+                result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
         found[name] = points
     return found

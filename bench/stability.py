@@ -2,8 +2,7 @@
 
 Errors are the design's, the 99th percentile over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) where a
 panel is of spectra, f a thousandth of the 99th percentile of Y or ρ. Float32 is the library's kernel, float64 the same
-series in NumPy; truth is the float64 reference of the tests, the direct sum, or a closed form. It runs from a checkout,
-which holds them, and draws with matplotlib: pip install -e .[bench]
+series in NumPy; truth is the float64 reference, the direct sum, or a closed form.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A configuration is a call with 128 directions, a stratum a coherence form at a t
 directions for pixels: the larger of the 99th percentiles of ‖ΔXYZ‖ / max(‖XYZ‖, f) where Y >= f and of ‖ΔXYZ‖ / f
 elsewhere, f a thousandth of the 99th percentile of Y. An exception or a warning in place of a result is a miss. Dark
 configurations, whose f would lie below the 1e-10 of a mirror that the reference resolves, are judged with that for f,
-and told apart. It runs from a checkout, whose tests hold the reference and what makes the configurations.
+and told apart.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ _RUN_SUM = """
     return result;
 """
 
-
+# Asks for what a look-up will read; a GPU has other threads to run while one waits.
 _PREFETCH = """
 #if !defined(__CUDA_ARCH__)
     const char* row = (const char*)((const float*)rows.data + (long long)first * WIDTH);

@@ -3,6 +3,7 @@
 Shading, all of deflections (u, v, w) and gains as ``numba_published.shade`` takes them:
 
 - ``numpy_peer``: the published algorithm in plain vectorised NumPy.
+- ``numba_peer``: the same in Numba; importing it takes Numba.
 - ``drjit_peer``: the same in Dr.Jit, compiled by LLVM.
 - ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.
 
@@ -12,5 +13,5 @@ Each has ``available()``, None or a sentence why it cannot run, ``SETTINGS``, fr
 ``deflections`` (n, 3) and ``gains`` (n,) are float64. A first call may compile: warm up with arrays of the length that
 is timed.
 
-- ``raycasters``: Mitsuba 3 and Embree, for the rays; its truth is in the tests' folder, which must be on the path.
+- ``raycasters``: Mitsuba 3 and Embree, for the rays.
 """
