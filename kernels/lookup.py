@@ -9,6 +9,7 @@ left of a colour is a spline between nodes and rays, and a scalar product with t
 
 A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
 at all wavelengths: levels of the table are blurred in angle, with fewer rays, and in ratio look-ups take more nodes.
+A source does the same to the lines of an endless surface.
 """
 
 import functools
@@ -133,8 +134,12 @@ def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
 
 
 @functools.cache
-def lookup(functions: int) -> types.SimpleNamespace:
-    """The struct of a table of colours with so many functions of w, and the kernels that do not depend on its source.
+def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
+    """The struct of a table of colours with so many functions of w, and the kernels that do not depend on its making.
+
+    Args:
+        functions: Their number.
+        source: Whether rows are lines under a source; otherwise a spectrum under a window.
 
     Returns:
         A namespace with the type ``row``, the struct ``Colours`` and the kernels ``interpolate``, ``blur`` and
@@ -162,9 +167,12 @@ def lookup(functions: int) -> types.SimpleNamespace:
         mirror: wp.array(dtype=wp.float32)  # the power of the mean plane's coefficient, which rows leave out, by |κ|
         least_kappa: wp.float32  # |κ| of the first of them
         per_kappa: wp.float32  # entries per unit of |κ|
-        lobe2: wp.float32  # variance of its lobe in frequency
+        lobe2: wp.float32  # variance of its lobe in frequency; 0 for a source
         wavenumbers: wp.array(dtype=wp.float32)  # for its integral over λ
         weights: wp.array(dtype=wp.vec3f)
+        blurs2: wp.array(dtype=wp.float32)  # of a source's lines, by octave: variance of their own blur [rad²]
+        spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
+        near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
@@ -342,13 +350,16 @@ def lookup(functions: int) -> types.SimpleNamespace:
             octave = node // table.nodes
             # The level that is blurred by as much or less, and what is left of it.
             level = wp.int32(0)
-            if aside2 > 0.0:
-                relative = aside2 / (table.widths[1, octave] * table.widths[1, octave])
+            blur2 = aside2
+            if wp.static(source):
+                blur2 = wp.max(aside2 - table.blurs2[octave], 0.0)
+            if blur2 > 0.0:
+                relative = blur2 / (table.widths[1, octave] * table.widths[1, octave])
                 if relative >= 1.0:
                     level = wp.min(wp.int32(0.5 * wp.log2(relative)) + 1, table.rays.shape[0] - 1)
             rays = table.rays[level, octave]
             spacing = wp.float32(2.0 * wp.PI) / wp.float32(rays)
-            left = wp.max(aside2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
+            left = wp.max(blur2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
             step = wp.int32(left / (spacing * spacing) * blending.per_variance + 0.5)
             step = wp.min(step, entries - 1)
             offset = node - octave * table.nodes
@@ -379,9 +390,19 @@ def lookup(functions: int) -> types.SimpleNamespace:
 
     @wp.func
     def mirror_at(
-        table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, xx: wp.float32, xy: wp.float32, yy: wp.float32
+        table: Colours,
+        u: wp.float32,
+        v: wp.float32,
+        w: wp.float32,
+        xx: wp.float32,
+        xy: wp.float32,
+        yy: wp.float32,
+        size2: wp.float32,
     ) -> wp.vec3f:
-        """XYZ of what the mean plane reflects, over a covariance of (u, v): a Gaussian at each wavelength."""
+        """XYZ of what the mean plane reflects, over a covariance of (u, v): a Gaussian at each wavelength.
+
+        ``size2`` is the part of a source, the root of its covariance's determinant.
+        """
         colour = wp.vec3f()
         tau = table.wavenumbers[0]
         if u * u + v * v > _FAR_IN_LOBES * (table.lobe2 / (tau * tau) + xx + yy):
@@ -398,7 +419,7 @@ def lookup(functions: int) -> types.SimpleNamespace:
                 entry = wp.min(wp.int32(steps), table.mirror.shape[0] - 2)
                 t = steps - wp.float32(entry)
                 power = (1.0 - t) * table.mirror[entry] + t * table.mirror[entry + 1]
-                colour += (power * lobe2 / wp.sqrt(determinant) * wp.exp(-0.5 * exponent)) * table.weights[k]
+                colour += (power * (lobe2 + size2) / wp.sqrt(determinant) * wp.exp(-0.5 * exponent)) * table.weights[k]
         return colour
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -406,17 +427,20 @@ def lookup(functions: int) -> types.SimpleNamespace:
         # In:
         table: Colours,
         deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
         footprints: wp.array(dtype=wp.vec4f),
         blending: Blending,
         run: wp.int32,
         first: wp.int32,
         # Out:
+        left_out: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
         """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
 
-        Look-ups wait for memory: rows are asked for before the direction before them is done.
+        Look-ups wait for memory: rows are asked for before the direction before them is done. Of a source, directions
+        that the table does not serve are skipped, and ``left_out`` holds their gains, others' are 0.
         """
         i = (first + wp.tid()) * run
         end = wp.min(i + run, gains.shape[0])
@@ -424,11 +448,13 @@ def lookup(functions: int) -> types.SimpleNamespace:
         while i < end:
             gain = gains[i]
             deflection = deflections[i]
+            if wp.static(source):
+                left_out[i] = wp.float32(0.0)
             following = at
             if i + 1 < end and gains[i + 1] > 0.0:
                 ahead = deflections[i + 1]
                 following = polar(table, wp.float32(ahead[0]), wp.float32(ahead[1]))
-                if footprints.shape[0] == 0:
+                if wp.static(not source) and footprints.shape[0] == 0:
                     foresee(table, following)
             if gain > 0.0:
                 u = wp.float32(deflection[0])
@@ -443,31 +469,51 @@ def lookup(functions: int) -> types.SimpleNamespace:
                 xx = wp.float32(0.0)
                 xy = wp.float32(0.0)
                 yy = wp.float32(0.0)
+                size2 = wp.float32(0.0)
+                if wp.static(source):
+                    # Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
+                    t = to_lights[i]
+                    size2 = table.spread2 * t[2]
+                    xx = table.spread2 * (1.0 - t[0] * t[0])
+                    xy = -table.spread2 * t[0] * t[1]
+                    yy = table.spread2 * (1.0 - t[1] * t[1])
                 if footprints.shape[0] > 0:
+                    f = footprints[i]
+                    xx += f[0] * f[0] + f[2] * f[2]
+                    xy += f[0] * f[1] + f[2] * f[3]
+                    yy += f[1] * f[1] + f[3] * f[3]
+                if xx + yy > 0.0:
                     # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
                     uv2 = u * u + v * v + table.spread * table.spread
-                    x = u / uv2
-                    y = v / uv2
-                    f = footprints[i]
-                    xx = f[0] * f[0] + f[2] * f[2]
-                    xy = f[0] * f[1] + f[2] * f[3]
-                    yy = f[1] * f[1] + f[3] * f[3]
-                    radial = wp.vec2f(f[0] * x + f[1] * y, f[2] * x + f[3] * y)
-                    tangential = wp.vec2f(f[1] * x - f[0] * y, f[3] * x - f[2] * y)
-                    angle2 = wp.dot(tangential, tangential)
-                    ratio2 = wp.dot(radial, radial)
-                    both = wp.dot(radial, tangential)
+                    radial = wp.vec2f(u / uv2, v / uv2)
+                    tangential = wp.vec2f(-radial[1], radial[0])
+                    with_angle = wp.vec2f(
+                        xx * tangential[0] + xy * tangential[1], xy * tangential[0] + yy * tangential[1]
+                    )
+                    angle2 = wp.max(wp.dot(with_angle, tangential), 0.0)
+                    both = wp.dot(with_angle, radial)
+                    ratio2 = wp.max(
+                        xx * radial[0] * radial[0] + 2.0 * xy * radial[0] * radial[1] + yy * radial[1] * radial[1], 0.0
+                    )
                     if angle2 > 0.0:
                         count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
                         # Parts lie along what goes with the angle.
-                        scale = 1.0 / wp.sqrt(angle2)
-                        along = scale * wp.vec2f(
-                            f[0] * tangential[0] + f[2] * tangential[1], f[1] * tangential[0] + f[3] * tangential[1]
-                        )
+                        along = with_angle / wp.sqrt(angle2)
                         within = blending.parts[count - 1, 0, 0]
                         ratio2 = ratio2 - (1.0 - within) * both * both / angle2
                         angle2 = within * angle2
                         both = within * both
+                if wp.static(source):
+                    # What the source blurs less than the rows are, or so much that it is no range of angles. Nodes are
+                    # further apart than what goes with the ratio spreads.
+                    over2 = ratio2 + 0.25 / (table.per_log * table.per_log)
+                    octave = wp.int32(
+                        (0.5 * wp.log(u * u + v * v) * table.per_log + table.node_of_one) * table.per_octave
+                    )
+                    octave = wp.clamp(octave, 0, table.blurs2.shape[0] - 1)
+                    if u * u + v * v < table.near2 or (angle2 - table.blurs2[octave]) * over2 < both * both:
+                        left_out[i] = gain
+                        count = 0
                 for k in range(count):
                     away = blending.parts[count - 1, 1, k]
                     at_u = u + away * along[0]
@@ -492,9 +538,12 @@ def lookup(functions: int) -> types.SimpleNamespace:
                     part_both = part_both * turn_share * ratio_share
                     part = colour_at(table, blending, w, place, part_angle2, part_ratio2, part_both)
                     colour += blending.parts[count - 1, 2, k] * part
-                if table.mirror.shape[0] > 0:
-                    colour += mirror_at(table, u, v, w, xx, xy, yy)
-                xyz_out[i] = xyz_out[i] + gain * colour
+                if wp.static(source):
+                    colour = (wp.float32(2.0 * wp.PI) * size2) * colour
+                if count > 0:
+                    if table.mirror.shape[0] > 0:
+                        colour += mirror_at(table, u, v, w, xx, xy, yy, size2)
+                    xyz_out[i] = xyz_out[i] + gain * colour
             at = following
             i = i + 1
 

@@ -168,6 +168,62 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
 
 
 @functools.cache
+def gatherer(lanes: int) -> Any:
+    """The kernel that gathers coefficients as lines of a spectrum on rays, and the type of its rows."""
+    row_t = wp.types.vector(length=lanes, dtype=wp.float32)
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def gather(
+        # In:
+        coefficients: wp.array(dtype=row_t),
+        lines: wp.array(dtype=wp.int32),
+        angles: wp.array(dtype=wp.float32),
+        places: wp.array(dtype=wp.float32),
+        weights: wp.array(dtype=wp.float32),
+        begins: wp.array(dtype=wp.int32),
+        ends: wp.array(dtype=wp.int32),
+        nodes: wp.int32,
+        blur: wp.float32,
+        first: wp.int32,
+        # Out:
+        values_out: wp.array(dtype=row_t),
+    ):
+        """Integrals along a ray, under the splines of its nodes, of lines that are blurred in angle.
+
+        Args:
+            coefficients: Powers.
+            lines: Which of them, in the order of their angles.
+            angles: Theirs, from 0 to a turn and a little beyond either end.
+            places: Where they lie among the nodes.
+            weights: What they count.
+            begins: For each ray the first line that reaches it.
+            ends: And the one behind the last.
+            nodes: Nodes of a ray.
+            blur: Standard deviation of the angle.
+            first: The first thread's ray.
+            values_out: Ray after ray, node by node.
+        """
+        ray = first + wp.tid()
+        start = ray * nodes
+        for k in range(nodes):
+            values_out[start + k] = row_t()
+        angle = wp.float32(wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(begins.shape[0]))
+        scale = 1.0 / (wp.sqrt(2.0 * wp.PI) * blur)
+        for j in range(begins[ray], ends[ray]):
+            away = (angles[j] - angle) / blur
+            node = wp.int32(wp.rint(places[j]))
+            f = places[j] - wp.float32(node)
+            value = (scale * weights[j] * wp.exp(-0.5 * away * away)) * coefficients[lines[j]]
+            if node > 0:
+                values_out[start + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
+            values_out[start + node] += (0.75 - f * f) * value
+            if node + 1 < nodes:
+                values_out[start + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
+
+    return types.SimpleNamespace(row=row_t, gather=gather)
+
+
+@functools.cache
 def projector(lanes: int, functions: int) -> Any:
     """The kernel that sums rows of ``lanes`` terms over an octave's nodes, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
@@ -257,4 +313,25 @@ def projector(lanes: int, functions: int) -> Any:
                 further, nodes, more * nodes, rows_out, begin + k,
             )  # fmt: skip
 
-    return types.SimpleNamespace(project=project, abreast=abreast)
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def project_lines(
+        # In:
+        values: wp.array(dtype=values_t),
+        matrices: wp.array(dtype=row_t),
+        terms: wp.int32,
+        nodes: wp.int32,
+        given: wp.int32,
+        first: wp.int32,
+        # Out:
+        rows_out: wp.array(dtype=row_t),
+    ):
+        """The same where each ray has all ``given`` nodes that its own ones take, from the first matrix's on."""
+        first_ray = (first + wp.tid()) * wp.static(abreast)
+        size = matrices.shape[0] // terms
+        for k in range(nodes):
+            projected(
+                values, values, matrices, terms, 0, 0, 0, 0, 0, first_ray * given + k, size, nodes, given, rows_out,
+                first_ray * nodes + k,
+            )  # fmt: skip
+
+    return types.SimpleNamespace(project=project, project_lines=project_lines, abreast=abreast)

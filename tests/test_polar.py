@@ -188,7 +188,7 @@ def test_a_table_that_cannot_keep_its_tolerance_is_refused(fingers, rng):
 @pytest.mark.parametrize(
     ("method", "coherence"),
     [
-        ("low-rank/table", wd.Coherence("source", angular_diameter_deg=0.5)),
+        ("jacobi-anger/table", wd.Coherence("source", angular_diameter_deg=0.5)),
         ("low-rank/table", wd.Coherence("replicas", copies=(2, 2))),
         ("jacobi-anger/table", wd.Coherence()),
         ("power/table", wd.Coherence("centred")),

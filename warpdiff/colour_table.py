@@ -11,7 +11,7 @@ import numpy as np
 
 from warpdiff import spectrum, tables
 from warpdiff.device import launch, load
-from warpdiff.polar import LOG_RED, Layout
+from warpdiff.polar import LOG_RED, Layout, has_levels, near
 from warpdiff.projection import Projection, Terms, projection, spline
 from warpdiff.recent import found_again
 
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
+    from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
     from warpdiff.planning import Plan
     from warpdiff.scope import Scope
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
-_REMAINDERS, _MOST_REMAINDER = 24, 4.4
+_REMAINDERS, _MOST_REMAINDER = 96, 4.4
 # Deviations of the blur that its taps reach.
 _REACHED = 2.7
 _POSITIONS = 64
@@ -40,6 +41,8 @@ _SHARE, _SHARE_OF_CARDINALS = 0.2, 0.02
 _SAMPLED, _LEAST_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths; that of its size among small ones.
 _MIRROR_ENTRIES, _MIRROR_WAVELENGTHS, _MIDDLE_UM = 2048, 40, 0.55
+# Deviations that a line's blur in angle reaches.
+_FAR_IN_BLURS = 4.5
 _SLICE = 32
 # What a height field keeps of tables: some for other lights and views, or a search's last attempts.
 _MOST_KEPT_MEGABYTES = 1000.0
@@ -56,7 +59,8 @@ class _Source:
         terms: What rows consist of.
         at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes).
         mirror: Of powers, the mean plane's, which rows leave out, at ``_MIRROR_ENTRIES`` equally spaced |κ|.
-        lobe2: Variance of a coefficient's lobe in frequency [1/µm²].
+        lobe2: Variance of a coefficient's lobe in frequency [1/µm²]; 0 for a source, whose is one of (u, v).
+        coherence: What the table is for.
     """
 
     key: Any
@@ -66,6 +70,7 @@ class _Source:
     at_kappas: NDArray[np.float32]
     mirror: NDArray[np.float32]
     lobe2: float
+    coherence: Coherence
 
     @property
     def left_out(self) -> int:
@@ -74,11 +79,18 @@ class _Source:
         return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
 
     @property
+    def is_lines(self) -> bool:
+        """Whether rows hold the lines of an endless surface."""
+        return not self.layout.spectrum_rays
+
+    @property
     def sampler(self) -> Any:
-        """The kernel that samples the spectrum, and the type of its rows."""
+        """The kernel that samples the spectrum, or that gathers its lines, and the type of its rows."""
         from warpdiff.kernels import polar as kernels
 
         width, lanes = self.at_kappas.shape
+        if self.is_lines:
+            return kernels.gatherer(lanes)
         return kernels.resampler(lanes, self.base.coefficients.rows.shape[2] == 1, width)
 
 
@@ -89,18 +101,18 @@ def table_for(
     kept = tables.kept(hf)
     held, spectra = kept.colours, kept.spectra
     source, how = _prepared(hf, plan, scope, illuminant, device=device, threads=threads)
-    wanted, sharp = (*source.key, illuminant, plan.footprint), (*source.key, illuminant, False)
+    wanted, sharp = (*source.key, illuminant, has_levels(plan)), (*source.key, illuminant, False)
     options: dict[str, Any] = {"device": device, "threads": threads}
     if wanted not in held and sharp not in held:
         _load_kernels(source, how, plan, device)
         if source.key not in spectra:
             # The last one serves other illuminants.
             spectra.clear()
-            spectra[source.key] = _sampled(source, **options)
+            spectra[source.key] = _lines(source) if source.is_lines else _sampled(source, **options)
         held[sharp] = _coloured(source, how, spectra[source.key], illuminant, **options)
     if wanted not in held:
         # Levels are added to colours that have none.
-        held[wanted] = _blurred(source.layout.with_levels(plan), held[sharp][1], **options)
+        held[wanted] = _blurred(source.layout.with_levels(plan), held[sharp][1], is_lines=source.is_lines, **options)
     held[wanted] = held.pop(wanted)
     while len(held) > 1 and sum(megabytes for _, _, megabytes in held.values()) > _MOST_KEPT_MEGABYTES:
         held.pop(next(iter(held)))
@@ -118,10 +130,14 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
     from warpdiff.kernels import lookup, polar
 
     count = how.functions.shape[1]
-    target = lookup.lookup(count)
-    project = polar.projector(len(source.at_kappas), count).project
-    needed = [source.sampler.resample, project, target.interpolate, target.integrate]
-    load([*needed, target.blur] if plan.footprint else needed, device)
+    target = lookup.lookup(count, source.is_lines)
+    projector = polar.projector(len(source.at_kappas), count)
+    if source.is_lines:
+        needed = [source.sampler.gather, projector.project_lines]
+    else:
+        needed = [source.sampler.resample, projector.project]
+    needed += [target.interpolate, target.integrate]
+    load([*needed, target.blur] if has_levels(plan) else needed, device)
 
 
 def _prepared(
@@ -167,8 +183,8 @@ def _source(
         at_kappas = np.zeros((tables.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
     layout = Layout.of(replace(plan, footprint=False), reached.frequency)
-    lobe2 = 0.5 / tables.falloff_um2(plan.coherence)
-    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2)
+    lobe2 = 0.0 if plan.coherence.sigma_um is None else 0.5 / tables.falloff_um2(plan.coherence)
+    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, plan.coherence)
 
 
 def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -197,8 +213,40 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     return values
 
 
+@dataclass(frozen=True)
+class _Lines:
+    """The coefficients but the mean plane's, in the order of their angles.
+
+    Attributes:
+        which: Where they lie among the rows of coefficients.
+        angles: Of their frequencies, 0 to 2π.
+        log_frequencies: ln |q|, |q| in 1/µm.
+    """
+
+    which: NDArray[np.int32]
+    angles: NDArray[np.float64]
+    log_frequencies: NDArray[np.float64]
+
+
+def _lines(source: _Source) -> _Lines:
+    """The lines within the layout's largest frequency."""
+    found, most = source.base.arguments, source.layout.highest
+    lengths = found.length_y, found.length_x
+    s, r = (np.arange(-math.floor(most * length), math.floor(most * length) + 1) for length in lengths)
+    qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
+    squared = qy**2 + qx**2
+    inside = (squared <= most**2) & (squared > 0.0)
+    # Beyond the pitch's limit they repeat.
+    rows = (s + found.origin_y) % found.count_y
+    columns = (r + found.origin_x) % found.count_x
+    which = (rows[:, None] * found.count_x + columns[None, :])[inside].astype(np.int32)
+    angles = (np.arctan2(qy, qx) % (2.0 * math.pi))[inside]
+    order = np.argsort(angles, kind="stable")
+    return _Lines(which[order], angles[order], 0.5 * np.log(squared[inside][order]))
+
+
 def _coloured(
-    source: _Source, how: Projection, values: Any, illuminant: str, *, device: wp.Device, threads: int
+    source: _Source, how: Projection, spectrum_rows: Any, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
     """The kernel, the table of colours without levels, and its size."""
     import warp as wp
@@ -206,7 +254,7 @@ def _coloured(
     from warpdiff.kernels import lookup, polar
 
     layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
-    target = lookup.lookup(count)
+    target = lookup.lookup(count, source.is_lines)
     table = target.Colours()
     table.functions = wp.array(how.functions, dtype=target.functions, device=device)
     table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
@@ -223,26 +271,73 @@ def _coloured(
     wavenumbers, weights = spectrum.uniform_quadrature(_MIRROR_WAVELENGTHS, illuminant)
     table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
     table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
+    if source.is_lines:
+        table.blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
+        table.spread2 = source.coherence.spread**2
+        table.near2 = near(source.coherence) ** 2
     projector = polar.projector(len(source.at_kappas), count)
     matrices = wp.array(how.matrices.reshape(-1, 3 * count), dtype=target.row, device=device)
-    refined = wp.empty(layout.rays[0][-1] * layout.nodes, dtype=values.dtype, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+
+    def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
+        begin = layout.log_low + (octave - how.before / layout.nodes) * math.log(2.0)
+        given = layout.nodes + len(how.matrices) - 1
+        values = _gathered(source, spectrum_rows, octave, begin, given, **options)
+        inputs = [values, matrices, terms, layout.nodes, given]
+        launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
+
+    if source.is_lines:
+        _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
+        return target.integrate, table, table.rows.capacity * 1e-6
+    refined = wp.empty(layout.rays[0][-1] * layout.nodes, dtype=spectrum_rows.dtype, device=device)
     starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
     rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
 
     def fill(_level: int, octave: int, on_rays: Any) -> None:
-        inputs = [values, starts, rays, matrices, terms, how.before, layout.nodes, octave, refined]
-        size = layout.rays[0][octave] // projector.abreast
-        launch(projector.project, size, inputs, [on_rays], device=device, threads=threads, slice_size=_SLICE)
+        inputs = [spectrum_rows, starts, rays, matrices, terms, how.before, layout.nodes, octave, refined]
+        launch(projector.project, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
 
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
     return target.integrate, table, table.rows.capacity * 1e-6
 
 
-def _blurred(layout: Layout, sharp: Any, *, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
+def _gathered(source: _Source, lines: _Lines, octave: int, log_begin: float, nodes: int, **options: Any) -> Any:
+    """The density of lines on an octave's rays, of so many nodes from a ln |q| on."""
+    import warp as wp
+
+    device = options["device"]
+    layout, target = source.layout, source.sampler
+    rays, blur = layout.rays[0][octave], layout.blurs[octave]
+    places = (lines.log_frequencies - log_begin) * (layout.nodes / math.log(2.0))
+    some = np.flatnonzero((places > -0.5) & (places < nodes - 0.5))
+    angles, places = lines.angles[some], places[some]
+    # A turn, and what of it reaches beyond its ends.
+    far = _FAR_IN_BLURS * blur
+    after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
+    turned = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
+    again = np.concatenate([np.arange(before, len(some)), np.arange(len(some)), np.arange(after)])
+    at = 2.0 * math.pi * np.arange(rays) / rays
+    values = wp.empty(rays * nodes, dtype=target.row, device=device)
+    inputs = [
+        source.base.arguments.rows,
+        wp.array(lines.which[some][again], dtype=wp.int32, device=device),
+        wp.array(turned, dtype=wp.float32, device=device),
+        wp.array(places[again], dtype=wp.float32, device=device),
+        wp.array(np.exp(-2.0 * lines.log_frequencies[some][again]), dtype=wp.float32, device=device),
+        wp.array(np.searchsorted(turned, at - far), dtype=wp.int32, device=device),
+        wp.array(np.searchsorted(turned, at + far), dtype=wp.int32, device=device),
+        nodes,
+        blur,
+    ]
+    launch(target.gather, rays, inputs, [values], **options)
+    return values
+
+
+def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
     """The same with levels, from a table without."""
     from warpdiff.kernels import lookup
 
-    target = lookup.lookup(sharp.functions.dtype._length_)
+    target = lookup.lookup(sharp.functions.dtype._length_, is_lines)
     table = target.Colours()
     for name in target.Colours.vars:
         if name not in ("rows", "firsts", "rays", "widths"):

@@ -26,14 +26,12 @@ class Integrator:
         self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
         self._scope = scope
         self._colours: dict[str, Any] = {}
+        self._quadratures: dict[str, Any] = {}
         if plan.nodes:
             import warp as wp
 
             self._blending = colour_table.blending(device)
             self._no_footprints = wp.empty(0, dtype=wp.vec4f, device=device)
-        else:
-            table = tables.table_for(hf, plan, scope, device=device, threads=threads)
-            self._kernel, self._arguments = table.integrate, table.arguments
 
     def add(
         self,
@@ -58,20 +56,51 @@ class Integrator:
             options: Of ``launch``, ``progress``.
         """
         if self._plan.nodes:
-            if illuminant not in self._colours:
-                self._colours[illuminant] = colour_table.table_for(
-                    self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads
-                )
-            kernel, table = self._colours[illuminant]
-            seen = self._no_footprints if footprints is None else footprints
-            run = _RUN if self._device.is_cpu else 1
-            inputs = [table, deflections, gains, seen, self._blending, run]
-            size = -(-len(gains) // run)
-            options["slice_size"] = max(size // (_SLICES * self._threads), _LEAST_SLICE // run)
-        else:
-            if illuminant not in self._colours:
-                made = tables.quadrature_for(self._hf, self._plan, illuminant, device=self._device)
-                self._colours[illuminant] = made
-            kernel, inputs = self._kernel, [self._arguments, deflections, to_lights, gains, self._colours[illuminant]]
-            size = len(gains)
-        launch(kernel, size, inputs, [xyz], device=self._device, threads=self._threads, **options)
+            gains = self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, **options)
+        if len(gains):
+            self._sample(deflections, to_lights, gains, illuminant, xyz, **options)
+
+    def _look_up(
+        self,
+        deflections: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminant: str,
+        xyz: wp.array,
+        footprints: wp.array | None,
+        **options: Any,
+    ) -> wp.array:
+        """Add what a table serves; returns the gains of the rest, or none where there is never any."""
+        import warp as wp
+
+        if illuminant not in self._colours:
+            self._colours[illuminant] = colour_table.table_for(
+                self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads
+            )
+        kernel, table = self._colours[illuminant]
+        seen = self._no_footprints if footprints is None else footprints
+        run = _RUN if self._device.is_cpu else 1
+        size = -(-len(gains) // run)
+        options["slice_size"] = max(size // (_SLICES * self._threads), _LEAST_SLICE // run)
+        is_source = self._plan.coherence.kind == "source"
+        left_out = wp.empty(len(gains) if is_source else 0, dtype=wp.float32, device=self._device)
+        inputs = [table, deflections, to_lights, gains, seen, self._blending, run]
+        launch(kernel, size, inputs, [left_out, xyz], device=self._device, threads=self._threads, **options)
+        return left_out
+
+    def _sample(
+        self,
+        deflections: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminant: str,
+        xyz: wp.array,
+        **options: Any,
+    ) -> None:
+        """Add the sums over wavelengths."""
+        given: dict[str, Any] = {"device": self._device}
+        table = tables.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
+        if illuminant not in self._quadratures:
+            self._quadratures[illuminant] = tables.quadrature_for(self._hf, self._plan, illuminant, **given)
+        inputs = [table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
+        launch(table.integrate, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)

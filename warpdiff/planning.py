@@ -455,10 +455,11 @@ def plan_for(
 
 def _pays(hf: HeightField, plan: Plan, count: float) -> bool:
     """Whether a table takes less time to make than it saves."""
-    if not polar.serves(plan.method, plan.coherence) or polar.rungs_for(plan.tolerance) == ():
+    rung = polar.smallest_rung(plan)
+    if rung is None or not polar.serves(plan.method, plan.coherence):
         return False
-    largest = replace(plan, nodes=polar.rungs_for(plan.tolerance)[0][0], rays_per_width=1.0)
-    return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST > polar.making_multiply_adds(hf, largest)
+    smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
+    return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST > polar.making_multiply_adds(hf, smallest)
 
 
 def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, coherence: Coherence, colour: bool) -> Plan:

@@ -3,6 +3,10 @@
 The spectrum under a window, averaged or centred, is smooth: its Fourier transform is the surface's autocorrelation
 under exp(−r²/4σ²). A table that resolves it, in logarithmic polar coordinates, holds the integral over λ of any number
 of orders, and serves every light and view. ``colour_table`` makes it, once for a height field and a coherence.
+
+A source blurs (u, v) by the same at all wavelengths, and so does what a pixel sees of it: a table of lines, hardly
+blurred, is blurred at look-up by both. Lines that a grazing source blurs less than the table does, and what surrounds
+the mirror direction, are left to sampling.
 """
 
 from __future__ import annotations
@@ -23,13 +27,22 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
     from warpdiff.planning import Plan
 
-KINDS = ("averaged", "centred")
+KINDS = ("averaged", "centred", "source")
 # Samples along a ray, in standard deviations of the spectrum's blur: a sum of Gaussians so far apart is constant to
 # 2 exp(−2π²/1.25²) = 7e-6.
 _ALONG = 1.25
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT = 0.02
 _FEWEST_RAYS = 16
+_MIDDLE_UM = 0.55
+# A source's lines are blurred by so many distances of rays, which makes them smooth splines, ...
+_LINE_IN_RAYS = 0.8
+# ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
+_RAYS_OF_SOURCES = 1.5
+# Rays and nodes that a line shows on.
+_LINE_ON_RAYS, _NODES_OF_LINES = 7.0, 3.0
+# In deviations of a source: within, its blur is no range of angles and ratios.
+_NEAR_IN_SPREADS = 30.0
 # Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
 _BLURRED_RAYS_PER_WIDTH = 1.2
 _WIDEST = 0.4
@@ -59,8 +72,9 @@ class Layout:
         log_low: ln t of the first node.
         spectrum_rays: Rays of each octave of frequencies: as many as the one before, or twice as many.
         divisions: Samples from one node to the next, of each of them.
+        blurs: Of each octave of |(u, v)|, the spectrum's own blur [rad].
         rays: Rays of each level and octave of |(u, v)|.
-        widths: What these are blurred by [rad].
+        widths: What these are blurred by besides [rad].
         highest: Largest frequency that is looked up [1/µm].
     """
 
@@ -68,6 +82,7 @@ class Layout:
     log_low: float
     spectrum_rays: tuple[int, ...]
     divisions: tuple[int, ...]
+    blurs: tuple[float, ...]
     rays: tuple[tuple[int, ...], ...]
     widths: tuple[tuple[float, ...], ...]
     highest: float
@@ -75,8 +90,10 @@ class Layout:
     @classmethod
     def of(cls, plan: Plan, highest: float) -> Layout:
         """The layout for a plan and the largest frequency."""
-        width = blur(plan.coherence.sigma_um or 0.0)
         step = math.log(2.0) / plan.nodes
+        if plan.coherence.kind == "source":
+            return cls._of_lines(plan, highest, step)
+        width = blur(plan.coherence)
         # A colour takes up to three nodes beyond its octave, and look-ups two more.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT * width)) / math.log(2.0)), 2)
@@ -89,22 +106,36 @@ class Layout:
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_RAYS)
         of_spectrum = fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)
         flat = cls(
-            plan.nodes, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()), (), (), highest
-        )
+            plan.nodes, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()),
+            tuple((width / tops[1:]).tolist()), (tuple(of_spectrum[1:].tolist()),), (), highest,
+        )  # fmt: skip
         return flat.with_levels(plan)
 
+    @classmethod
+    def _of_lines(cls, plan: Plan, highest: float, step: float) -> Layout:
+        """The same for a source, whose rows each octave of |(u, v)| takes from coefficients as they are."""
+        spread = plan.coherence.spread
+        # Look-ups take some nodes on either side.
+        top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
+        low = math.log(near(plan.coherence)) + LOG_RED - 4.0 / _NEAR_IN_SPREADS
+        octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
+        log_low = top - octaves * math.log(2.0)
+        tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0) - LOG_RED)
+        rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
+        blurs = _LINE_IN_RAYS * 2.0 * math.pi / rays
+        counts = tuple(rays.astype(int).tolist())
+        return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), (), highest).with_levels(plan)
+
     def with_levels(self, plan: Plan) -> Layout:
-        """The same with the levels of a plan: blurred ones only for footprints."""
-        narrow = np.asarray(self.spectrum_rays[1:])
-        tops = np.exp(self.log_low + math.log(2.0) * (np.arange(len(narrow)) + 2.0))
-        width = blur(plan.coherence.sigma_um or 0.0)
+        """The same with the levels of a plan: blurred ones only for footprints, and for sources."""
+        narrow = np.asarray(self.rays[0])
         rays, widths = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
-        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1 if plan.footprint else 0
+        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1 if has_levels(plan) else 0
         for level in range(levels):
             # An octave that is blurred enough already goes on as it is.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST, first))
-            total = np.hypot(width / tops, blurred)
+            total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_RAYS_PER_WIDTH)
             rays.append(np.clip(fewer, _FEWEST_RAYS, narrow))
             widths.append(blurred)
@@ -146,9 +177,21 @@ class Layout:
         return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_rays, self.divisions, strict=True))
 
 
-def blur(sigma_um: float) -> float:
-    """Standard deviation of the power spectrum's blur under a window [1/µm]."""
-    return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma_um)
+def has_levels(plan: Plan) -> bool:
+    """Whether look-ups of a plan's table are blurred."""
+    return plan.footprint or plan.coherence.kind == "source"
+
+
+def near(coherence: Coherence) -> float:
+    """The |(u, v)| from which on a table serves: within, the blur of a source is no range of angles and ratios."""
+    return _NEAR_IN_SPREADS * coherence.spread
+
+
+def blur(coherence: Coherence) -> float:
+    """Standard deviation of the power spectrum's blur [1/µm]; that of a source is at a middle wavelength."""
+    if coherence.sigma_um is None:
+        return coherence.spread / _MIDDLE_UM
+    return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
 def serves(method: str, coherence: Coherence) -> bool:
@@ -169,22 +212,31 @@ def expected_error(nodes: int, *, few: bool = False) -> float:
 def stand_apart(hf: HeightField, coherence: Coherence) -> bool:
     """Whether a patch is so small that its orders are further apart than the spectrum's blur spreads them."""
     lengths = [length for n, length in zip(hf.shape, hf.size_um, strict=True) if n > 1]
-    return max(lengths, default=0.0) * _APART * blur(coherence.sigma_um or 0.0) < 1.0
+    return max(lengths, default=0.0) * _APART * blur(coherence) < 1.0
 
 
-def rungs_for(tolerance: float) -> tuple[tuple[int, float], ...]:
-    """The sizes that may keep a tolerance, the smallest first."""
-    return tuple(rung for rung in RUNGS if expected_error(rung[0]) <= tolerance)
+def rungs(coherence: Coherence) -> list[tuple[int, float]]:
+    """Nodes an octave and rays in a standard deviation of the blur that tables come in, the smallest first."""
+    factor = _RAYS_OF_SOURCES if coherence.kind == "source" else 1.0
+    return [(nodes, factor * rays) for nodes, rays in RUNGS]
+
+
+def smallest_rung(plan: Plan) -> tuple[int, float] | None:
+    """The smallest size that may keep a plan's tolerance."""
+    return next((rung for rung in rungs(plan.coherence) if expected_error(rung[0]) <= plan.tolerance), None)
 
 
 def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
     """What a table costs to make, in the multiply-adds of ``Plan``."""
     layout = Layout.of(plan, tables.Reached.by(plan.scope).frequency)
-    exponent = -math.log(plan.least_weight)
-    neighbours = math.pi * exponent / tables.falloff_um2(plan.coherence) * math.prod(hf.size_um)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = tables.lanes_of(plan.terms)
-    sampling = layout.samples * (_A_SAMPLE + neighbours * (_A_NEIGHBOUR + 2.0 * parts * lanes))
+    if plan.coherence.kind == "source":
+        lines = 2.0 * math.pi * layout.highest**2 * math.prod(hf.size_um)
+        sampling = lines * _LINE_ON_RAYS * (_A_NEIGHBOUR + 2.0 * _NODES_OF_LINES * lanes)
+    else:
+        neighbours = math.pi * -math.log(plan.least_weight) / tables.falloff_um2(plan.coherence) * math.prod(hf.size_um)
+        sampling = layout.samples * (_A_SAMPLE + neighbours * (_A_NEIGHBOUR + 2.0 * parts * lanes))
     return sampling + _DENSE * layout.rows * node_count(plan.nodes) * plan.terms * 3.0 * lanes
 
 

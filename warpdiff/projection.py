@@ -73,7 +73,7 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * spectrum.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * spectrum.LAMBDA_MIN_NM * 1e-3
     ws = np.linspace(low, high, _ENTRIES)
-    weights = colour_weights(plan.nodes, illuminant)
+    weights = colour_weights(plan.nodes, illuminant, lines=plan.coherence.kind == "source")
     per_um = np.exp(LOG_RED + (np.arange(len(weights)) - 1.0) * math.log(2.0) / plan.nodes)
     count = len(terms.sizes)
     kappas = np.clip(ws[:, None] * per_um, *terms.kappas)
@@ -97,18 +97,21 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
 
 
 @functools.lru_cache(maxsize=64)
-def colour_weights(nodes: int, illuminant: str) -> NDArray[np.float64]:
+def colour_weights(nodes: int, illuminant: str, *, lines: bool = False) -> NDArray[np.float64]:
     """Projections of colour curves on the splines of so many nodes an octave.
 
     Args:
         nodes: Nodes an octave.
         illuminant: A name.
+        lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
 
     Returns:
         Shape (node_count(nodes), 3); times the spectrum's values from the node before the red end on they add up to
         XYZ.
     """
     products = spectrum.colour_products(illuminant)
+    if lines:
+        products = products / (1e-3 * np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, nodes)
     # A spectrum without features keeps its colour to rounding.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / nodes * result.sum(axis=0)))

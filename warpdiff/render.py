@@ -82,7 +82,7 @@ def shade(
             the texture coordinates.
         footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, to first order, rather than the
             colour in its centre: no aliasing, no speckle of orders that fall between pixels. None is on for an averaged
-            window where a table keeps the tolerance, and off otherwise. Where the picture is so steep that first
+            window and for a source where a table keeps the tolerance, and off otherwise. Where the picture is so steep that first
             order will not do, 9 or 25 rays of a pixel have footprints of their own.
         samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre. With
             footprints, 4, 9, 16 and 25 lie on a grid, where means over parts of a pixel add up best.
@@ -163,7 +163,7 @@ def _takes_footprints(footprint: bool | None, method: str, window: Coherence, pl
         return plan.footprint if footprint is None else footprint
     tabled = method == "auto" or method.endswith("/table")
     if footprint is None:
-        return tabled and window.kind == "averaged"
+        return tabled and window.adds_powers
     if footprint and not tabled:
         raise ValueError(f"footprint=True takes a table: use method='auto' or 'low-rank/table', got method={method!r}")
     if footprint:

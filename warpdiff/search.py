@@ -117,8 +117,9 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
     rounding = _rounding(plan)
     few = polar.stand_apart(trial.hf, plan.coherence)
-    likely = [rung for rung in polar.RUNGS if polar.expected_error(rung[0], few=few) <= _LIKELY * target]
-    rungs = likely or [polar.RUNGS[-1]]
+    sizes = polar.rungs(plan.coherence)
+    likely = [rung for rung in sizes if polar.expected_error(rung[0], few=few) <= _LIKELY * target]
+    rungs = likely or [sizes[-1]]
     best = None
     while rungs:
         nodes, rays_per_width = rungs.pop(0)
