@@ -38,7 +38,7 @@ AUTOMATIC = "automatic"
 METHODS = {
     "averaged": ("low-rank/table", "low-rank", "power", "jacobi-anger", "taylor"),
     "centred": ("low-rank/table", "low-rank", "jacobi-anger", "taylor"),
-    "source": ("low-rank", "power", "jacobi-anger", "taylor"),
+    "source": ("low-rank/table", "low-rank", "power", "jacobi-anger", "taylor"),
     "replicas": ("low-rank", "jacobi-anger", "taylor"),
 }
 STYLES = {

@@ -119,7 +119,7 @@ def scenes(data: Path | None) -> list[Scene]:
     made = [
         Scene(
             "fingers", "synthetic fingers, 25.6 µm", fingers, **on_tube,
-            coherences=(averaged, source) if measured else (averaged, centred, source),
+            coherences=(averaged,) if measured else (averaged, centred, source),
         ),
         Scene("disc", "compact disc, 64 µm", disc, **on_disc, coherences=(averaged,)),
         Scene(
@@ -129,5 +129,5 @@ def scenes(data: Path | None) -> list[Scene]:
     ]  # fmt: skip
     if measured:
         skin = functools.partial(measured.levelled, order=2)
-        made.insert(0, Scene("skin", "scan of skin, 65 µm", skin, **on_tube, coherences=(averaged, centred)))
+        made.insert(0, Scene("skin", "scan of skin, 65 µm", skin, **on_tube, coherences=(averaged, centred, source)))
     return made
