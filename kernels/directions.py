@@ -8,6 +8,7 @@ import warp as wp
 from warpdiff.kernels import spectral
 from warpdiff.kernels.optics import gain, schlick
 from warpdiff.kernels.raycast import Pixels, occluded
+from warpdiff.kernels.shadows import ShadowGrid, is_hidden
 
 wp.set_module_options(spectral.OPTIONS)
 
@@ -28,6 +29,7 @@ class LightArguments:
     to_light: wp.vec3d
     power: wp.float64
     mesh_id: wp.uint64
+    grid: ShadowGrid  # by which shadow rays find faces; empty asks the hierarchy
     shadows: wp.bool
     pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
     white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
@@ -95,7 +97,10 @@ def deflect_pixels(
     if to_light[2] <= zero or to_view[2] <= zero:
         return
     if light.shadows:
-        if occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
+        if light.grid.starts.shape[0] > 0:
+            if is_hidden(light.grid, pixels.shadow_origin[i]):
+                return
+        elif occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
             return
     scale = weight * light.power
     normal = reflection.normal_reflectance

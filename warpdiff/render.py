@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, optics, spectrum, supersample
+from warpdiff import checks, optics, shadows, spectrum, supersample
 from warpdiff.coherence import Coherence
 from warpdiff.device import launch, load, resolve_device, resolve_threads
 from warpdiff.evaluate import check_call, check_plan, direct_colour
@@ -234,6 +234,7 @@ class _Frame:
         self._sample = 0
         self._device = device
         self._threads = threads
+        self._surface = surface
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
         self._camera = scene.camera(view, surface)
         self._needs_shadow_rays = scene.needs_shadow_rays(surface, view)
@@ -264,6 +265,8 @@ class _Frame:
         surveyed = min(self._samples, _SURVEYED)
         for sample in range(surveyed):
             self.cast(sample)
+            if sample == 0:
+                self._sort_faces()
             for light in self._lights:
                 self.deflect(light)
                 lit = np.flatnonzero(self._seen.gains.numpy() > 0.0)
@@ -431,6 +434,15 @@ class _Frame:
                 device=self._device, threads=self._threads,
             )  # fmt: skip
         self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], self._size)
+
+    def _sort_faces(self) -> None:
+        """Make grids of faces for shadow rays where these are worth it. A GPU has rays enough for its hierarchy."""
+        rays = self._samples * int(np.count_nonzero(self._seen.pixels.hit.numpy())) if self._device.is_cpu else 0
+        for light in self._lights:
+            if light.shadows and shadows.pays(self._scene.face_count, rays):
+                light.grid = shadows.grid_for(
+                    self._surface, self._scene.arrays, tuple(map(float, light.to_light)), device=self._device, threads=self._threads
+                )
 
     def deflect(self, light: Any) -> None:
         """Compute the deflections and gains under one light, and add its pigment."""
