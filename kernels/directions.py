@@ -72,6 +72,7 @@ def deflect_pixels(
     reflection: Reflection,
     weight: wp.float64,
     first: wp.int32,
+    run: wp.int32,
     # Out:
     deflections_out: wp.array(dtype=wp.vec3d),
     to_lights_out: wp.array(dtype=wp.vec3f),
@@ -79,39 +80,41 @@ def deflect_pixels(
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
     """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``."""
-    i = first + wp.tid()
-    deflections_out[i] = wp.vec3d()
-    to_lights_out[i] = wp.vec3f()
-    gains_out[i] = wp.float32(0.0)
-    if pixels.hit[i] == 0:
-        return
-    zero = wp.float64(0.0)
-    one = wp.float64(1.0)
-    t = wp.vec3d(pixels.tangent[i])
-    b = wp.vec3d(pixels.bitangent[i])
-    n = wp.vec3d(pixels.normal[i])
-    away = wp.vec3d(pixels.to_view[i])
-    # The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
-    to_light = wp.normalize(wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n)))
-    to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
-    if to_light[2] <= zero or to_view[2] <= zero:
-        return
-    if light.shadows:
-        if light.grid.starts.shape[0] > 0:
-            if is_hidden(light.grid, pixels.shadow_origin[i]):
-                return
-        elif occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
-            return
-    scale = weight * light.power
-    normal = reflection.normal_reflectance
-    deflections_out[i] = -to_light - to_view
-    to_lights_out[i] = wp.vec3f(to_light)
-    gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
-    if light.pigment > zero:
-        under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
-        base = wp.vec3d(pixels.base_colour[i])
-        colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
-        xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        deflections_out[i] = wp.vec3d()
+        to_lights_out[i] = wp.vec3f()
+        gains_out[i] = wp.float32(0.0)
+        if pixels.hit[i] == 0:
+            continue
+        zero = wp.float64(0.0)
+        one = wp.float64(1.0)
+        t = wp.vec3d(pixels.tangent[i])
+        b = wp.vec3d(pixels.bitangent[i])
+        n = wp.vec3d(pixels.normal[i])
+        away = wp.vec3d(pixels.to_view[i])
+        # The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
+        to_light = wp.normalize(
+            wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n))
+        )
+        to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
+        if to_light[2] <= zero or to_view[2] <= zero:
+            continue
+        if light.shadows:
+            if light.grid.starts.shape[0] > 0:
+                if is_hidden(light.grid, pixels.shadow_origin[i]):
+                    continue
+            elif occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
+                continue
+        scale = weight * light.power
+        normal = reflection.normal_reflectance
+        deflections_out[i] = -to_light - to_view
+        to_lights_out[i] = wp.vec3f(to_light)
+        gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
+        if light.pigment > zero:
+            under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
+            base = wp.vec3d(pixels.base_colour[i])
+            colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
 
 
 @wp.func
@@ -151,6 +154,7 @@ def spread_pixels(
     height: wp.int32,
     deviation: wp.float32,
     first: wp.int32,
+    run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=wp.vec4f),
 ):
@@ -158,27 +162,27 @@ def spread_pixels(
 
     Pixels are a picture of a width and height, or pictures one after the other.
     """
-    i = first + wp.tid()
-    footprints_out[i] = wp.vec4f()
-    if pixels.hit[i] == 0:
-        return
-    left = i - 1
-    right = i + 1
-    if i % width == 0:
-        left = -1
-    if right % width == 0:
-        right = -1
-    above = i - width
-    below = i + width
-    row = (i // width) % height
-    if row == 0:
-        above = -1
-    if row == height - 1:
-        below = -1
-    here = lateral(pixels, i, to_light)
-    along_x = deviation * slope(pixels, left, here, right, to_light)
-    along_y = deviation * slope(pixels, above, here, below, to_light)
-    footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        footprints_out[i] = wp.vec4f()
+        if pixels.hit[i] == 0:
+            continue
+        left = i - 1
+        right = i + 1
+        if i % width == 0:
+            left = -1
+        if right % width == 0:
+            right = -1
+        above = i - width
+        below = i + width
+        row = (i // width) % height
+        if row == 0:
+            above = -1
+        if row == height - 1:
+            below = -1
+        here = lateral(pixels, i, to_light)
+        along_x = deviation * slope(pixels, left, here, right, to_light)
+        along_y = deviation * slope(pixels, above, here, below, to_light)
+        footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
 
 
 @wp.kernel
@@ -189,6 +193,7 @@ def contrast(
     width: wp.int32,
     floor: wp.float32,
     first: wp.int32,
+    run: wp.int32,
     # Out:
     contrast_out: wp.array(dtype=wp.float32),
     surrounded_out: wp.array(dtype=wp.bool),
@@ -197,29 +202,29 @@ def contrast(
 
     It is relative to the pixel itself, or to ``floor``, if that is more.
     """
-    i = first + wp.tid()
-    largest = wp.float32(0.0)
-    surrounded = bool(True)
-    if gains[i] > 0.0:
-        for side in range(4):
-            beside = i + 1
-            inside = (i + 1) % width > 0
-            if side == 1:
-                beside = i - 1
-                inside = i % width > 0
-            if side == 2:
-                beside = i + width
-                inside = beside < gains.shape[0]
-            if side == 3:
-                beside = i - width
-                inside = beside >= 0
-            if inside:
-                if gains[beside] > 0.0:
-                    largest = wp.max(largest, wp.length(colours[beside] - colours[i]))
-                else:
-                    surrounded = False
-    contrast_out[i] = largest / wp.max(wp.length(colours[i]), floor)
-    surrounded_out[i] = surrounded
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        largest = wp.float32(0.0)
+        surrounded = bool(True)
+        if gains[i] > 0.0:
+            for side in range(4):
+                beside = i + 1
+                inside = (i + 1) % width > 0
+                if side == 1:
+                    beside = i - 1
+                    inside = i % width > 0
+                if side == 2:
+                    beside = i + width
+                    inside = beside < gains.shape[0]
+                if side == 3:
+                    beside = i - width
+                    inside = beside >= 0
+                if inside:
+                    if gains[beside] > 0.0:
+                        largest = wp.max(largest, wp.length(colours[beside] - colours[i]))
+                    else:
+                        surrounded = False
+        contrast_out[i] = largest / wp.max(wp.length(colours[i]), floor)
+        surrounded_out[i] = surrounded
 
 
 @wp.kernel
@@ -230,21 +235,22 @@ def gather(
     tiles: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.float32),
     first: wp.int32,
+    run: wp.int32,
     # Out:
     colours_out: wp.array(dtype=wp.vec3f),
 ):
     """Set the colours of pixels to the means over the rays of their tiles that meet the mesh."""
-    tile = first + wp.tid()
-    rays = weights.shape[0]
-    total = wp.vec3f()
-    weight = wp.float32(0.0)
-    for k in range(rays):
-        i = tile * rays + k
-        if hit[i] != 0:
-            total += weights[k] * colours[i]
-            weight += weights[k]
-    if weight > 0.0:
-        colours_out[tiles[tile]] = total / weight
+    for tile in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        rays = weights.shape[0]
+        total = wp.vec3f()
+        weight = wp.float32(0.0)
+        for k in range(rays):
+            i = tile * rays + k
+            if hit[i] != 0:
+                total += weights[k] * colours[i]
+                weight += weights[k]
+        if weight > 0.0:
+            colours_out[tiles[tile]] = total / weight
 
 
 @wp.kernel
@@ -252,9 +258,10 @@ def accumulate(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     first: wp.int32,
+    run: wp.int32,
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
     """Add colours to others."""
-    i = first + wp.tid()
-    xyz_out[i] = xyz_out[i] + colours[i]
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        xyz_out[i] = xyz_out[i] + colours[i]

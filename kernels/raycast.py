@@ -266,6 +266,7 @@ def cover(
     surface: SurfaceArrays,
     pixels: Pixels,
     first: wp.int32,
+    run: wp.int32,
 ):
     """Which face each pixel's centre sees, face by face, of a mesh that lies wholly in front of the eye.
 
@@ -278,47 +279,47 @@ def cover(
             the smallest is kept. All bits set is none.
         first: The first thread's face.
     """
-    face = first + wp.tid()
-    i0 = surface.faces[face, 0]
-    i1 = surface.faces[face, 1]
-    i2 = surface.faces[face, 2]
-    p0 = in_picture(camera, surface.positions[i0])
-    p1 = in_picture(camera, surface.positions[i1])
-    p2 = in_picture(camera, surface.positions[i2])
-    zero = wp.float64(0.0)
-    half = wp.float64(0.5)
-    side = wp.float64(1.0)
-    if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
-        side = wp.float64(-1.0)
-    # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
-    nearest = wp.max(wp.dot(camera.origin, camera.back) - wp.float64(1.0), zero)
-    low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
-    high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
-    least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
-    most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
-    if low_y > high_y or least_x > most_x:
-        return
-    for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
-        y = wp.float64(row) + half
-        # A pixel's width of slack: what counts is tested below.
-        span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
-        span = clipped(clipped(clipped(span, p1, p2, side, y), p2, p0, side, y), p0, p1, side, y)
-        start = wp.max(wp.floor(span[0] - half), least_x)
-        end = wp.min(wp.ceil(span[1] - half), most_x)
-        for column in range(wp.int32(start), wp.int32(end) + 1):
-            x = wp.float64(column) + half
-            e0 = side * beside(p1, p2, i1 < i2, x, y)
-            e1 = side * beside(p2, p0, i2 < i0, x, y)
-            e2 = side * beside(p0, p1, i0 < i1, x, y)
-            total = e0 + e1 + e2
-            if e0 >= zero and e1 >= zero and e2 >= zero and total > zero:
-                depth = zero
-                if camera.orthographic:
-                    depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
-                else:
-                    depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
-                distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
-                keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        i0 = surface.faces[face, 0]
+        i1 = surface.faces[face, 1]
+        i2 = surface.faces[face, 2]
+        p0 = in_picture(camera, surface.positions[i0])
+        p1 = in_picture(camera, surface.positions[i1])
+        p2 = in_picture(camera, surface.positions[i2])
+        zero = wp.float64(0.0)
+        half = wp.float64(0.5)
+        side = wp.float64(1.0)
+        if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
+            side = wp.float64(-1.0)
+        # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
+        nearest = wp.max(wp.dot(camera.origin, camera.back) - wp.float64(1.0), zero)
+        low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
+        high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
+        least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
+        most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
+        if low_y > high_y or least_x > most_x:
+            continue
+        for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
+            y = wp.float64(row) + half
+            # A pixel's width of slack: what counts is tested below.
+            span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
+            span = clipped(clipped(clipped(span, p1, p2, side, y), p2, p0, side, y), p0, p1, side, y)
+            start = wp.max(wp.floor(span[0] - half), least_x)
+            end = wp.min(wp.ceil(span[1] - half), most_x)
+            for column in range(wp.int32(start), wp.int32(end) + 1):
+                x = wp.float64(column) + half
+                e0 = side * beside(p1, p2, i1 < i2, x, y)
+                e1 = side * beside(p2, p0, i2 < i0, x, y)
+                e2 = side * beside(p0, p1, i0 < i1, x, y)
+                total = e0 + e1 + e2
+                if e0 >= zero and e1 >= zero and e2 >= zero and total > zero:
+                    depth = zero
+                    if camera.orthographic:
+                        depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
+                    else:
+                        depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
+                    distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
+                    keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
 
 
 @wp.func
@@ -356,6 +357,7 @@ def cast(
     sampling: Sampling,
     pixels: Pixels,
     first: wp.int32,
+    run: wp.int32,
 ):
     """One ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
 
@@ -370,124 +372,124 @@ def cast(
         pixels: What was and is found.
         first: The first thread's pixel, or ray of a tile.
     """
-    ray = first + wp.tid()
-    pixels.hit[ray] = 0
-    pixels.face[ray] = -1
-    pixel = ray
-    offset = pixel_offset(sampling, pixel)
-    rays = sampling.places.shape[0]
-    if sampling.tiles.shape[0] > 0:
-        pixel = sampling.tiles[ray // rays]
-        offset = sampling.places[ray % rays]
-    elif rays > 0:
-        offset = sampling.places[sampling.sample]
+    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        pixels.hit[ray] = 0
+        pixels.face[ray] = -1
+        pixel = ray
+        offset = pixel_offset(sampling, pixel)
+        rays = sampling.places.shape[0]
+        if sampling.tiles.shape[0] > 0:
+            pixel = sampling.tiles[ray // rays]
+            offset = sampling.places[ray % rays]
+        elif rays > 0:
+            offset = sampling.places[sampling.sample]
 
-    # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
-    one = wp.float64(1.0)
-    two = wp.float64(2.0)
-    half = wp.float64(0.5)
-    column = wp.float64(pixel % camera.width) + half + offset[0]
-    row = wp.float64(pixel // camera.width) + half + offset[1]
-    x = camera.half_width * (two * column / wp.float64(camera.width) - one)
-    y = camera.half_height * (one - two * row / wp.float64(camera.height))
-    across = x * camera.right + y * camera.up
-    origin = camera.origin
-    along = across - camera.back
-    if camera.orthographic:
-        origin = camera.origin + across
-        along = -camera.back
-    along = wp.normalize(along)
-    face = wp.int32(-1)
-    b0 = wp.float32(1.0)
-    b1 = wp.float32(0.0)
-    direction = wp.normalize(wp.vec3f(along))
-    if sampling.faces.shape[0] > 0:
-        guess = sampling.faces[pixel]
-        if within(surface, guess, origin, along):
-            face = guess
-    if face >= 0:
-        pass
-    elif pixels.nearest.shape[0] > 0:
-        found = pixels.nearest[pixel]
-        if found == UNSEEN:
-            return
-        face = wp.int32(found & wp.uint64(0xFFFFFFFF))
-    else:
-        # The mesh lies in the unit sphere: most rays beside it end here.
-        ahead = -wp.dot(origin, along)
-        aside = origin + ahead * along
-        if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
-            return
-        near = wp.max(ahead - two, wp.float64(0.0))
-        start = wp.vec3f(origin + near * along)
-        query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
-        if not query.result:
-            return
-        face = query.face
-        # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
-        b0 = query.u
-        b1 = query.v
-    i0 = surface.faces[face, 0]
-    i1 = surface.faces[face, 1]
-    i2 = surface.faces[face, 2]
-    p0 = surface.positions[i0]
-    p1 = surface.positions[i1]
-    p2 = surface.positions[i2]
-    # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
-    # 1e-5, which a window of many wavelengths sees in what lies between its orders.
-    place = shares(p0, p1, p2, origin, along)
-    if place[0] != -one or place[1] != -one:
-        share1 = wp.clamp(place[0], wp.float64(0.0), one)
-        share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
-        b0 = wp.float32(one - share1 - share2)
-        b1 = wp.float32(share1)
-    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
-    to_view = -direction
+        # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
+        one = wp.float64(1.0)
+        two = wp.float64(2.0)
+        half = wp.float64(0.5)
+        column = wp.float64(pixel % camera.width) + half + offset[0]
+        row = wp.float64(pixel // camera.width) + half + offset[1]
+        x = camera.half_width * (two * column / wp.float64(camera.width) - one)
+        y = camera.half_height * (one - two * row / wp.float64(camera.height))
+        across = x * camera.right + y * camera.up
+        origin = camera.origin
+        along = across - camera.back
+        if camera.orthographic:
+            origin = camera.origin + across
+            along = -camera.back
+        along = wp.normalize(along)
+        face = wp.int32(-1)
+        b0 = wp.float32(1.0)
+        b1 = wp.float32(0.0)
+        direction = wp.normalize(wp.vec3f(along))
+        if sampling.faces.shape[0] > 0:
+            guess = sampling.faces[pixel]
+            if within(surface, guess, origin, along):
+                face = guess
+        if face >= 0:
+            pass
+        elif pixels.nearest.shape[0] > 0:
+            found = pixels.nearest[pixel]
+            if found == UNSEEN:
+                continue
+            face = wp.int32(found & wp.uint64(0xFFFFFFFF))
+        else:
+            # The mesh lies in the unit sphere: most rays beside it end here.
+            ahead = -wp.dot(origin, along)
+            aside = origin + ahead * along
+            if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
+                continue
+            near = wp.max(ahead - two, wp.float64(0.0))
+            start = wp.vec3f(origin + near * along)
+            query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
+            if not query.result:
+                continue
+            face = query.face
+            # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
+            b0 = query.u
+            b1 = query.v
+        i0 = surface.faces[face, 0]
+        i1 = surface.faces[face, 1]
+        i2 = surface.faces[face, 2]
+        p0 = surface.positions[i0]
+        p1 = surface.positions[i1]
+        p2 = surface.positions[i2]
+        # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
+        # 1e-5, which a window of many wavelengths sees in what lies between its orders.
+        place = shares(p0, p1, p2, origin, along)
+        if place[0] != -one or place[1] != -one:
+            share1 = wp.clamp(place[0], wp.float64(0.0), one)
+            share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
+            b0 = wp.float32(one - share1 - share2)
+            b1 = wp.float32(share1)
+        b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
+        to_view = -direction
 
-    geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
-    side = wp.float32(1.0)
-    if wp.dot(geometric, to_view) < 0.0:
-        side = wp.float32(-1.0)
-    geometric = side * geometric
-    point = b0 * p0 + b1 * p1 + b2 * p2
-    normal = geometric
-    shadow_origin = point
-    if surface.smooth:
-        n0 = side * surface.normals[i0]
-        n1 = side * surface.normals[i1]
-        n2 = side * surface.normals[i2]
-        blend = b0 * n0 + b1 * n1 + b2 * n2
-        if wp.length_sq(blend) > 1.0e-8:
-            normal = wp.normalize(blend)
-        # Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for, or
-        # the facets would shadow each other where the light grazes it.
-        shadow_origin = (
-            b0 * above_tangent_plane(point, p0, n0)
-            + b1 * above_tangent_plane(point, p1, n1)
-            + b2 * above_tangent_plane(point, p2, n2)
-        )
-    normal = face_the_viewer(normal, geometric, to_view)
+        geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
+        side = wp.float32(1.0)
+        if wp.dot(geometric, to_view) < 0.0:
+            side = wp.float32(-1.0)
+        geometric = side * geometric
+        point = b0 * p0 + b1 * p1 + b2 * p2
+        normal = geometric
+        shadow_origin = point
+        if surface.smooth:
+            n0 = side * surface.normals[i0]
+            n1 = side * surface.normals[i1]
+            n2 = side * surface.normals[i2]
+            blend = b0 * n0 + b1 * n1 + b2 * n2
+            if wp.length_sq(blend) > 1.0e-8:
+                normal = wp.normalize(blend)
+            # Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for, or
+            # the facets would shadow each other where the light grazes it.
+            shadow_origin = (
+                b0 * above_tangent_plane(point, p0, n0)
+                + b1 * above_tangent_plane(point, p1, n1)
+                + b2 * above_tangent_plane(point, p2, n2)
+            )
+        normal = face_the_viewer(normal, geometric, to_view)
 
-    tangent = b0 * surface.tangents[i0] + b1 * surface.tangents[i1] + b2 * surface.tangents[i2]
-    tangent = tangent - wp.dot(tangent, normal) * normal
-    if wp.length_sq(tangent) > 1.0e-10:
-        # Projected twice, as in face_the_viewer.
-        tangent = wp.normalize(tangent)
-        tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
-    else:
-        tangent = perpendicular(normal)
+        tangent = b0 * surface.tangents[i0] + b1 * surface.tangents[i1] + b2 * surface.tangents[i2]
+        tangent = tangent - wp.dot(tangent, normal) * normal
+        if wp.length_sq(tangent) > 1.0e-10:
+            # Projected twice, as in face_the_viewer.
+            tangent = wp.normalize(tangent)
+            tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
+        else:
+            tangent = perpendicular(normal)
 
-    colour = wp.vec3f(-1.0, -1.0, -1.0)
-    if surface.has_vertex_colours:
-        colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
-    if colour[0] < 0.0:
-        colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
+        colour = wp.vec3f(-1.0, -1.0, -1.0)
+        if surface.has_vertex_colours:
+            colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
+        if colour[0] < 0.0:
+            colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
 
-    pixels.hit[ray] = 1
-    pixels.face[ray] = face
-    pixels.tangent[ray] = tangent
-    pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
-    pixels.normal[ray] = normal
-    pixels.to_view[ray] = to_view
-    pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
-    pixels.base_colour[ray] = colour
+        pixels.hit[ray] = 1
+        pixels.face[ray] = face
+        pixels.tangent[ray] = tangent
+        pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
+        pixels.normal[ray] = normal
+        pixels.to_view[ray] = to_view
+        pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
+        pixels.base_colour[ray] = colour

@@ -53,7 +53,9 @@ def take_number(values: wp.array(dtype=wp.int32), index: wp.int32) -> wp.int32:
 def seen(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
     """A position across the light, in whole steps, and its height."""
     at = wp.vec3d(position)
-    return wp.vec3d(wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards))
+    return wp.vec3d(
+        wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
+    )
 
 
 @wp.func
@@ -92,24 +94,25 @@ def project(
     positions: wp.array(dtype=wp.vec3f),
     faces: wp.array2d(dtype=wp.int32),
     first: wp.int32,
+    run: wp.int32,
     # Out:
     cells_out: wp.array(dtype=wp.int32),
 ):
     """Each face's corners as the light sees them, and how many cells its box overlaps."""
-    face = first + wp.tid()
-    p0 = seen(grid, positions[faces[face, 0]])
-    p1 = seen(grid, positions[faces[face, 1]])
-    p2 = seen(grid, positions[faces[face, 2]])
-    c0 = wp.vec3f(p0)
-    c1 = wp.vec3f(p1)
-    c2 = wp.vec3f(p2)
-    if left_of(c0, c1, p2[0], p2[1]) < wp.float64(0.0):
-        c1 = wp.vec3f(p2)
-        c2 = wp.vec3f(p1)
-    corners = wp.matrix_from_rows(c0, c1, c2)
-    grid.corners[face] = corners
-    cells = cells_of(grid, corners)
-    cells_out[face] = (cells[1] - cells[0] + 1) * (cells[3] - cells[2] + 1)
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        p0 = seen(grid, positions[faces[face, 0]])
+        p1 = seen(grid, positions[faces[face, 1]])
+        p2 = seen(grid, positions[faces[face, 2]])
+        c0 = wp.vec3f(p0)
+        c1 = wp.vec3f(p1)
+        c2 = wp.vec3f(p2)
+        if left_of(c0, c1, p2[0], p2[1]) < wp.float64(0.0):
+            c1 = wp.vec3f(p2)
+            c2 = wp.vec3f(p1)
+        corners = wp.matrix_from_rows(c0, c1, c2)
+        grid.corners[face] = corners
+        cells = cells_of(grid, corners)
+        cells_out[face] = (cells[1] - cells[0] + 1) * (cells[3] - cells[2] + 1)
 
 
 @wp.kernel
@@ -117,14 +120,16 @@ def count(
     # In:
     grid: ShadowGrid,
     first: wp.int32,
+    run: wp.int32,
     # Out:
     counts_out: wp.array(dtype=wp.int32),
 ):
     """How many faces each cell lists."""
-    cells = cells_of(grid, grid.corners[first + wp.tid()])
-    for row in range(cells[2], cells[3] + 1):
-        for column in range(cells[0], cells[1] + 1):
-            take_number(counts_out, row * grid.columns + column)
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        cells = cells_of(grid, grid.corners[face])
+        for row in range(cells[2], cells[3] + 1):
+            for column in range(cells[0], cells[1] + 1):
+                take_number(counts_out, row * grid.columns + column)
 
 
 @wp.kernel
@@ -132,6 +137,7 @@ def fill(
     # In:
     grid: ShadowGrid,
     first: wp.int32,
+    run: wp.int32,
     # Out:
     ends_out: wp.array(dtype=wp.int32),
 ):
@@ -139,15 +145,15 @@ def fill(
 
     ``ends_out`` are the lists' beginnings and become their ends.
     """
-    face = first + wp.tid()
-    corners = grid.corners[face]
-    top = wp.max(wp.max(corners[0, 2], corners[1, 2]), corners[2, 2])
-    cells = cells_of(grid, corners)
-    for row in range(cells[2], cells[3] + 1):
-        for column in range(cells[0], cells[1] + 1):
-            place = take_number(ends_out, row * grid.columns + column)
-            grid.faces[place] = face
-            grid.tops[place] = top
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        corners = grid.corners[face]
+        top = wp.max(wp.max(corners[0, 2], corners[1, 2]), corners[2, 2])
+        cells = cells_of(grid, corners)
+        for row in range(cells[2], cells[3] + 1):
+            for column in range(cells[0], cells[1] + 1):
+                place = take_number(ends_out, row * grid.columns + column)
+                grid.faces[place] = face
+                grid.tops[place] = top
 
 
 @wp.func

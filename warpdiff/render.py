@@ -410,7 +410,16 @@ class _Frame:
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int) -> None:
         slice_size = max(size // (4 * self._threads), _LEAST_SLICE)
-        launch(kernel, size, inputs, outputs, device=self._device, threads=self._threads, slice_size=slice_size)
+        launch(
+            kernel,
+            size,
+            inputs,
+            outputs,
+            device=self._device,
+            threads=self._threads,
+            slice_size=slice_size,
+            in_runs=True,
+        )
 
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""
@@ -431,7 +440,7 @@ class _Frame:
             pixels.nearest.fill_(raycast.UNSEEN)
             launch(
                 raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays, pixels], [],
-                device=self._device, threads=self._threads,
+                device=self._device, threads=self._threads, in_runs=True,
             )  # fmt: skip
         self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], self._size)
 
@@ -441,7 +450,11 @@ class _Frame:
         for light in self._lights:
             if light.shadows and shadows.pays(self._scene.face_count, rays):
                 light.grid = shadows.grid_for(
-                    self._surface, self._scene.arrays, tuple(map(float, light.to_light)), device=self._device, threads=self._threads
+                    self._surface,
+                    self._scene.arrays,
+                    tuple(map(float, light.to_light)),
+                    device=self._device,
+                    threads=self._threads,
                 )
 
     def deflect(self, light: Any) -> None:

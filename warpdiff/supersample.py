@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -103,7 +103,8 @@ def batches(
     contrast = wp.empty(len(gains), dtype=wp.float32, device=device)
     surrounded = wp.empty(len(gains), dtype=wp.bool, device=device)
     inputs, outputs = [colours, gains, width, max(floor, np.finfo(np.float32).tiny)], [contrast, surrounded]
-    launch(directions.contrast, len(gains), inputs, outputs, device=device, threads=threads, slice_size=_SLICE)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
+    launch(directions.contrast, len(gains), inputs, outputs, **options)
     excess = (_ERROR_OF_CONTRAST / tolerance) * contrast.numpy()
     candidates = np.flatnonzero(excess > _TAKEN[0][0])
     excess, shadows = excess[candidates], ~surrounded.numpy()[candidates]
@@ -132,11 +133,20 @@ def set_means(
     from warpdiff.kernels import directions
 
     inputs = [of_rays, hit, pixels, wp.array(weights, dtype=wp.float32, device=device)]
-    launch(directions.gather, len(pixels), inputs, [colours], device=device, threads=threads)
+    launch(directions.gather, len(pixels), inputs, [colours], device=device, threads=threads, in_runs=True)
 
 
 def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:
     """Add a light's colours to a picture."""
     from warpdiff.kernels import directions
 
-    launch(directions.accumulate, len(xyz), [colours], [xyz], device=device, threads=threads, slice_size=_SLICE)
+    launch(
+        directions.accumulate,
+        len(xyz),
+        [colours],
+        [xyz],
+        device=device,
+        threads=threads,
+        slice_size=_SLICE,
+        in_runs=True,
+    )
