@@ -7,8 +7,8 @@ import warp as wp
 
 from warpdiff.kernels import spectral
 from warpdiff.kernels.optics import gain, schlick
-from warpdiff.kernels.raycast import Pixels, occluded
-from warpdiff.kernels.shadows import ShadowGrid, is_hidden
+from warpdiff.kernels.raycast import Pixels
+from warpdiff.kernels.shadows import ShadowGrid
 
 wp.set_module_options(spectral.OPTIONS)
 
@@ -28,8 +28,7 @@ class LightArguments:
 
     to_light: wp.vec3d
     power: wp.float64
-    mesh_id: wp.uint64
-    grid: ShadowGrid  # by which shadow rays find faces; empty asks the hierarchy
+    grid: ShadowGrid  # by which shadow rays find faces
     shadows: wp.bool
     pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
     white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
@@ -71,6 +70,7 @@ def deflect_pixels(
     light: LightArguments,
     reflection: Reflection,
     weight: wp.float64,
+    hidden: wp.array(dtype=wp.bool),
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -79,7 +79,10 @@ def deflect_pixels(
     gains_out: wp.array(dtype=wp.float32),
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
-    """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``."""
+    """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``.
+
+    ``hidden`` says which pixels the light does not reach; empty is none.
+    """
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         deflections_out[i] = wp.vec3d()
         to_lights_out[i] = wp.vec3f()
@@ -99,12 +102,8 @@ def deflect_pixels(
         to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
         if to_light[2] <= zero or to_view[2] <= zero:
             continue
-        if light.shadows:
-            if light.grid.starts.shape[0] > 0:
-                if is_hidden(light.grid, pixels.shadow_origin[i]):
-                    continue
-            elif occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
-                continue
+        if hidden.shape[0] > 0 and hidden[i]:
+            continue
         scale = weight * light.power
         normal = reflection.normal_reflectance
         deflections_out[i] = -to_light - to_view

@@ -278,6 +278,7 @@ def cover(
         pixels: Of these ``nearest``: the distance along the view, as the bits of a float32, and the face below them;
             the smallest is kept. All bits set is none.
         first: The first thread's face.
+        run: How many a thread takes.
     """
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         i0 = surface.faces[face, 0]
@@ -371,6 +372,7 @@ def cast(
         sampling: Where in the pixel.
         pixels: What was and is found.
         first: The first thread's pixel, or ray of a tile.
+        run: How many a thread takes.
     """
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         pixels.hit[ray] = 0
@@ -435,8 +437,8 @@ def cast(
         p0 = surface.positions[i0]
         p1 = surface.positions[i1]
         p2 = surface.positions[i2]
-        # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
-        # 1e-5, which a window of many wavelengths sees in what lies between its orders.
+        # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal
+        # by 1e-5, which a window of many wavelengths sees in what lies between its orders.
         place = shares(p0, p1, p2, origin, along)
         if place[0] != -one or place[1] != -one:
             share1 = wp.clamp(place[0], wp.float64(0.0), one)

@@ -1,4 +1,4 @@
-"""Whether a light is hidden, from a grid over the mesh as the light sees it: each cell lists the faces that overlap it.
+"""Whether a light is hidden, by a grid over the mesh as the light sees it: each cell lists the faces in its reach.
 
 Positions across the light are whole numbers of 2^-24 radii. Their differences and products are exact in float64, so
 that the side of an edge on which a point lies is the same for both faces that meet there, however it is compiled: no
@@ -8,17 +8,21 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)
 
 # Steps in a radius: the most that float32 counts one by one.
 STEPS = wp.constant(wp.float64(16777216.0))
+# Less than any cosine that rounds to above the horizon.
+FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
 @wp.struct
 class ShadowGrid:
     """A mesh as a light sees it."""
 
+    mesh_id: wp.uint64  # whose hierarchy is asked where there is no grid
     across: wp.vec3d  # unit vectors at right angles to the light, ...
     up: wp.vec3d
     towards: wp.vec3d  # ... and towards it
@@ -28,7 +32,7 @@ class ShadowGrid:
     columns: wp.int32
     rows: wp.int32
     corners: wp.array(dtype=wp.mat33f)  # of each face, a row each, counter-clockwise: across and up [steps], height
-    starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and where the last one ends; empty is no grid
+    starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and the last one ends; empty is no grid
     faces: wp.array(dtype=wp.int32)  # the lists
     tops: wp.array(dtype=wp.float32)  # the largest height of each listed face
 
@@ -46,7 +50,6 @@ _TAKE_NUMBER = """
 @wp.func_native(_TAKE_NUMBER)
 def take_number(values: wp.array(dtype=wp.int32), index: wp.int32) -> wp.int32:
     """Count one up; returns what was there."""
-    ...
 
 
 @wp.func
@@ -156,32 +159,45 @@ def fill(
                 grid.tops[place] = top
 
 
-@wp.func
-def is_hidden(grid: ShadowGrid, origin: wp.vec3f) -> wp.bool:
-    """Whether the mesh is met on the way from ``origin`` to the light."""
-    at = seen(grid, origin)
-    x = at[0]
-    y = at[1]
-    column = cell_of(x, grid.low_x, grid.per_step)
-    row = cell_of(y, grid.low_y, grid.per_step)
-    if column < 0 or row < 0 or column >= grid.columns or row >= grid.rows:
-        return False
-    height = wp.float32(at[2])
+@wp.kernel
+def hide(
+    # In:
+    grid: ShadowGrid,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    hidden_out: wp.array(dtype=wp.bool),
+):
+    """Whether the mesh is met on the way from what pixels see to the light; those that look away do not ask."""
     zero = wp.float64(0.0)
-    cell = row * grid.columns + column
-    for place in range(grid.starts[cell], grid.starts[cell + 1]):
-        if grid.tops[place] > height:
-            corners = grid.corners[grid.faces[place]]
-            c0 = corners[0]
-            c1 = corners[1]
-            c2 = corners[2]
-            e0 = left_of(c1, c2, x, y)
-            if e0 >= zero:
-                e1 = left_of(c2, c0, x, y)
-                if e1 >= zero:
-                    e2 = left_of(c0, c1, x, y)
-                    if e2 >= zero:
-                        above = wp.float64(c0[2]) * e0 + wp.float64(c1[2]) * e1 + wp.float64(c2[2]) * e2
-                        if above > at[2] * (e0 + e1 + e2):
-                            return True
-    return False
+    towards = wp.vec3f(grid.towards)
+    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        hidden = bool(False)
+        if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], towards) > FACING_AWAY:
+            if grid.starts.shape[0] == 0:
+                hidden = occluded(grid.mesh_id, pixels.shadow_origin[ray], towards)
+            else:
+                at = seen(grid, pixels.shadow_origin[ray])
+                x = at[0]
+                y = at[1]
+                column = cell_of(x, grid.low_x, grid.per_step)
+                row = cell_of(y, grid.low_y, grid.per_step)
+                if column >= 0 and row >= 0 and column < grid.columns and row < grid.rows:
+                    height = wp.float32(at[2])
+                    cell = row * grid.columns + column
+                    for place in range(grid.starts[cell], grid.starts[cell + 1]):
+                        if grid.tops[place] > height:
+                            corners = grid.corners[grid.faces[place]]
+                            c0 = corners[0]
+                            c1 = corners[1]
+                            c2 = corners[2]
+                            e0 = left_of(c1, c2, x, y)
+                            e1 = left_of(c2, c0, x, y)
+                            e2 = left_of(c0, c1, x, y)
+                            if e0 >= zero and e1 >= zero and e2 >= zero:
+                                above = wp.float64(c0[2]) * e0 + wp.float64(c1[2]) * e1 + wp.float64(c2[2]) * e2
+                                if above > at[2] * (e0 + e1 + e2):
+                                    hidden = True
+                                    break
+        hidden_out[ray] = hidden
