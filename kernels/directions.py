@@ -116,6 +116,79 @@ def deflect_pixels(
             xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
 
 
+@wp.kernel
+def sum_up(
+    # In:
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    per_uv: wp.vec2d,
+    is_source: wp.bool,
+    size: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    counts_out: wp.array(dtype=wp.int32),
+    ranges_out: wp.array(dtype=wp.vec4d),
+):
+    """How many of each ``size`` deflections are lit; their largest |(u, v)|² and lateral², least and largest |w|.
+
+    Lateral is as ``warpdiff.scope.lateral`` has it, ``per_uv`` the lengths that u and v are multiplied by.
+    """
+    for block in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        count = wp.int32(0)
+        uv = wp.float64(0.0)
+        rate = wp.float64(0.0)
+        least = wp.float64(2.0)
+        most = wp.float64(0.0)
+        for i in range(block * size, wp.min((block + 1) * size, gains.shape[0])):
+            if gains[i] > 0.0:
+                count += 1
+                d = deflections[i]
+                square = d[0] * d[0] + d[1] * d[1]
+                uv = wp.max(uv, square)
+                least = wp.min(least, -d[2])
+                most = wp.max(most, -d[2])
+                if is_source:
+                    light = wp.vec3d(to_lights[i])
+                    along = (d[0] * light[0] + d[1] * light[1]) / wp.max(light[2], wp.float64(1.0e-6))
+                    square += along * along
+                else:
+                    square = d[0] * d[0] * per_uv[0] * per_uv[0] + d[1] * d[1] * per_uv[1] * per_uv[1]
+                rate = wp.max(rate, square)
+        counts_out[block] = count
+        ranges_out[block] = wp.vec4d(uv, rate, least, most)
+
+
+@wp.kernel
+def pick(
+    # In:
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    blocks: wp.array(dtype=wp.int32),
+    ranks: wp.array(dtype=wp.int32),
+    size: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """The lit deflections of some ranks, from 0 on, within blocks of ``size``."""
+    for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        left = ranks[k]
+        i = blocks[k] * size - 1
+        while left >= 0:
+            i += 1
+            if gains[i] > 0.0:
+                left -= 1
+        deflections_out[k] = deflections[i]
+        to_lights_out[k] = to_lights[i]
+        gains_out[k] = gains[i]
+
+
 @wp.func
 def lateral(pixels: Pixels, i: wp.int32, to_light: wp.vec3f) -> wp.vec2f:
     """(u, v) at a pixel."""

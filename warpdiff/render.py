@@ -20,6 +20,7 @@ from warpdiff.planning import Plan, check_method, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.surface import prepare_surface
+from warpdiff.survey import survey
 from warpdiff.view import View
 
 if TYPE_CHECKING:
@@ -271,12 +272,11 @@ class _Frame:
                 self._sort_faces()
             for light in self._lights:
                 self.deflect(light)
-                lit = np.flatnonzero(self._seen.gains.numpy() > 0.0)
-                deflections, to_lights, gains = (each[lit] for each in self.directions())
-                scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
-                count += len(lit)
+                found, lit, pilots = survey(hf, window, *self._seen.directions, **self._options)
+                scope = scope.joined(found)
+                count += lit
                 if sample == 0:
-                    seen.append(Pilots.among(deflections, to_lights, gains).arrays)
+                    seen.append(pilots.arrays)
         count = count * self._samples // surveyed
         return scope, count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
 
