@@ -238,15 +238,17 @@ def spread_pixels(
         footprints_out[i] = wp.vec4f()
         if pixels.hit[i] == 0:
             continue
+        row = i // width
+        column = i - row * width
+        row = row % height
         left = i - 1
         right = i + 1
-        if i % width == 0:
-            left = -1
-        if right % width == 0:
-            right = -1
         above = i - width
         below = i + width
-        row = (i // width) % height
+        if column == 0:
+            left = -1
+        if column == width - 1:
+            right = -1
         if row == 0:
             above = -1
         if row == height - 1:
@@ -258,32 +260,35 @@ def spread_pixels(
 
 
 @wp.kernel
-def contrast(
+def classify(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     gains: wp.array(dtype=wp.float32),
     width: wp.int32,
     floor: wp.float32,
+    bounds: wp.array(dtype=wp.float32),
     first: wp.int32,
     run: wp.int32,
     # Out:
-    contrast_out: wp.array(dtype=wp.float32),
-    surrounded_out: wp.array(dtype=wp.bool),
+    classes_out: wp.array(dtype=wp.uint8),
 ):
-    """Largest difference of a lit pixel from those beside it, and whether they are all lit.
+    """How many bounds a lit pixel's contrast exceeds, twice, and one more if a pixel beside such a one is not lit.
 
-    It is relative to the pixel itself, or to ``floor``, if that is more.
+    Contrast is the largest difference from those beside it, relative to the pixel itself, or to ``floor``, if that is
+    more.
     """
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        largest = wp.float32(0.0)
-        surrounded = bool(True)
+        result = wp.int32(0)
         if gains[i] > 0.0:
+            largest = wp.float32(0.0)
+            beside_dark = wp.int32(0)
+            column = i % width
             for side in range(4):
                 beside = i + 1
-                inside = (i + 1) % width > 0
+                inside = column + 1 < width
                 if side == 1:
                     beside = i - 1
-                    inside = i % width > 0
+                    inside = column > 0
                 if side == 2:
                     beside = i + width
                     inside = beside < gains.shape[0]
@@ -292,11 +297,16 @@ def contrast(
                     inside = beside >= 0
                 if inside:
                     if gains[beside] > 0.0:
-                        largest = wp.max(largest, wp.length(colours[beside] - colours[i]))
+                        largest = wp.max(largest, wp.length_sq(colours[beside] - colours[i]))
                     else:
-                        surrounded = False
-        contrast_out[i] = largest / wp.max(wp.length(colours[i]), floor)
-        surrounded_out[i] = surrounded
+                        beside_dark = 1
+            contrast = wp.sqrt(largest) / wp.max(wp.length(colours[i]), floor)
+            for k in range(bounds.shape[0]):
+                if contrast > bounds[k]:
+                    result += 2
+            if result > 0:
+                result += beside_dark
+        classes_out[i] = wp.uint8(result)
 
 
 @wp.kernel

@@ -112,7 +112,7 @@ def to_unit(bits: wp.uint32) -> wp.float64:
 
 
 @wp.func
-def pixel_offset(sampling: Sampling, pixel: wp.int32) -> wp.vec2d:
+def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
     """Where in the pixel a sample lies, (right, down) of its centre [pixels].
 
     The offsets are distributed as the reconstruction filter, a Gaussian of 0.5 pixel cut at 1.5, so that samples
@@ -120,9 +120,9 @@ def pixel_offset(sampling: Sampling, pixel: wp.int32) -> wp.vec2d:
     in 32-bit integers the sequence is exact at any index.
     """
     result = wp.vec2d()
-    if sampling.samples > 1:
-        index = wp.uint32(sampling.sample)
-        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(sampling.seed)))
+    if samples > 1:
+        index = wp.uint32(sample)
+        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(seed)))
         rotation_y = scramble(rotation_x + GOLDEN)
         radial = to_unit(index * R2_X + rotation_x)
         angular = to_unit(index * R2_Y + rotation_y)
@@ -340,11 +340,8 @@ def shares(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp
 
 
 @wp.func
-def within(surface: SurfaceArrays, face: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.bool:
+def within(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.bool:
     """Whether a ray meets a face."""
-    p0 = surface.positions[surface.faces[face, 0]]
-    p1 = surface.positions[surface.faces[face, 1]]
-    p2 = surface.positions[surface.faces[face, 2]]
     place = shares(p0, p1, p2, origin, along)
     zero = wp.float64(0.0)
     return place[0] >= zero and place[1] >= zero and place[0] + place[1] <= wp.float64(1.0)
@@ -378,13 +375,18 @@ def cast(
         pixels.hit[ray] = 0
         pixels.face[ray] = -1
         pixel = ray
-        offset = pixel_offset(sampling, pixel)
+        offset = pixel_offset(sampling.sample, sampling.samples, sampling.seed, pixel)
         rays = sampling.places.shape[0]
         if sampling.tiles.shape[0] > 0:
             pixel = sampling.tiles[ray // rays]
             offset = sampling.places[ray % rays]
         elif rays > 0:
             offset = sampling.places[sampling.sample]
+        face = wp.int32(-1)
+        if pixels.nearest.shape[0] > 0:
+            if pixels.nearest[pixel] == UNSEEN:
+                continue
+            face = wp.int32(pixels.nearest[pixel] & wp.uint64(0xFFFFFFFF))
 
         # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
         one = wp.float64(1.0)
@@ -401,22 +403,17 @@ def cast(
             origin = camera.origin + across
             along = -camera.back
         along = wp.normalize(along)
-        face = wp.int32(-1)
-        b0 = wp.float32(1.0)
-        b1 = wp.float32(0.0)
-        direction = wp.normalize(wp.vec3f(along))
+        direction = wp.vec3f(along)
         if sampling.faces.shape[0] > 0:
             guess = sampling.faces[pixel]
-            if within(surface, guess, origin, along):
+            q0 = surface.positions[surface.faces[guess, 0]]
+            q1 = surface.positions[surface.faces[guess, 1]]
+            q2 = surface.positions[surface.faces[guess, 2]]
+            if within(q0, q1, q2, origin, along):
                 face = guess
-        if face >= 0:
-            pass
-        elif pixels.nearest.shape[0] > 0:
-            found = pixels.nearest[pixel]
-            if found == UNSEEN:
-                continue
-            face = wp.int32(found & wp.uint64(0xFFFFFFFF))
-        else:
+        b0 = wp.float32(1.0)
+        b1 = wp.float32(0.0)
+        if face < 0:
             # The mesh lies in the unit sphere: most rays beside it end here.
             ahead = -wp.dot(origin, along)
             aside = origin + ahead * along
@@ -476,7 +473,6 @@ def cast(
         tangent = tangent - wp.dot(tangent, normal) * normal
         if wp.length_sq(tangent) > 1.0e-10:
             # Projected twice, as in face_the_viewer.
-            tangent = wp.normalize(tangent)
             tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
         else:
             tangent = perpendicular(normal)
@@ -485,7 +481,11 @@ def cast(
         if surface.has_vertex_colours:
             colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
         if colour[0] < 0.0:
-            colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
+            # A plain colour is a texture of one texel.
+            colour = surface.texture[0, 0]
+            if surface.texture.shape[0] * surface.texture.shape[1] > 1:
+                uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
+                colour = sample_texture(surface.texture, uv)
 
         pixels.hit[ray] = 1
         pixels.face[ray] = face

@@ -24,7 +24,7 @@ KERNELS = {
     "shadows": {"count", "fill", "hide", "project"},
     "directions": {
         "accumulate",
-        "contrast",
+        "classify",
         "deflect_directions",
         "deflect_pixels",
         "gather",

@@ -280,8 +280,13 @@ class _Frame:
         count = count * self._samples // surveyed
         return scope, count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
 
-    def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
-        """Cast and deflect sample after sample, light after light: a light's index, and the pass' share of progress."""
+    def _passes(
+        self, progress: Callable[[float], None] | None
+    ) -> Iterator[tuple[int, int, Callable[[float], None] | None]]:
+        """Cast and deflect sample after sample, light after light.
+
+        Yields a light's index, how many pixels it reaches, and the pass' share of progress.
+        """
         passes = self._samples * len(self._lights)
         if passes > 1:
             self._xyz.zero_()
@@ -293,8 +298,9 @@ class _Frame:
                 # The survey has left behind what a single pass needs.
                 if passes > 1:
                     self.deflect(light)
-                self._lit |= self._seen.gains.numpy() > 0.0
-                yield index, _share(progress, sample * len(self._lights) + index, passes)
+                lit = self._seen.gains.numpy() > 0.0
+                self._lit |= lit
+                yield index, int(np.count_nonzero(lit)), _share(progress, sample * len(self._lights) + index, passes)
 
     def integrate(
         self,
@@ -312,7 +318,7 @@ class _Frame:
         if footprint:
             self._cast(0, 1)
             spreads = [self.spread(light) for light in self._lights]
-        for index, share in self._passes(progress):
+        for index, _, share in self._passes(progress):
             integrator.add(
                 *self._seen.directions, illuminants[index], self._xyz, footprints=spreads[index], progress=share
             )
@@ -330,7 +336,7 @@ class _Frame:
         import warp as wp
 
         tiled, lit = 0, 0
-        for index, share in self._passes(progress):
+        for index, count, share in self._passes(progress):
             light, illuminant, seen = self._lights[index], illuminants[index], self._seen
             colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
             spread = self.spread(light)
@@ -340,7 +346,7 @@ class _Frame:
                 self._set_means(integrator, light, illuminant, batch, colours)
                 tiled += len(batch.pixels)
             supersample.add(colours, self._xyz, **self._options)
-            lit += int(np.count_nonzero(seen.gains.numpy() > 0.0))
+            lit += count
         return tiled / max(lit, 1)
 
     def _set_means(
@@ -372,7 +378,7 @@ class _Frame:
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
     ) -> None:
         """The same by the direct sum."""
-        for index, share in self._passes(progress):
+        for index, _, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
             added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[index], progress=share)
             self._xyz.assign((self._xyz.numpy() + added).astype(np.float32))
