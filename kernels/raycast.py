@@ -53,7 +53,7 @@ class Sampling:
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels of which each is met by a tile of rays, one after the other; empty is none
     places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
-    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, in whose middle nothing else is; or empty
+    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first; or empty
 
 
 @wp.struct
@@ -324,27 +324,41 @@ def cover(
 
 
 @wp.func
-def shares(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.vec2d:
-    """Shares of the second and the third corner where a ray meets a face's plane; (−1, −1) where it does not."""
+def meet(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.vec3d:
+    """Where a ray meets a face's plane: shares of the second and the third corner, and the distance.
+
+    The shares are (−1, −1) where it does not.
+    """
     edge1 = wp.vec3d(p1) - wp.vec3d(p0)
     edge2 = wp.vec3d(p2) - wp.vec3d(p0)
     across_edge2 = wp.cross(along, edge2)
     determinant = wp.dot(edge1, across_edge2)
-    result = wp.vec2d(-wp.float64(1.0), -wp.float64(1.0))
+    result = wp.vec3d(-wp.float64(1.0), -wp.float64(1.0), wp.float64(0.0))
     if determinant != wp.float64(0.0):
         from_corner = origin - wp.vec3d(p0)
+        across_edge1 = wp.cross(from_corner, edge1)
         share1 = wp.dot(from_corner, across_edge2) / determinant
-        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
-        result = wp.vec2d(share1, share2)
+        share2 = wp.dot(along, across_edge1) / determinant
+        result = wp.vec3d(share1, share2, wp.dot(edge2, across_edge1) / determinant)
     return result
 
 
 @wp.func
-def within(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.bool:
-    """Whether a ray meets a face."""
-    place = shares(p0, p1, p2, origin, along)
+def is_within(place: wp.vec3d) -> wp.bool:
+    """Whether shares of two corners are those of a point in the face."""
     zero = wp.float64(0.0)
     return place[0] >= zero and place[1] >= zero and place[0] + place[1] <= wp.float64(1.0)
+
+
+@wp.func
+def touch(faces: wp.array2d(dtype=wp.int32), one: wp.int32, other: wp.int32) -> wp.bool:
+    """Whether two faces have a corner in common."""
+    result = bool(False)
+    for j in range(3):
+        for k in range(3):
+            if faces[one, j] == faces[other, k]:
+                result = True
+    return result
 
 
 @wp.kernel
@@ -404,20 +418,39 @@ def cast(
             along = -camera.back
         along = wp.normalize(along)
         direction = wp.vec3f(along)
+        place = wp.vec3d()
+        is_met = bool(False)
         if sampling.faces.shape[0] > 0:
-            guess = sampling.faces[pixel]
-            q0 = surface.positions[surface.faces[guess, 0]]
-            q1 = surface.positions[surface.faces[guess, 1]]
-            q2 = surface.positions[surface.faces[guess, 2]]
-            if within(q0, q1, q2, origin, along):
-                face = guess
+            # The nearest of the faces in the centres of the pixel and of those on the ray's side, if it is the pixel's
+            # or touches it: elsewhere an edge of the body may lie between.
+            aside = wp.int32(wp.sign(offset[0]))
+            below = camera.width * wp.int32(wp.sign(offset[1]))
+            centre = sampling.faces[pixel]
+            for corner in range(4):
+                beside = pixel + aside * (corner % 2) + below * (corner // 2)
+                guess = wp.int32(-1)
+                if beside >= 0 and beside < sampling.faces.shape[0]:
+                    guess = sampling.faces[beside]
+                if guess >= 0 and (guess != centre or corner == 0):
+                    q0 = surface.positions[surface.faces[guess, 0]]
+                    q1 = surface.positions[surface.faces[guess, 1]]
+                    q2 = surface.positions[surface.faces[guess, 2]]
+                    met = meet(q0, q1, q2, origin, along)
+                    if is_within(met) and (face < 0 or met[2] < place[2]):
+                        face = guess
+                        place = met
+            is_met = face >= 0
+            if is_met and face != centre:
+                is_met = touch(surface.faces, face, centre)
+                if not is_met:
+                    face = -1
         b0 = wp.float32(1.0)
         b1 = wp.float32(0.0)
         if face < 0:
             # The mesh lies in the unit sphere: most rays beside it end here.
             ahead = -wp.dot(origin, along)
-            aside = origin + ahead * along
-            if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
+            closest = origin + ahead * along
+            if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
                 continue
             near = wp.max(ahead - two, wp.float64(0.0))
             start = wp.vec3f(origin + near * along)
@@ -436,7 +469,8 @@ def cast(
         p2 = surface.positions[i2]
         # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal
         # by 1e-5, which a window of many wavelengths sees in what lies between its orders.
-        place = shares(p0, p1, p2, origin, along)
+        if not is_met:
+            place = meet(p0, p1, p2, origin, along)
         if place[0] != -one or place[1] != -one:
             share1 = wp.clamp(place[0], wp.float64(0.0), one)
             share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
