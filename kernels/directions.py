@@ -7,7 +7,8 @@ import warp as wp
 
 from warpdiff.kernels import spectral
 from warpdiff.kernels.optics import gain, schlick
-from warpdiff.kernels.raycast import Pixels, occluded
+from warpdiff.kernels.raycast import Pixels
+from warpdiff.kernels.shadows import ShadowGrid
 
 wp.set_module_options(spectral.OPTIONS)
 
@@ -27,7 +28,7 @@ class LightArguments:
 
     to_light: wp.vec3d
     power: wp.float64
-    mesh_id: wp.uint64
+    grid: ShadowGrid  # by which shadow rays find faces
     shadows: wp.bool
     pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
     white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
@@ -69,44 +70,123 @@ def deflect_pixels(
     light: LightArguments,
     reflection: Reflection,
     weight: wp.float64,
+    hidden: wp.array(dtype=wp.bool),
     first: wp.int32,
+    run: wp.int32,
     # Out:
     deflections_out: wp.array(dtype=wp.vec3d),
     to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
-    """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``."""
-    i = first + wp.tid()
-    deflections_out[i] = wp.vec3d()
-    to_lights_out[i] = wp.vec3f()
-    gains_out[i] = wp.float32(0.0)
-    if pixels.hit[i] == 0:
-        return
-    zero = wp.float64(0.0)
-    one = wp.float64(1.0)
-    t = wp.vec3d(pixels.tangent[i])
-    b = wp.vec3d(pixels.bitangent[i])
-    n = wp.vec3d(pixels.normal[i])
-    away = wp.vec3d(pixels.to_view[i])
-    # The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
-    to_light = wp.normalize(wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n)))
-    to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
-    if to_light[2] <= zero or to_view[2] <= zero:
-        return
-    if light.shadows:
-        if occluded(light.mesh_id, pixels.shadow_origin[i], wp.vec3f(light.to_light)):
-            return
-    scale = weight * light.power
-    normal = reflection.normal_reflectance
-    deflections_out[i] = -to_light - to_view
-    to_lights_out[i] = wp.vec3f(to_light)
-    gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
-    if light.pigment > zero:
-        under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
-        base = wp.vec3d(pixels.base_colour[i])
-        colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
-        xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
+    """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``.
+
+    ``hidden`` says which pixels the light does not reach; empty is none.
+    """
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        deflections_out[i] = wp.vec3d()
+        to_lights_out[i] = wp.vec3f()
+        gains_out[i] = wp.float32(0.0)
+        if pixels.hit[i] == 0:
+            continue
+        zero = wp.float64(0.0)
+        one = wp.float64(1.0)
+        t = wp.vec3d(pixels.tangent[i])
+        b = wp.vec3d(pixels.bitangent[i])
+        n = wp.vec3d(pixels.normal[i])
+        away = wp.vec3d(pixels.to_view[i])
+        # The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
+        to_light = wp.normalize(
+            wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n))
+        )
+        to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
+        if to_light[2] <= zero or to_view[2] <= zero:
+            continue
+        if hidden.shape[0] > 0 and hidden[i]:
+            continue
+        scale = weight * light.power
+        normal = reflection.normal_reflectance
+        deflections_out[i] = -to_light - to_view
+        to_lights_out[i] = wp.vec3f(to_light)
+        gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
+        if light.pigment > zero:
+            under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
+            base = wp.vec3d(pixels.base_colour[i])
+            colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
+
+
+@wp.kernel
+def sum_up(
+    # In:
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    per_uv: wp.vec2d,
+    is_source: wp.bool,
+    size: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    counts_out: wp.array(dtype=wp.int32),
+    ranges_out: wp.array(dtype=wp.vec4d),
+):
+    """How many of each ``size`` deflections are lit; their largest |(u, v)|² and lateral², least and largest |w|.
+
+    Lateral is as ``warpdiff.scope.lateral`` has it, ``per_uv`` the lengths that u and v are multiplied by.
+    """
+    for block in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        count = wp.int32(0)
+        uv = wp.float64(0.0)
+        rate = wp.float64(0.0)
+        least = wp.float64(2.0)
+        most = wp.float64(0.0)
+        for i in range(block * size, wp.min((block + 1) * size, gains.shape[0])):
+            if gains[i] > 0.0:
+                count += 1
+                d = deflections[i]
+                square = d[0] * d[0] + d[1] * d[1]
+                uv = wp.max(uv, square)
+                least = wp.min(least, -d[2])
+                most = wp.max(most, -d[2])
+                if is_source:
+                    light = wp.vec3d(to_lights[i])
+                    along = (d[0] * light[0] + d[1] * light[1]) / wp.max(light[2], wp.float64(1.0e-6))
+                    square += along * along
+                else:
+                    square = d[0] * d[0] * per_uv[0] * per_uv[0] + d[1] * d[1] * per_uv[1] * per_uv[1]
+                rate = wp.max(rate, square)
+        counts_out[block] = count
+        ranges_out[block] = wp.vec4d(uv, rate, least, most)
+
+
+@wp.kernel
+def pick(
+    # In:
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    blocks: wp.array(dtype=wp.int32),
+    ranks: wp.array(dtype=wp.int32),
+    size: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """The lit deflections of some ranks, from 0 on, within blocks of ``size``."""
+    for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        left = ranks[k]
+        i = blocks[k] * size - 1
+        while left >= 0:
+            i += 1
+            if gains[i] > 0.0:
+                left -= 1
+        deflections_out[k] = deflections[i]
+        to_lights_out[k] = to_lights[i]
+        gains_out[k] = gains[i]
 
 
 @wp.func
@@ -146,6 +226,7 @@ def spread_pixels(
     height: wp.int32,
     deviation: wp.float32,
     first: wp.int32,
+    run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=wp.vec4f),
 ):
@@ -153,68 +234,79 @@ def spread_pixels(
 
     Pixels are a picture of a width and height, or pictures one after the other.
     """
-    i = first + wp.tid()
-    footprints_out[i] = wp.vec4f()
-    if pixels.hit[i] == 0:
-        return
-    left = i - 1
-    right = i + 1
-    if i % width == 0:
-        left = -1
-    if right % width == 0:
-        right = -1
-    above = i - width
-    below = i + width
-    row = (i // width) % height
-    if row == 0:
-        above = -1
-    if row == height - 1:
-        below = -1
-    here = lateral(pixels, i, to_light)
-    along_x = deviation * slope(pixels, left, here, right, to_light)
-    along_y = deviation * slope(pixels, above, here, below, to_light)
-    footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        footprints_out[i] = wp.vec4f()
+        if pixels.hit[i] == 0:
+            continue
+        row = i // width
+        column = i - row * width
+        row = row % height
+        left = i - 1
+        right = i + 1
+        above = i - width
+        below = i + width
+        if column == 0:
+            left = -1
+        if column == width - 1:
+            right = -1
+        if row == 0:
+            above = -1
+        if row == height - 1:
+            below = -1
+        here = lateral(pixels, i, to_light)
+        along_x = deviation * slope(pixels, left, here, right, to_light)
+        along_y = deviation * slope(pixels, above, here, below, to_light)
+        footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
 
 
 @wp.kernel
-def contrast(
+def classify(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     gains: wp.array(dtype=wp.float32),
     width: wp.int32,
     floor: wp.float32,
+    bounds: wp.array(dtype=wp.float32),
     first: wp.int32,
+    run: wp.int32,
     # Out:
-    contrast_out: wp.array(dtype=wp.float32),
-    surrounded_out: wp.array(dtype=wp.bool),
+    classes_out: wp.array(dtype=wp.uint8),
 ):
-    """Largest difference of a lit pixel from those beside it, and whether they are all lit.
+    """How many bounds a lit pixel's contrast exceeds, twice, and one more if a pixel beside such a one is not lit.
 
-    It is relative to the pixel itself, or to ``floor``, if that is more.
+    Contrast is the largest difference from those beside it, relative to the pixel itself, or to ``floor``, if that is
+    more.
     """
-    i = first + wp.tid()
-    largest = wp.float32(0.0)
-    surrounded = bool(True)
-    if gains[i] > 0.0:
-        for side in range(4):
-            beside = i + 1
-            inside = (i + 1) % width > 0
-            if side == 1:
-                beside = i - 1
-                inside = i % width > 0
-            if side == 2:
-                beside = i + width
-                inside = beside < gains.shape[0]
-            if side == 3:
-                beside = i - width
-                inside = beside >= 0
-            if inside:
-                if gains[beside] > 0.0:
-                    largest = wp.max(largest, wp.length(colours[beside] - colours[i]))
-                else:
-                    surrounded = False
-    contrast_out[i] = largest / wp.max(wp.length(colours[i]), floor)
-    surrounded_out[i] = surrounded
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        result = wp.int32(0)
+        if gains[i] > 0.0:
+            largest = wp.float32(0.0)
+            beside_dark = wp.int32(0)
+            column = i % width
+            for side in range(4):
+                beside = i + 1
+                inside = column + 1 < width
+                if side == 1:
+                    beside = i - 1
+                    inside = column > 0
+                if side == 2:
+                    beside = i + width
+                    inside = beside < gains.shape[0]
+                if side == 3:
+                    beside = i - width
+                    inside = beside >= 0
+                if inside:
+                    if gains[beside] > 0.0:
+                        largest = wp.max(largest, wp.length_sq(colours[beside] - colours[i]))
+                    else:
+                        beside_dark = 1
+            contrast = wp.sqrt(largest) / wp.max(wp.length(colours[i]), floor)
+            for k in range(bounds.shape[0]):
+                if contrast > bounds[k]:
+                    result += 2
+            if result > 0:
+                result += beside_dark
+        classes_out[i] = wp.uint8(result)
 
 
 @wp.kernel
@@ -225,21 +317,22 @@ def gather(
     tiles: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.float32),
     first: wp.int32,
+    run: wp.int32,
     # Out:
     colours_out: wp.array(dtype=wp.vec3f),
 ):
     """Set the colours of pixels to the means over the rays of their tiles that meet the mesh."""
-    tile = first + wp.tid()
-    rays = weights.shape[0]
-    total = wp.vec3f()
-    weight = wp.float32(0.0)
-    for k in range(rays):
-        i = tile * rays + k
-        if hit[i] != 0:
-            total += weights[k] * colours[i]
-            weight += weights[k]
-    if weight > 0.0:
-        colours_out[tiles[tile]] = total / weight
+    for tile in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        rays = weights.shape[0]
+        total = wp.vec3f()
+        weight = wp.float32(0.0)
+        for k in range(rays):
+            i = tile * rays + k
+            if hit[i] != 0:
+                total += weights[k] * colours[i]
+                weight += weights[k]
+        if weight > 0.0:
+            colours_out[tiles[tile]] = total / weight
 
 
 @wp.kernel
@@ -247,9 +340,10 @@ def accumulate(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     first: wp.int32,
+    run: wp.int32,
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
     """Add colours to others."""
-    i = first + wp.tid()
-    xyz_out[i] = xyz_out[i] + colours[i]
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        xyz_out[i] = xyz_out[i] + colours[i]

@@ -53,7 +53,7 @@ class Sampling:
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels of which each is met by a tile of rays, one after the other; empty is none
     places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
-    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, in whose middle nothing else is; or empty
+    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first; or empty
 
 
 @wp.struct
@@ -112,7 +112,7 @@ def to_unit(bits: wp.uint32) -> wp.float64:
 
 
 @wp.func
-def pixel_offset(sampling: Sampling, pixel: wp.int32) -> wp.vec2d:
+def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
     """Where in the pixel a sample lies, (right, down) of its centre [pixels].
 
     The offsets are distributed as the reconstruction filter, a Gaussian of 0.5 pixel cut at 1.5, so that samples
@@ -120,9 +120,9 @@ def pixel_offset(sampling: Sampling, pixel: wp.int32) -> wp.vec2d:
     in 32-bit integers the sequence is exact at any index.
     """
     result = wp.vec2d()
-    if sampling.samples > 1:
-        index = wp.uint32(sampling.sample)
-        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(sampling.seed)))
+    if samples > 1:
+        index = wp.uint32(sample)
+        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(seed)))
         rotation_y = scramble(rotation_x + GOLDEN)
         radial = to_unit(index * R2_X + rotation_x)
         angular = to_unit(index * R2_Y + rotation_y)
@@ -266,6 +266,7 @@ def cover(
     surface: SurfaceArrays,
     pixels: Pixels,
     first: wp.int32,
+    run: wp.int32,
 ):
     """Which face each pixel's centre sees, face by face, of a mesh that lies wholly in front of the eye.
 
@@ -277,75 +278,87 @@ def cover(
         pixels: Of these ``nearest``: the distance along the view, as the bits of a float32, and the face below them;
             the smallest is kept. All bits set is none.
         first: The first thread's face.
+        run: How many a thread takes.
     """
-    face = first + wp.tid()
-    i0 = surface.faces[face, 0]
-    i1 = surface.faces[face, 1]
-    i2 = surface.faces[face, 2]
-    p0 = in_picture(camera, surface.positions[i0])
-    p1 = in_picture(camera, surface.positions[i1])
-    p2 = in_picture(camera, surface.positions[i2])
-    zero = wp.float64(0.0)
-    half = wp.float64(0.5)
-    side = wp.float64(1.0)
-    if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
-        side = wp.float64(-1.0)
-    # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
-    nearest = wp.max(wp.dot(camera.origin, camera.back) - wp.float64(1.0), zero)
-    low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
-    high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
-    least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
-    most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
-    if low_y > high_y or least_x > most_x:
-        return
-    for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
-        y = wp.float64(row) + half
-        # A pixel's width of slack: what counts is tested below.
-        span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
-        span = clipped(clipped(clipped(span, p1, p2, side, y), p2, p0, side, y), p0, p1, side, y)
-        start = wp.max(wp.floor(span[0] - half), least_x)
-        end = wp.min(wp.ceil(span[1] - half), most_x)
-        for column in range(wp.int32(start), wp.int32(end) + 1):
-            x = wp.float64(column) + half
-            e0 = side * beside(p1, p2, i1 < i2, x, y)
-            e1 = side * beside(p2, p0, i2 < i0, x, y)
-            e2 = side * beside(p0, p1, i0 < i1, x, y)
-            total = e0 + e1 + e2
-            if e0 >= zero and e1 >= zero and e2 >= zero and total > zero:
-                depth = zero
-                if camera.orthographic:
-                    depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
-                else:
-                    depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
-                distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
-                keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        i0 = surface.faces[face, 0]
+        i1 = surface.faces[face, 1]
+        i2 = surface.faces[face, 2]
+        p0 = in_picture(camera, surface.positions[i0])
+        p1 = in_picture(camera, surface.positions[i1])
+        p2 = in_picture(camera, surface.positions[i2])
+        zero = wp.float64(0.0)
+        half = wp.float64(0.5)
+        side = wp.float64(1.0)
+        if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
+            side = wp.float64(-1.0)
+        # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
+        nearest = wp.max(wp.dot(camera.origin, camera.back) - wp.float64(1.0), zero)
+        low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
+        high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
+        least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
+        most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
+        if low_y > high_y or least_x > most_x:
+            continue
+        for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
+            y = wp.float64(row) + half
+            # A pixel's width of slack: what counts is tested below.
+            span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
+            span = clipped(clipped(clipped(span, p1, p2, side, y), p2, p0, side, y), p0, p1, side, y)
+            start = wp.max(wp.floor(span[0] - half), least_x)
+            end = wp.min(wp.ceil(span[1] - half), most_x)
+            for column in range(wp.int32(start), wp.int32(end) + 1):
+                x = wp.float64(column) + half
+                e0 = side * beside(p1, p2, i1 < i2, x, y)
+                e1 = side * beside(p2, p0, i2 < i0, x, y)
+                e2 = side * beside(p0, p1, i0 < i1, x, y)
+                total = e0 + e1 + e2
+                if e0 >= zero and e1 >= zero and e2 >= zero and total > zero:
+                    depth = zero
+                    if camera.orthographic:
+                        depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
+                    else:
+                        depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
+                    distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
+                    keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
 
 
 @wp.func
-def shares(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.vec2d:
-    """Shares of the second and the third corner where a ray meets a face's plane; (−1, −1) where it does not."""
+def meet(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.vec3d:
+    """Where a ray meets a face's plane: shares of the second and the third corner, and the distance.
+
+    The shares are (−1, −1) where it does not.
+    """
     edge1 = wp.vec3d(p1) - wp.vec3d(p0)
     edge2 = wp.vec3d(p2) - wp.vec3d(p0)
     across_edge2 = wp.cross(along, edge2)
     determinant = wp.dot(edge1, across_edge2)
-    result = wp.vec2d(-wp.float64(1.0), -wp.float64(1.0))
+    result = wp.vec3d(-wp.float64(1.0), -wp.float64(1.0), wp.float64(0.0))
     if determinant != wp.float64(0.0):
         from_corner = origin - wp.vec3d(p0)
+        across_edge1 = wp.cross(from_corner, edge1)
         share1 = wp.dot(from_corner, across_edge2) / determinant
-        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
-        result = wp.vec2d(share1, share2)
+        share2 = wp.dot(along, across_edge1) / determinant
+        result = wp.vec3d(share1, share2, wp.dot(edge2, across_edge1) / determinant)
     return result
 
 
 @wp.func
-def within(surface: SurfaceArrays, face: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.bool:
-    """Whether a ray meets a face."""
-    p0 = surface.positions[surface.faces[face, 0]]
-    p1 = surface.positions[surface.faces[face, 1]]
-    p2 = surface.positions[surface.faces[face, 2]]
-    place = shares(p0, p1, p2, origin, along)
+def is_within(place: wp.vec3d) -> wp.bool:
+    """Whether shares of two corners are those of a point in the face."""
     zero = wp.float64(0.0)
     return place[0] >= zero and place[1] >= zero and place[0] + place[1] <= wp.float64(1.0)
+
+
+@wp.func
+def touch(faces: wp.array2d(dtype=wp.int32), one: wp.int32, other: wp.int32) -> wp.bool:
+    """Whether two faces have a corner in common."""
+    result = bool(False)
+    for j in range(3):
+        for k in range(3):
+            if faces[one, j] == faces[other, k]:
+                result = True
+    return result
 
 
 @wp.kernel
@@ -356,6 +369,7 @@ def cast(
     sampling: Sampling,
     pixels: Pixels,
     first: wp.int32,
+    run: wp.int32,
 ):
     """One ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
 
@@ -369,125 +383,149 @@ def cast(
         sampling: Where in the pixel.
         pixels: What was and is found.
         first: The first thread's pixel, or ray of a tile.
+        run: How many a thread takes.
     """
-    ray = first + wp.tid()
-    pixels.hit[ray] = 0
-    pixels.face[ray] = -1
-    pixel = ray
-    offset = pixel_offset(sampling, pixel)
-    rays = sampling.places.shape[0]
-    if sampling.tiles.shape[0] > 0:
-        pixel = sampling.tiles[ray // rays]
-        offset = sampling.places[ray % rays]
-    elif rays > 0:
-        offset = sampling.places[sampling.sample]
+    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        pixels.hit[ray] = 0
+        pixels.face[ray] = -1
+        pixel = ray
+        offset = pixel_offset(sampling.sample, sampling.samples, sampling.seed, pixel)
+        rays = sampling.places.shape[0]
+        if sampling.tiles.shape[0] > 0:
+            pixel = sampling.tiles[ray // rays]
+            offset = sampling.places[ray % rays]
+        elif rays > 0:
+            offset = sampling.places[sampling.sample]
+        face = wp.int32(-1)
+        if pixels.nearest.shape[0] > 0:
+            if pixels.nearest[pixel] == UNSEEN:
+                continue
+            face = wp.int32(pixels.nearest[pixel] & wp.uint64(0xFFFFFFFF))
 
-    # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
-    one = wp.float64(1.0)
-    two = wp.float64(2.0)
-    half = wp.float64(0.5)
-    column = wp.float64(pixel % camera.width) + half + offset[0]
-    row = wp.float64(pixel // camera.width) + half + offset[1]
-    x = camera.half_width * (two * column / wp.float64(camera.width) - one)
-    y = camera.half_height * (one - two * row / wp.float64(camera.height))
-    across = x * camera.right + y * camera.up
-    origin = camera.origin
-    along = across - camera.back
-    if camera.orthographic:
-        origin = camera.origin + across
-        along = -camera.back
-    along = wp.normalize(along)
-    face = wp.int32(-1)
-    b0 = wp.float32(1.0)
-    b1 = wp.float32(0.0)
-    direction = wp.normalize(wp.vec3f(along))
-    if sampling.faces.shape[0] > 0:
-        guess = sampling.faces[pixel]
-        if within(surface, guess, origin, along):
-            face = guess
-    if face >= 0:
-        pass
-    elif pixels.nearest.shape[0] > 0:
-        found = pixels.nearest[pixel]
-        if found == UNSEEN:
-            return
-        face = wp.int32(found & wp.uint64(0xFFFFFFFF))
-    else:
-        # The mesh lies in the unit sphere: most rays beside it end here.
-        ahead = -wp.dot(origin, along)
-        aside = origin + ahead * along
-        if wp.dot(aside, aside) > wp.float64(1.0 + 1.0e-5):
-            return
-        near = wp.max(ahead - two, wp.float64(0.0))
-        start = wp.vec3f(origin + near * along)
-        query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
-        if not query.result:
-            return
-        face = query.face
-        # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
-        b0 = query.u
-        b1 = query.v
-    i0 = surface.faces[face, 0]
-    i1 = surface.faces[face, 1]
-    i2 = surface.faces[face, 2]
-    p0 = surface.positions[i0]
-    p1 = surface.positions[i1]
-    p2 = surface.positions[i2]
-    # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
-    # 1e-5, which a window of many wavelengths sees in what lies between its orders.
-    place = shares(p0, p1, p2, origin, along)
-    if place[0] != -one or place[1] != -one:
-        share1 = wp.clamp(place[0], wp.float64(0.0), one)
-        share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
-        b0 = wp.float32(one - share1 - share2)
-        b1 = wp.float32(share1)
-    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
-    to_view = -direction
+        # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
+        one = wp.float64(1.0)
+        two = wp.float64(2.0)
+        half = wp.float64(0.5)
+        column = wp.float64(pixel % camera.width) + half + offset[0]
+        row = wp.float64(pixel // camera.width) + half + offset[1]
+        x = camera.half_width * (two * column / wp.float64(camera.width) - one)
+        y = camera.half_height * (one - two * row / wp.float64(camera.height))
+        across = x * camera.right + y * camera.up
+        origin = camera.origin
+        along = across - camera.back
+        if camera.orthographic:
+            origin = camera.origin + across
+            along = -camera.back
+        along = wp.normalize(along)
+        direction = wp.vec3f(along)
+        place = wp.vec3d()
+        is_met = bool(False)
+        if sampling.faces.shape[0] > 0:
+            # The nearest of the faces in the centres of the pixel and of those on the ray's side, if it is the pixel's
+            # or touches it: elsewhere an edge of the body may lie between.
+            aside = wp.int32(wp.sign(offset[0]))
+            below = camera.width * wp.int32(wp.sign(offset[1]))
+            centre = sampling.faces[pixel]
+            for corner in range(4):
+                beside = pixel + aside * (corner % 2) + below * (corner // 2)
+                guess = wp.int32(-1)
+                if beside >= 0 and beside < sampling.faces.shape[0]:
+                    guess = sampling.faces[beside]
+                if guess >= 0 and (guess != centre or corner == 0):
+                    q0 = surface.positions[surface.faces[guess, 0]]
+                    q1 = surface.positions[surface.faces[guess, 1]]
+                    q2 = surface.positions[surface.faces[guess, 2]]
+                    met = meet(q0, q1, q2, origin, along)
+                    if is_within(met) and (face < 0 or met[2] < place[2]):
+                        face = guess
+                        place = met
+            is_met = face >= 0
+            if is_met and face != centre:
+                is_met = touch(surface.faces, face, centre)
+                if not is_met:
+                    face = -1
+        b0 = wp.float32(1.0)
+        b1 = wp.float32(0.0)
+        if face < 0:
+            # The mesh lies in the unit sphere: most rays beside it end here.
+            ahead = -wp.dot(origin, along)
+            closest = origin + ahead * along
+            if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
+                continue
+            near = wp.max(ahead - two, wp.float64(0.0))
+            start = wp.vec3f(origin + near * along)
+            query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
+            if not query.result:
+                continue
+            face = query.face
+            # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
+            b0 = query.u
+            b1 = query.v
+        i0 = surface.faces[face, 0]
+        i1 = surface.faces[face, 1]
+        i2 = surface.faces[face, 2]
+        p0 = surface.positions[i0]
+        p1 = surface.positions[i1]
+        p2 = surface.positions[i2]
+        # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal
+        # by 1e-5, which a window of many wavelengths sees in what lies between its orders.
+        if not is_met:
+            place = meet(p0, p1, p2, origin, along)
+        if place[0] != -one or place[1] != -one:
+            share1 = wp.clamp(place[0], wp.float64(0.0), one)
+            share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
+            b0 = wp.float32(one - share1 - share2)
+            b1 = wp.float32(share1)
+        b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
+        to_view = -direction
 
-    geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
-    side = wp.float32(1.0)
-    if wp.dot(geometric, to_view) < 0.0:
-        side = wp.float32(-1.0)
-    geometric = side * geometric
-    point = b0 * p0 + b1 * p1 + b2 * p2
-    normal = geometric
-    shadow_origin = point
-    if surface.smooth:
-        n0 = side * surface.normals[i0]
-        n1 = side * surface.normals[i1]
-        n2 = side * surface.normals[i2]
-        blend = b0 * n0 + b1 * n1 + b2 * n2
-        if wp.length_sq(blend) > 1.0e-8:
-            normal = wp.normalize(blend)
-        # Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for, or
-        # the facets would shadow each other where the light grazes it.
-        shadow_origin = (
-            b0 * above_tangent_plane(point, p0, n0)
-            + b1 * above_tangent_plane(point, p1, n1)
-            + b2 * above_tangent_plane(point, p2, n2)
-        )
-    normal = face_the_viewer(normal, geometric, to_view)
+        geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
+        side = wp.float32(1.0)
+        if wp.dot(geometric, to_view) < 0.0:
+            side = wp.float32(-1.0)
+        geometric = side * geometric
+        point = b0 * p0 + b1 * p1 + b2 * p2
+        normal = geometric
+        shadow_origin = point
+        if surface.smooth:
+            n0 = side * surface.normals[i0]
+            n1 = side * surface.normals[i1]
+            n2 = side * surface.normals[i2]
+            blend = b0 * n0 + b1 * n1 + b2 * n2
+            if wp.length_sq(blend) > 1.0e-8:
+                normal = wp.normalize(blend)
+            # Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for, or
+            # the facets would shadow each other where the light grazes it.
+            shadow_origin = (
+                b0 * above_tangent_plane(point, p0, n0)
+                + b1 * above_tangent_plane(point, p1, n1)
+                + b2 * above_tangent_plane(point, p2, n2)
+            )
+        normal = face_the_viewer(normal, geometric, to_view)
 
-    tangent = b0 * surface.tangents[i0] + b1 * surface.tangents[i1] + b2 * surface.tangents[i2]
-    tangent = tangent - wp.dot(tangent, normal) * normal
-    if wp.length_sq(tangent) > 1.0e-10:
-        # Projected twice, as in face_the_viewer.
-        tangent = wp.normalize(tangent)
-        tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
-    else:
-        tangent = perpendicular(normal)
+        tangent = b0 * surface.tangents[i0] + b1 * surface.tangents[i1] + b2 * surface.tangents[i2]
+        tangent = tangent - wp.dot(tangent, normal) * normal
+        if wp.length_sq(tangent) > 1.0e-10:
+            # Projected twice, as in face_the_viewer.
+            tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
+        else:
+            tangent = perpendicular(normal)
 
-    colour = wp.vec3f(-1.0, -1.0, -1.0)
-    if surface.has_vertex_colours:
-        colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
-    if colour[0] < 0.0:
-        colour = sample_texture(surface.texture, b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2])
+        colour = wp.vec3f(-1.0, -1.0, -1.0)
+        if surface.has_vertex_colours:
+            colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
+        if colour[0] < 0.0:
+            # A plain colour is a texture of one texel.
+            colour = surface.texture[0, 0]
+            if surface.texture.shape[0] * surface.texture.shape[1] > 1:
+                uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
+                colour = sample_texture(surface.texture, uv)
 
-    pixels.hit[ray] = 1
-    pixels.face[ray] = face
-    pixels.tangent[ray] = tangent
-    pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
-    pixels.normal[ray] = normal
-    pixels.to_view[ray] = to_view
-    pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
-    pixels.base_colour[ray] = colour
+        pixels.hit[ray] = 1
+        pixels.face[ray] = face
+        pixels.tangent[ray] = tangent
+        pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
+        pixels.normal[ray] = normal
+        pixels.to_view[ray] = to_view
+        pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
+        pixels.base_colour[ray] = colour

@@ -12,7 +12,7 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, lookup, polar, raycast, spectral
+from warpdiff.kernels import directions, lookup, polar, raycast, shadows, spectral
 
 SM = 90
 # Ampere, too, for what every frame launches.
@@ -21,13 +21,16 @@ SMS = (80, 90)
 FUNCTIONS_ONLY = {"optics"}
 KERNELS = {
     "raycast": {"cast", "cover"},
+    "shadows": {"count", "fill", "hide", "project"},
     "directions": {
         "accumulate",
-        "contrast",
+        "classify",
         "deflect_directions",
         "deflect_pixels",
         "gather",
+        "pick",
         "spread_pixels",
+        "sum_up",
     },
     "spectral": {"integrate", "sample"},
     "lookup": {"blur", "integrate", "interpolate"},
@@ -88,7 +91,7 @@ def test_every_kernel_module_is_compiled_here():
 
 
 @pytest.mark.parametrize("arch", SMS)
-@pytest.mark.parametrize("module", [raycast, directions], ids=["raycast", "directions"])
+@pytest.mark.parametrize("module", [raycast, directions, shadows], ids=["raycast", "directions", "shadows"])
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 

@@ -41,7 +41,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         launches.insert(0, (raycast.cover, scene.face_count, [*inputs, pixels]))
     for kernel, size, arguments in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
-            wp.launch(kernel, dim=int(end - begin), inputs=[*arguments, int(begin)], device="cpu")
+            wp.launch(kernel, dim=1, inputs=[*arguments, int(begin), int(end - begin)], device="cpu")
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
 
 

@@ -65,9 +65,13 @@ def launch(
     device: wp.Device,
     threads: int,
     slice_size: int | None = None,
+    in_runs: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Launch a kernel whose last input is ``first``, the index of its first thread.
+
+    If ``in_runs`` a number ``run`` of indices for each thread comes after it: a thread on the CPU takes its arguments,
+    a kilobyte of them for some kernels, once for all of a slice rather than once for each index.
 
     A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads;
     every index is computed by itself, and the result depends neither on their number nor on the slices' size.
@@ -78,7 +82,7 @@ def launch(
         return
     if not device.is_cpu:
         # Launches of a frame queue up; whoever reads their results waits for them.
-        wp.launch(kernel, dim=size, inputs=[*inputs, 0], outputs=outputs, device=device)
+        wp.launch(kernel, dim=size, inputs=[*inputs, 0, 1] if in_runs else [*inputs, 0], outputs=outputs, device=device)
         if progress is not None:
             wp.synchronize_device(device)
             progress(1.0)
@@ -93,7 +97,9 @@ def launch(
 
     def run(first: int) -> None:
         nonlocal done
-        wp.launch(kernel, dim=min(slice_size, size - first), inputs=[*inputs, first], outputs=outputs, device=device)
+        count = min(slice_size, size - first)
+        indices = [first, count] if in_runs else [first]
+        wp.launch(kernel, dim=1 if in_runs else count, inputs=[*inputs, *indices], outputs=outputs, device=device)
         with lock:
             done += 1
             if progress is not None:

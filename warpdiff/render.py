@@ -18,7 +18,9 @@ from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import Plan, check_method, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
+from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.surface import prepare_surface
+from warpdiff.survey import survey
 from warpdiff.view import View
 
 if TYPE_CHECKING:
@@ -150,9 +152,9 @@ def shade(
 
 def _load_ray_kernels(device: wp.Device) -> None:
     """Begin to load what every picture needs: even to name an illuminant takes a library that is slow to import."""
-    from warpdiff.kernels import directions, raycast
+    from warpdiff.kernels import directions, raycast, shadows
 
-    load([raycast.cast, directions.deflect_pixels], device)
+    load([raycast.cast, directions.deflect_pixels, shadows.hide], device)
 
 
 def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
@@ -234,6 +236,8 @@ class _Frame:
         self._sample = 0
         self._device = device
         self._threads = threads
+        self._options: dict[str, Any] = {"device": device, "threads": threads}
+        self._surface = surface
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
         self._camera = scene.camera(view, surface)
         self._needs_shadow_rays = scene.needs_shadow_rays(surface, view)
@@ -264,19 +268,25 @@ class _Frame:
         surveyed = min(self._samples, _SURVEYED)
         for sample in range(surveyed):
             self.cast(sample)
+            if sample == 0:
+                self._sort_faces()
             for light in self._lights:
                 self.deflect(light)
-                lit = np.flatnonzero(self._seen.gains.numpy() > 0.0)
-                deflections, to_lights, gains = (each[lit] for each in self.directions())
-                scope = scope.joined(Scope.of(hf, window, deflections, to_lights, gains > 0.0))
-                count += len(lit)
+                found, lit, pilots = survey(hf, window, *self._seen.directions, **self._options)
+                scope = scope.joined(found)
+                count += lit
                 if sample == 0:
-                    seen.append(Pilots.among(deflections, to_lights, gains).arrays)
+                    seen.append(pilots.arrays)
         count = count * self._samples // surveyed
         return scope, count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
 
-    def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
-        """Cast and deflect sample after sample, light after light: a light's index, and the pass' share of progress."""
+    def _passes(
+        self, progress: Callable[[float], None] | None
+    ) -> Iterator[tuple[int, int, Callable[[float], None] | None]]:
+        """Cast and deflect sample after sample, light after light.
+
+        Yields a light's index, how many pixels it reaches, and the pass' share of progress.
+        """
         passes = self._samples * len(self._lights)
         if passes > 1:
             self._xyz.zero_()
@@ -288,8 +298,9 @@ class _Frame:
                 # The survey has left behind what a single pass needs.
                 if passes > 1:
                     self.deflect(light)
-                self._lit |= self._seen.gains.numpy() > 0.0
-                yield index, _share(progress, sample * len(self._lights) + index, passes)
+                lit = self._seen.gains.numpy() > 0.0
+                self._lit |= lit
+                yield index, int(np.count_nonzero(lit)), _share(progress, sample * len(self._lights) + index, passes)
 
     def integrate(
         self,
@@ -307,7 +318,7 @@ class _Frame:
         if footprint:
             self._cast(0, 1)
             spreads = [self.spread(light) for light in self._lights]
-        for index, share in self._passes(progress):
+        for index, _, share in self._passes(progress):
             integrator.add(
                 *self._seen.directions, illuminants[index], self._xyz, footprints=spreads[index], progress=share
             )
@@ -324,19 +335,18 @@ class _Frame:
         """The same of means over pixels, where that takes it over several rays in each."""
         import warp as wp
 
-        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         tiled, lit = 0, 0
-        for index, share in self._passes(progress):
+        for index, count, share in self._passes(progress):
             light, illuminant, seen = self._lights[index], illuminants[index], self._seen
             colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
             spread = self.spread(light)
             integrator.add(*seen.directions, illuminant, colours, footprints=spread, progress=share)
             width = self._view.width
-            for batch in supersample.batches(colours, seen.gains, width, tolerance, **options):
+            for batch in supersample.batches(colours, seen.gains, width, tolerance, **self._options):
                 self._set_means(integrator, light, illuminant, batch, colours)
                 tiled += len(batch.pixels)
-            supersample.add(colours, self._xyz, **options)
-            lit += int(np.count_nonzero(seen.gains.numpy() > 0.0))
+            supersample.add(colours, self._xyz, **self._options)
+            lit += count
         return tiled / max(lit, 1)
 
     def _set_means(
@@ -357,19 +367,18 @@ class _Frame:
         seen = _Seen.by(len(batch.pixels) * len(weights), device=self._device)
         self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], len(seen))
         of_rays = wp.zeros(len(seen), dtype=wp.vec3f, device=self._device)
-        self._deflect(light if batch.shadows else _unshadowed(light), seen, 1.0, of_rays)
+        self._deflect(light, seen, 1.0, of_rays, shadows=batch.shadows)
         spread = self._spread(light, seen, tile.across, tile.across, tile.deviation / tile.apart)
         # The pigment of the pixel's own ray stays.
         of_rays.zero_()
         integrator.add(*seen.directions, illuminant, of_rays, footprints=spread)
-        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
-        supersample.set_means(colours, sampling.tiles, weights, seen.pixels.hit, of_rays, **options)
+        supersample.set_means(colours, sampling.tiles, weights, seen.pixels.hit, of_rays, **self._options)
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
     ) -> None:
         """The same by the direct sum."""
-        for index, share in self._passes(progress):
+        for index, _, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
             added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[index], progress=share)
             self._xyz.assign((self._xyz.numpy() + added).astype(np.float32))
@@ -387,7 +396,7 @@ class _Frame:
         arguments = directions.LightArguments()
         arguments.to_light = wp.vec3d(*light.to_light)
         arguments.power = light.power
-        arguments.mesh_id = self._scene.mesh_id
+        arguments.grid = no_grid(self._scene, light.to_light)
         arguments.shadows = shadows and self._needs_shadow_rays
         arguments.pigment = pigment if self._has_base_colour else 0.0
         arguments.white_rgb = wp.vec3d(*spectrum.xyz_to_rgb(white))
@@ -407,7 +416,7 @@ class _Frame:
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int) -> None:
         slice_size = max(size // (4 * self._threads), _LEAST_SLICE)
-        launch(kernel, size, inputs, outputs, device=self._device, threads=self._threads, slice_size=slice_size)
+        launch(kernel, size, inputs, outputs, slice_size=slice_size, in_runs=True, **self._options)
 
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""
@@ -426,20 +435,33 @@ class _Frame:
         pixels = self._seen.pixels
         if self._covers:
             pixels.nearest.fill_(raycast.UNSEEN)
-            launch(
-                raycast.cover, self._scene.face_count, [self._camera, self._scene.arrays, pixels], [],
-                device=self._device, threads=self._threads,
-            )  # fmt: skip
+            faces = self._scene.face_count
+            launch(raycast.cover, faces, [self._camera, self._scene.arrays, pixels], [], in_runs=True, **self._options)
         self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], self._size)
+
+    def _sort_faces(self) -> None:
+        """Make grids of faces for shadow rays where these are worth it. A GPU has rays enough for its hierarchy."""
+        rays = self._samples * int(np.count_nonzero(self._seen.pixels.hit.numpy())) if self._device.is_cpu else 0
+        for light in self._lights:
+            if light.shadows and grid_pays(self._scene.face_count, rays):
+                to_light = [float(part) for part in light.to_light]
+                light.grid = grid_for(self._surface, self._scene, to_light, **self._options)
 
     def deflect(self, light: Any) -> None:
         """Compute the deflections and gains under one light, and add its pigment."""
         self._deflect(light, self._seen, float(self._weights[self._sample]), self._xyz)
 
-    def _deflect(self, light: Any, seen: _Seen, weight: float, xyz: wp.array) -> None:
-        from warpdiff.kernels import directions
+    def _deflect(self, light: Any, seen: _Seen, weight: float, xyz: wp.array, *, shadows: bool = True) -> None:
+        import warp as wp
 
-        inputs = [seen.pixels, light, self._reflection, weight]
+        from warpdiff.kernels import directions
+        from warpdiff.kernels.shadows import hide
+
+        shadows = shadows and light.shadows
+        hidden = wp.empty(len(seen) if shadows else 0, dtype=wp.bool, device=self._device)
+        if shadows:
+            self._launch(hide, [light.grid, seen.pixels], [hidden], len(seen))
+        inputs = [seen.pixels, light, self._reflection, weight, hidden]
         self._launch(directions.deflect_pixels, inputs, [*seen.directions, xyz], len(seen))
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -473,17 +495,6 @@ class _Frame:
             coverage=coverage,
             plan=plan,
         )
-
-
-def _unshadowed(light: Any) -> Any:
-    """The struct of a light that nothing hides."""
-    from warpdiff.kernels import directions
-
-    result = directions.LightArguments()
-    for name in directions.LightArguments.vars:
-        setattr(result, name, getattr(light, name))
-    result.shadows = False
-    return result
 
 
 def _check_lights(light: Any) -> list[DirectionalLight]:

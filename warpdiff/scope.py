@@ -50,16 +50,16 @@ class Pilots:
     ) -> Pilots:
         """Up to ``CROWD`` of the lit ones among a call's directions, equally far apart in their order."""
         lit = np.flatnonzero(gains > 0.0)
-        lit = lit[_equally_far(len(lit), CROWD)]
+        lit = lit[equally_far(len(lit), CROWD)]
         return cls(deflections[lit].astype(np.float64), to_lights[lit].astype(np.float64), gains[lit].astype(float))
 
     def fewer(self) -> Pilots:
         """Up to ``PILOTS`` of these."""
-        some = _equally_far(len(self), PILOTS)
+        some = equally_far(len(self), PILOTS)
         return Pilots(self.deflections[some], self.to_lights[some], self.gains[some])
 
 
-def _equally_far(count: int, most: int) -> NDArray[np.int64]:
+def equally_far(count: int, most: int) -> NDArray[np.int64]:
     """Indices of at most ``most`` of ``count`` things."""
     return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
 

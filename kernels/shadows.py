@@ -1,0 +1,203 @@
+"""Whether a light is hidden, by a grid over the mesh as the light sees it: each cell lists the faces in its reach.
+
+Positions across the light are whole numbers of 2^-24 radii. Their differences and products are exact in float64, so
+that the side of an edge on which a point lies is the same for both faces that meet there, however it is compiled: no
+ray slips between them.
+"""
+
+import warp as wp
+
+from warpdiff.kernels import spectral
+from warpdiff.kernels.raycast import Pixels, occluded
+
+wp.set_module_options(spectral.OPTIONS)
+
+# Steps in a radius: the most that float32 counts one by one.
+STEPS = wp.constant(wp.float64(16777216.0))
+# Less than any cosine that rounds to above the horizon.
+FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
+
+
+@wp.struct
+class ShadowGrid:
+    """A mesh as a light sees it."""
+
+    mesh_id: wp.uint64  # whose hierarchy is asked where there is no grid
+    across: wp.vec3d  # unit vectors at right angles to the light, ...
+    up: wp.vec3d
+    towards: wp.vec3d  # ... and towards it
+    low_x: wp.float64  # the first cell's corner [steps]
+    low_y: wp.float64
+    per_step: wp.float64  # cells
+    columns: wp.int32
+    rows: wp.int32
+    corners: wp.array(dtype=wp.mat33f)  # of each face, a row each, counter-clockwise: across and up [steps], height
+    starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and the last one ends; empty is no grid
+    faces: wp.array(dtype=wp.int32)  # the lists
+    tops: wp.array(dtype=wp.float32)  # the largest height of each listed face
+
+
+_TAKE_NUMBER = """
+#if defined(__CUDA_ARCH__)
+    return atomicAdd((int*)values.data + index, 1);
+#else
+    return __atomic_fetch_add((int*)values.data + index, 1, __ATOMIC_RELAXED);
+#endif
+"""
+
+
+# Warp's own is atomic on a GPU only, and slices of a launch run on several threads.
+@wp.func_native(_TAKE_NUMBER)
+def take_number(values: wp.array(dtype=wp.int32), index: wp.int32) -> wp.int32:
+    """Count one up; returns what was there."""
+
+
+@wp.func
+def seen(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
+    """A position across the light, in whole steps, and its height."""
+    at = wp.vec3d(position)
+    return wp.vec3d(
+        wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
+    )
+
+
+@wp.func
+def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
+    """The column or row of a place: never less for one further on."""
+    return wp.int32(wp.floor((place - low) * per_step))
+
+
+@wp.func
+def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Twice the area between an edge and a point to its left, exactly."""
+    ax = wp.float64(a[0])
+    ay = wp.float64(a[1])
+    return (wp.float64(b[0]) - ax) * (y - ay) - (wp.float64(b[1]) - ay) * (x - ax)
+
+
+@wp.func
+def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
+    """First and last column and row of a face's box; none of a face without area."""
+    c0 = corners[0]
+    c1 = corners[1]
+    c2 = corners[2]
+    result = wp.vec4i(0, -1, 0, -1)
+    if left_of(c0, c1, wp.float64(c2[0]), wp.float64(c2[1])) > wp.float64(0.0):
+        result[0] = cell_of(wp.float64(wp.min(wp.min(c0[0], c1[0]), c2[0])), grid.low_x, grid.per_step)
+        result[1] = cell_of(wp.float64(wp.max(wp.max(c0[0], c1[0]), c2[0])), grid.low_x, grid.per_step)
+        result[2] = cell_of(wp.float64(wp.min(wp.min(c0[1], c1[1]), c2[1])), grid.low_y, grid.per_step)
+        result[3] = cell_of(wp.float64(wp.max(wp.max(c0[1], c1[1]), c2[1])), grid.low_y, grid.per_step)
+    return result
+
+
+@wp.kernel
+def project(
+    # In:
+    grid: ShadowGrid,
+    positions: wp.array(dtype=wp.vec3f),
+    faces: wp.array2d(dtype=wp.int32),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    cells_out: wp.array(dtype=wp.int32),
+):
+    """Each face's corners as the light sees them, and how many cells its box overlaps."""
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        p0 = seen(grid, positions[faces[face, 0]])
+        p1 = seen(grid, positions[faces[face, 1]])
+        p2 = seen(grid, positions[faces[face, 2]])
+        c0 = wp.vec3f(p0)
+        c1 = wp.vec3f(p1)
+        c2 = wp.vec3f(p2)
+        if left_of(c0, c1, p2[0], p2[1]) < wp.float64(0.0):
+            c1 = wp.vec3f(p2)
+            c2 = wp.vec3f(p1)
+        corners = wp.matrix_from_rows(c0, c1, c2)
+        grid.corners[face] = corners
+        cells = cells_of(grid, corners)
+        cells_out[face] = (cells[1] - cells[0] + 1) * (cells[3] - cells[2] + 1)
+
+
+@wp.kernel
+def count(
+    # In:
+    grid: ShadowGrid,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """How many faces each cell lists."""
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        cells = cells_of(grid, grid.corners[face])
+        for row in range(cells[2], cells[3] + 1):
+            for column in range(cells[0], cells[1] + 1):
+                take_number(counts_out, row * grid.columns + column)
+
+
+@wp.kernel
+def fill(
+    # In:
+    grid: ShadowGrid,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    ends_out: wp.array(dtype=wp.int32),
+):
+    """The cells' lists, in whatever order threads come: whether any face hides the light does not depend on it.
+
+    ``ends_out`` are the lists' beginnings and become their ends.
+    """
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        corners = grid.corners[face]
+        top = wp.max(wp.max(corners[0, 2], corners[1, 2]), corners[2, 2])
+        cells = cells_of(grid, corners)
+        for row in range(cells[2], cells[3] + 1):
+            for column in range(cells[0], cells[1] + 1):
+                place = take_number(ends_out, row * grid.columns + column)
+                grid.faces[place] = face
+                grid.tops[place] = top
+
+
+@wp.kernel
+def hide(
+    # In:
+    grid: ShadowGrid,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    hidden_out: wp.array(dtype=wp.bool),
+):
+    """Whether the mesh is met on the way from what pixels see to the light; those that look away do not ask."""
+    zero = wp.float64(0.0)
+    towards = wp.vec3f(grid.towards)
+    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        hidden = bool(False)
+        if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], towards) > FACING_AWAY:
+            if grid.starts.shape[0] == 0:
+                hidden = occluded(grid.mesh_id, pixels.shadow_origin[ray], towards)
+            else:
+                at = seen(grid, pixels.shadow_origin[ray])
+                x = at[0]
+                y = at[1]
+                column = cell_of(x, grid.low_x, grid.per_step)
+                row = cell_of(y, grid.low_y, grid.per_step)
+                if column >= 0 and row >= 0 and column < grid.columns and row < grid.rows:
+                    height = wp.float32(at[2])
+                    cell = row * grid.columns + column
+                    for place in range(grid.starts[cell], grid.starts[cell + 1]):
+                        if grid.tops[place] > height:
+                            corners = grid.corners[grid.faces[place]]
+                            c0 = corners[0]
+                            c1 = corners[1]
+                            c2 = corners[2]
+                            e0 = left_of(c1, c2, x, y)
+                            e1 = left_of(c2, c0, x, y)
+                            e2 = left_of(c0, c1, x, y)
+                            if e0 >= zero and e1 >= zero and e2 >= zero:
+                                above = wp.float64(c0[2]) * e0 + wp.float64(c1[2]) * e1 + wp.float64(c2[2]) * e2
+                                if above > at[2] * (e0 + e1 + e2):
+                                    hidden = True
+                                    break
+        hidden_out[ray] = hidden

@@ -1,0 +1,43 @@
+"""What is found of a picture's directions on a device against the same by NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere
+
+import warpdiff as wd
+from warpdiff.device import resolve_device
+from warpdiff.scope import Pilots, Scope
+from warpdiff.survey import survey
+
+WINDOWS = [
+    wd.Coherence(),
+    wd.Coherence("source", angular_diameter_deg=0.5),
+    wd.Coherence("replicas", copies=(2, 5)),
+]
+
+
+@pytest.mark.parametrize("share", [0.9, 0.01, 0.0])
+@pytest.mark.parametrize("coherence", WINDOWS, ids=lambda each: each.kind)
+def test_scope_and_pilots_are_those_of_all(coherence, share, device, rng):
+    hf = wd.HeightField(rng.uniform(size=(16, 40)), pitch_um=(0.2, 0.1))
+    count = 20_011
+    to_lights = hemisphere(rng, count).astype(np.float32)
+    deflections = -to_lights - hemisphere(rng, count)
+    gains = np.where(rng.uniform(size=count) < share, rng.uniform(0.1, 1.0, count), 0.0).astype(np.float32)
+    expected = Scope.of(hf, coherence, deflections, to_lights, gains > 0.0)
+    pilots = Pilots.among(deflections, to_lights, gains)
+    dtypes = (wp.vec3d, wp.vec3f, wp.float32)
+    arrays = [
+        wp.array(each, dtype=dtype, device=device)
+        for each, dtype in zip((deflections, to_lights, gains), dtypes, strict=True)
+    ]
+    for threads in (1, 3):
+        scope, lit, some = survey(hf, coherence, *arrays, device=resolve_device(device), threads=threads)
+        assert lit == np.count_nonzero(gains)
+        for name in ("max_uv", "max_lateral", "min_w", "max_w"):
+            assert getattr(scope, name) == pytest.approx(getattr(expected, name), rel=1e-14)
+        for found, each in zip(some.arrays, pilots.arrays, strict=True):
+            np.testing.assert_array_equal(found, each)

@@ -1,0 +1,88 @@
+"""Grids by which shadow rays find the few faces that may hide a light."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.device import launch
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import warp as wp
+
+    from warpdiff.scene import SceneArrays
+    from warpdiff.surface import Surface
+
+# Cells that a face's box overlaps on average, and faces in the lists that faces are in, beyond which a hierarchy is
+# faster: large faces lie one above the other, or small ones close together.
+_MOST_CELLS, _MOST_LISTED = 16, 48
+# Faces of a slice.
+_SLICE = 4096
+
+
+def grid_pays(faces: int, rays: int) -> bool:
+    """Whether a grid over so many faces is worth it: one takes half as long as a ray through the hierarchy."""
+    return faces < rays
+
+
+def no_grid(scene: SceneArrays, to_light: Sequence[float]) -> Any:
+    """The :class:`warpdiff.kernels.shadows.ShadowGrid` that has no lists and asks the hierarchy."""
+    import warp as wp
+
+    from warpdiff.kernels import shadows
+
+    grid = shadows.ShadowGrid()
+    grid.mesh_id = scene.mesh_id
+    grid.towards = wp.vec3d(*to_light)
+    return grid
+
+
+def grid_for(
+    surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
+) -> Any:
+    """The :class:`warpdiff.kernels.shadows.ShadowGrid` of a surface under a light on the CPU.
+
+    That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
+    """
+    import warp as wp
+
+    from warpdiff.kernels import shadows
+
+    towards = np.array(to_light)
+    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
+    across /= np.linalg.norm(across)
+    up = np.cross(towards, across)
+    seen = surface.vertices @ np.stack([across, up], axis=1) * float(shadows.STEPS)
+    # What a kernel rounds otherwise is within a step or two.
+    low, high = np.floor(seen.min(axis=0)) - 2.0, np.ceil(seen.max(axis=0)) + 2.0
+    wide, tall = high - low
+    faces = len(surface.faces)
+    # As many cells as faces.
+    side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
+    grid = no_grid(scene, to_light)
+    grid.across, grid.up = wp.vec3d(*across), wp.vec3d(*up)
+    grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
+    grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
+    grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
+    spans = wp.empty(faces, dtype=wp.int32, device=device)
+    launch(shadows.project, faces, [grid, scene.arrays.positions, scene.arrays.faces], [spans], **options)
+    listed = int(spans.numpy().sum(dtype=np.int64))
+    if listed > _MOST_CELLS * faces:
+        return grid
+    counts = wp.zeros(grid.columns * grid.rows, dtype=wp.int32, device=device)
+    launch(shadows.count, faces, [grid], [counts], **options)
+    found = counts.numpy().astype(np.int64)
+    if found @ found > _MOST_LISTED * listed:
+        return grid
+    starts = np.concatenate([[0], np.cumsum(found)]).astype(np.int32)
+    grid.faces = wp.empty(listed, dtype=wp.int32, device=device)
+    grid.tops = wp.empty(listed, dtype=wp.float32, device=device)
+    counts.assign(starts[:-1])
+    launch(shadows.fill, faces, [grid], [counts], **options)
+    grid.starts = wp.array(starts, dtype=wp.int32, device=device)
+    return grid
