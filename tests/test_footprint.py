@@ -105,7 +105,7 @@ def test_more_rays_share_the_footprint(tube, fingers, pictures):
 
 
 def test_rays_on_a_grid_come_closer(tube, fingers, pictures):
-    """The more parts a pixel's mean has, the better; a number that makes no grid is as good as random rays are."""
+    """The more parts a pixel's mean has, the better."""
     blurred, _, exact = pictures
     plan = dataclasses.replace(blurred.plan, tolerance=0.5)
     images = [wd.shade(tube, fingers, LIGHT, view(), plan=plan, samples_per_pixel=n) for n in (4, 9, 25)]
@@ -113,6 +113,24 @@ def test_rays_on_a_grid_come_closer(tube, fingers, pictures):
         found = [np.percentile(errors(each, exact), quantile) for each in images]
         assert found[0] > found[1] > found[2]
     assert np.median(errors(images[2], exact)) < 1.5e-2
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 7, 12])
+def test_any_number_of_rays_is_no_worse_than_one(tube, fingers, pictures, count):
+    blurred, _, exact = pictures
+    one = wd.shade(tube, fingers, LIGHT, view(), plan=dataclasses.replace(blurred.plan, tolerance=0.5))
+    several = wd.shade(tube, fingers, LIGHT, view(), plan=blurred.plan, samples_per_pixel=count)
+    for quantile in (50.0, 95.0):
+        assert np.percentile(errors(several, exact), quantile) < np.percentile(errors(one, exact), quantile)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16, 30, 200])
+def test_rays_have_the_filters_width(count):
+    places, weights, deviation = supersample.rays_of(count)
+    assert weights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(weights @ places, 0.0, atol=1e-12)
+    spread = np.sqrt(np.mean(weights @ places**2) + deviation**2)
+    assert spread == pytest.approx(supersample.FILTER_DEVIATION, rel=0.03)
 
 
 def test_neither_threads_nor_silhouettes_matter(tube, fingers, pictures):

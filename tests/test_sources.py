@@ -1,4 +1,4 @@
-"""Tables for sources: lines of an endless surface, blurred at look-up, against the float64 reference and closed forms."""
+"""Tables for sources: lines that look-ups blur, against the float64 reference, closed forms and sampling."""
 
 from __future__ import annotations
 
@@ -121,9 +121,9 @@ def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
     near = np.stack([uv * np.cos(angles) - 0.6, uv * np.sin(angles), np.zeros(60)], axis=1)
     grazing = np.tile([np.sqrt(1.0 - 0.02**2), 0.0, 0.02], (60, 1))
     aside = np.stack([-grazing[:, 0], np.linspace(0.2, 0.9, 60) * 0.02, np.zeros(60)], axis=1)
-    for lights, views in ((np.tile(to_light, (60, 1)), near), (grazing, aside)):
-        inside = np.sum(views**2, axis=1) < 1.0
-        lights, views = lights[inside], views[inside]
+    for all_lights, all_views in ((np.tile(to_light, (60, 1)), near), (grazing, aside)):
+        inside = np.sum(all_views**2, axis=1) < 1.0
+        lights, views = all_lights[inside], all_views[inside]
         views[:, 2] = np.sqrt(1.0 - np.sum(views**2, axis=1))
         exact = wd.reflectance(fingers, lights, views, coherence=SOURCE, method="low-rank", tolerance=1e-3)
         found = wd.reflectance(fingers, lights, views, plan=plan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -84,10 +83,11 @@ def shade(
             the texture coordinates.
         footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, to first order, rather than the
             colour in its centre: no aliasing, no speckle of orders that fall between pixels. None is on for an averaged
-            window and for a source where a table keeps the tolerance, and off otherwise. Where the picture is so steep that first
-            order will not do, 9 or 25 rays of a pixel have footprints of their own.
+            window and for a source where a table keeps the tolerance, and off otherwise. Where the picture is so steep
+            that first order will not do, 9 or 25 rays of a pixel have footprints of their own.
         samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre. With
-            footprints, 4, 9, 16 and 25 lie on a grid, where means over parts of a pixel add up best.
+            footprints, 4, 9, 16 and 25 lie on a grid, where means over parts of a pixel add up best, and others on a
+            spiral.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
@@ -229,10 +229,9 @@ class _Frame:
 
         self._view = view
         self._samples = samples
-        # What is a mean already lies best on a grid.
-        self._tile = supersample.TILES.get(samples) if means else None
-        self._places: np.ndarray = self._tile.rays[0] if self._tile else np.zeros((0, 2))
-        self._weights: np.ndarray = self._tile.rays[1] if self._tile else np.full(samples, 1.0 / samples)
+        self._places, self._weights, self._deviation = np.zeros((0, 2)), np.full(samples, 1.0 / samples), 0.0
+        if means:
+            self._places, self._weights, self._deviation = supersample.rays_of(samples)
         self._sample = 0
         self._device = device
         self._threads = threads
@@ -471,8 +470,7 @@ class _Frame:
 
     def spread(self, light: Any) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
-        deviation = self._tile.deviation if self._tile else supersample.FILTER_DEVIATION / math.sqrt(self._samples)
-        return self._spread(light, self._seen, self._view.width, self._view.height, deviation)
+        return self._spread(light, self._seen, self._view.width, self._view.height, self._deviation)
 
     def _spread(self, light: Any, seen: _Seen, width: int, height: int, deviation: float) -> wp.array:
         import warp as wp

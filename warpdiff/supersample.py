@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
 # Error of a footprint's mean over the pixel's contrast with those beside it: docs/decisions.md.
 _ERROR_OF_CONTRAST = 0.05
+# Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
+_OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time, which bounds the memory that they take.
 _MOST_RAYS = 150_000
 # What errors are relative to at least, as a share of the 99th percentile of luminance, and how many pixels tell it.
@@ -67,10 +69,31 @@ _TILES = (
     Tile(4, 0.525, 0.28, {(1, 1): 0.1706, (1, 3): 0.0372, (3, 3): 0.005}),
     Tile(5, 0.45, 0.22, {(0, 0): 0.1638, (0, 2): 0.099, (0, 4): 0.0214, (2, 2): 0.055, (2, 4): 0.016, (4, 4): 0.0016}),
 )
-# By their number of rays.
+# By their number of rays; other numbers make no grid.
 TILES = {tile.across**2: tile for tile in _TILES}
 # Pixels whose predicted error exceeds the tolerance by these factors take so many rays.
 _TAKEN = ((1.0, TILES[9]), (3.0, TILES[25]))
+
+
+@functools.cache
+def rays_of(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Rays through one pixel, each with a filter of its own: places (n, 2), weights (n,) and the filters' deviation.
+
+    One has the pixel's filter. Numbers that make no grid lie on a spiral of golden angles (Vogel 1979), as far out as a Gaussian is wide that makes
+    the pixel's filter with theirs.
+    """
+    if count == 1:
+        return np.zeros((1, 2)), np.ones(1), FILTER_DEVIATION
+    if count in TILES:
+        return *TILES[count].rays, TILES[count].deviation
+    deviation = min(_OF_SPIRALS * count**-0.36, _WIDEST_OF_SPIRALS)
+    index = np.arange(count)
+    radius = np.sqrt(-np.log(1.0 - (index + 0.5) / count))
+    angle = index * math.pi * (3.0 - math.sqrt(5.0))
+    places = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    places -= places.mean(axis=0)
+    places *= math.sqrt((FILTER_DEVIATION**2 - deviation**2) / np.mean(places**2))
+    return places, np.full(count, 1.0 / count), deviation
 
 
 @dataclass(frozen=True)
