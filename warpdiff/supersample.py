@@ -79,8 +79,8 @@ _TAKEN = ((1.0, TILES[9]), (3.0, TILES[25]))
 def rays_of(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Rays through one pixel, each with a filter of its own: places (n, 2), weights (n,) and the filters' deviation.
 
-    One has the pixel's filter. Numbers that make no grid lie on a spiral of golden angles (Vogel 1979), as far out as a Gaussian is wide that makes
-    the pixel's filter with theirs.
+    One has the pixel's filter. Numbers that make no grid lie on a spiral of golden angles (Vogel 1979), as far out as a
+    Gaussian is wide that makes the pixel's filter with theirs.
     """
     if count == 1:
         return np.zeros((1, 2)), np.ones(1), FILTER_DEVIATION
