@@ -13,6 +13,7 @@ A source does the same to the lines of an endless surface.
 """
 
 import functools
+import math
 import types
 
 import warp as wp
@@ -24,6 +25,10 @@ OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
 # Rays or nodes on either side of one that a look-up takes from the tables of weights; as many rays are repeated beyond
 # a turn.
 REACH = 6
+# Directions that a thread looks up one after the other on the CPU, at most.
+RUN = 32
+# Of those, how many before its turn one's rows are asked for.
+_AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
 # A footprint is split where its direction turns by so much: its parts are straight.
@@ -58,6 +63,30 @@ CHUNKS_OF_ROWS = """
     constexpr int CHUNKS = WIDTH / SIZE;
 """
 
+# Sums of rows times the functions at w: cubics through four entries.
+_WEIGH = """
+    auto weigh = [](const chunk* sum, const chunk* functions, int entry, float t) {
+        constexpr int EACH = CHUNKS / 3;
+        const chunk* entries = functions + (long long)entry * EACH;
+        const float before = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
+        const float w0 = -t * after * beyond / 6.0f, w1 = 0.5f * before * after * beyond;
+        const float w2 = 0.5f * before * t * beyond, w3 = -before * t * after / 6.0f;
+        chunk colour[3] = {chunk{}, chunk{}, chunk{}};
+        for (int k = 0; k < EACH; ++k) {
+            const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
+                + w3 * entries[k + 3 * EACH];
+            for (int c = 0; c < 3; ++c) colour[c] += sum[c * EACH + k] * at_w;
+        }
+        wp::vec_t<3, float> result;
+        for (int c = 0; c < 3; ++c) {
+            float total = 0.0f;
+            for (int l = 0; l < SIZE; ++l) total += ((const float*)&colour[c])[l];
+            result[c] = total;
+        }
+        return result;
+    };
+"""
+
 # One octave's share of a colour.
 _RUN_SUM = """
     const float* const table = (const float*)rows.data + (long long)offset * WIDTH;
@@ -75,8 +104,8 @@ _RUN_SUM = """
             const float nearest = wp::rint(position);
             int fraction = (int)((position - nearest + 0.5f) * (float)fractions);
             fraction = fraction < fractions ? fraction : fractions - 1;
-            int ray = (int)nearest % rays;
-            ray = ray < 0 ? ray + rays : ray;
+            int ray = (int)nearest;
+            ray = ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray;
             tap = taps + (step * fractions + fraction) * all + all / 2 - around;
             row = table + (long long)(ray - around) * stride * WIDTH;
         }
@@ -89,38 +118,133 @@ _RUN_SUM = """
             from += (long long)stride * WIDTH;
         }
     }
-    // The functions at w: cubics through four entries.
-    constexpr int EACH = CHUNKS / 3;
-    const chunk* entries = (const chunk*)functions.data + (long long)entry * EACH;
-    const float before = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
-    const float w0 = -t * after * beyond / 6.0f, w1 = 0.5f * before * after * beyond;
-    const float w2 = 0.5f * before * t * beyond, w3 = -before * t * after / 6.0f;
-    chunk colour[3] = {chunk{}, chunk{}, chunk{}};
-    for (int k = 0; k < EACH; ++k) {
-        const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
-            + w3 * entries[k + 3 * EACH];
-        for (int c = 0; c < 3; ++c) colour[c] += sum[c * EACH + k] * at_w;
-    }
-    wp::vec_t<3, float> result;
-    for (int c = 0; c < 3; ++c) {
-        float total = 0.0f;
-        for (int l = 0; l < SIZE; ++l) total += ((const float*)&colour[c])[l];
-        result[c] = total;
-    }
+    return weigh(sum, (const chunk*)functions.data, entry, t);
+"""
+
+# The logarithm of |(u, v)| to the base of 2, at least that of ``least``, and the angle in turns from 0 to 1: faster
+# than by the library's functions, and in loops for many abreast.
+_PLACE_OF = """
+    auto place_of = [](float u, float v, float least, float& log2, float& turns) {
+        // The logarithm of a power of two times m, and of m between √½ and √2 by the series in (m − 1)/(m + 1).
+        const float uv2 = u * u + v * v, least2 = least * least;
+        const float square = uv2 > least2 ? uv2 : least2;
+        int bits;
+        memcpy(&bits, &square, sizeof(bits));
+        const int above = bits - 0x3f3504f3;
+        const int of_m = (above & 0x7fffff) + 0x3f3504f3;
+        float m;
+        memcpy(&m, &of_m, sizeof(m));
+        const float s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
+        const float series_of_m = 1.0f + s2 * (1.0f / 3.0f + s2 * (0.2f + s2 * (1.0f / 7.0f)));
+        log2 = 0.5f * (float)(above >> 23) + 1.442695041f * s * series_of_m;
+        // The angle, by the series of the arc tangent within a sixteenth of a turn.
+        const float x = u < 0.0f ? -u : u, y = v < 0.0f ? -v : v;
+        const float more = x > y ? x : y, less = x > y ? y : x;
+        const bool beyond = less > 0.41421356f * more;
+        const float t = (beyond ? less - more : less) / ((beyond ? less + more : more) + 1.0e-30f), t2 = t * t;
+        const float series_of_t = 1.0f + t2 * (-1.0f / 3.0f + t2 * (0.2f + t2 * (-1.0f / 7.0f + t2 * (1.0f / 9.0f
+            + t2 * (-1.0f / 11.0f + t2 * (1.0f / 13.0f))))));
+        float turn = 0.159154943f * t * series_of_t + (beyond ? 0.125f : 0.0f);
+        turn = x > y ? turn : 0.25f - turn;
+        turn = u < 0.0f ? 0.5f - turn : turn;
+        turns = v < 0.0f ? 1.0f - turn : turn;
+    };
+"""
+
+_POLAR = """
+    wp::vec_t<2, float> result;
+    place_of(u, v, least, result[0], result[1]);
     return result;
 """
 
-# Asks for what a look-up will read; a GPU has other threads to run while one waits.
-_PREFETCH = """
-#if !defined(__CUDA_ARCH__)
-    const char* row = (const char*)((const float*)rows.data + (long long)first * WIDTH);
-    constexpr int BYTES = 3 * WIDTH * (int)sizeof(float);
-    for (int j = 0; j < 3; ++j) {
-        for (int b = 0; b < BYTES; b += 64) __builtin_prefetch(row + b);
-        __builtin_prefetch(row + BYTES - 1);
-        row += (long long)stride * WIDTH * sizeof(float);
-    }
+# Look-ups of points: where they lie, which the compiler finds for many abreast, and then the sums, while what the next
+# ones read is asked for: of too many, rows that lie a page apart drive each other out of the first cache. A GPU has
+# other threads to run while one waits.
+_POINTS = """
+#if defined(__CUDA_ARCH__)
+    constexpr int MOST = 1;
+#else
+    constexpr int MOST = RUN;
 #endif
+    const int size = table.nodes, octaves = table.rays.shape[1], count = end - begin;
+    const double* const given = (const double*)deflections.data + 3LL * begin;
+    const float* const factors = (const float*)gains.data + begin;
+    const int* const all_rays = (const int*)table.rays.data;
+    const int* const firsts = (const int*)table.firsts.data;
+    float u[MOST] = {}, v[MOST] = {}, turns[MOST], places[MOST];
+    for (int i = 0; i < count; ++i) {
+        u[i] = (float)given[3 * i];
+        v[i] = (float)given[3 * i + 1];
+    }
+    const float least = table.least_uv, nodes = (float)size, last = (float)(octaves * size - 2);
+    for (int i = 0; i < MOST; ++i) {
+        float log2;
+        place_of(u[i], v[i], least, log2, turns[i]);
+        places[i] = wp::min(log2 * nodes + table.node_of_one, last);
+    }
+    auto locate = [&](int i, int node, int octave, float& away) {
+        const float position = turns[i] * (float)all_rays[octave], nearest = wp::rint(position);
+        away = position - nearest;
+        const long long row = firsts[octave] + ((int)nearest - 1 - octave) * size + node;
+        return (const float*)table.rows.data + row * WIDTH;
+    };
+    auto spline = [](float away, float* weights) {
+        weights[0] = 0.5f * (0.5f - away) * (0.5f - away);
+        weights[1] = 0.75f - away * away;
+        weights[2] = 0.5f * (0.5f + away) * (0.5f + away);
+    };
+    const long long stride = (long long)size * WIDTH;
+    const float* from[MOST];
+    float aside[MOST];
+    int nodes_of[MOST], octaves_of[MOST];
+    auto ask = [&](int i) {
+        nodes_of[i] = (int)wp::rint(places[i]) - 1;
+        octaves_of[i] = (int)((float)nodes_of[i] * table.per_octave);
+        from[i] = locate(i, nodes_of[i], octaves_of[i], aside[i]);
+#if !defined(__CUDA_ARCH__)
+        if (factors[i] > 0.0f)
+            for (int j = 0; j < 3; ++j) {
+                const float* const row = from[i] + j * stride;
+                for (int l = 0; l < 3 * WIDTH; l += 16) __builtin_prefetch(row + l);
+                __builtin_prefetch(row + 3 * WIDTH - 1);
+            }
+#endif
+    };
+    for (int i = 0; i < count && i < AHEAD; ++i) ask(i);
+    for (int i = 0; i < count; ++i) {
+        if (i + AHEAD < count) ask(i + AHEAD);
+        if (factors[i] <= 0.0f) continue;
+        float of_nodes[3], of_rays[3];
+        spline(places[i] - (float)(nodes_of[i] + 1), of_nodes);
+        chunk sum[CHUNKS];
+        for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+        const int left = (octaves_of[i] + 1) * size - nodes_of[i];
+        const float* first = from[i];
+        float away = aside[i];
+        spline(away, of_rays);
+#pragma unroll
+        for (int m = 0; m < 3; ++m) {
+            if (m == left) {
+                // The next octave has rays of its own.
+                first = locate(i, nodes_of[i], octaves_of[i] + 1, away);
+                spline(away, of_rays);
+            }
+            const float* row = first + m * WIDTH;
+#pragma unroll
+            for (int j = 0; j < 3; ++j) {
+                const float factor = of_nodes[m] * of_rays[j];
+#pragma unroll
+                for (int l = 0; l < CHUNKS; ++l) sum[l] += factor * ((const chunk*)row)[l];
+                row += stride;
+            }
+        }
+        const float steps = wp::max(((float)-given[3 * i + 2] - table.least_w) * table.per_w, 0.0f);
+        const int entry = wp::clamp((int)steps - 1, 0, table.functions.shape[0] - 4);
+        const auto colour = weigh(sum, (const chunk*)table.functions.data, entry, steps - (float)entry - 1.0f);
+        float* const out = (float*)xyz_out.data + 3LL * (begin + i);
+        // Projected colour curves have shallow negative lobes.
+        for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour[c], 0.0f);
+    }
 """
 
 
@@ -173,6 +297,9 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         blurs2: wp.array(dtype=wp.float32)  # of a source's lines, by octave: variance of their own blur [rad²]
         spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
         near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
+
+    def native(code: str) -> str:
+        return (CHUNKS_OF_ROWS + _WEIGH + code).replace("WIDTH", str(width))
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
@@ -233,11 +360,18 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         for k in range(table.nodes):
             values_out[ray * table.nodes + k] = (1.0 / total_weight) * values_out[ray * table.nodes + k]
 
-    @wp.func_native(_PREFETCH.replace("WIDTH", str(width)))
-    def prefetch(rows: wp.array(dtype=row_t), first: wp.int32, stride: wp.int32):
-        """Begin to read the rows of three rays and nodes."""
+    @wp.func_native(native(_PLACE_OF + _POINTS).replace("RUN", str(RUN)).replace("AHEAD", str(_AHEAD)))
+    def add_points(
+        table: Colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        gains: wp.array(dtype=wp.float32),
+        begin: wp.int32,
+        end: wp.int32,
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add the XYZ of a run of deflections times their gains."""
 
-    @wp.func_native((CHUNKS_OF_ROWS + _RUN_SUM).replace("WIDTH", str(width)))
+    @wp.func_native(native(_RUN_SUM))
     def run_sum(
         rows: wp.array(dtype=row_t),
         weights: wp.array3d(dtype=wp.float32),
@@ -267,7 +401,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             count: Nodes.
             rays: Of the octave and level.
             place: The direction in rays, where the distance to a node is 0.
-            slope: Rays that it shifts by from one node to the next.
+            slope: Rays that it shifts by from one node to the next, and by less than a turn at the last.
             step: The entry of ``weights`` for the variance across rays.
             around: Rays on either side that count.
             ratio: Where ``weights`` hold the first node's weight, if ``falloff`` is 0.
@@ -279,21 +413,9 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             t: How far w is behind the second.
         """
 
-    @wp.func
-    def polar(table: Colours, u: wp.float32, v: wp.float32) -> wp.vec2f:
-        """The logarithm of |(u, v)|, and the angle."""
-        return wp.vec2f(0.5 * wp.log(wp.max(u * u + v * v, table.least_uv * table.least_uv)), wp.atan2(v, u))
-
-    @wp.func
-    def foresee(table: Colours, at: wp.vec2f):
-        """Begin to read the sharp rows around a place."""
-        node = wp.int32(at[0] * table.per_log + table.node_of_one - 0.5)
-        octave = wp.min(wp.int32(wp.float32(node) * table.per_octave), table.rays.shape[1] - 1)
-        turns = at[1] * wp.float32(0.5 / wp.PI)
-        if turns < 0.0:
-            turns = turns + 1.0
-        ray = wp.int32(turns * wp.float32(table.rays[0, octave]) - 0.5)
-        prefetch(table.rows, table.firsts[0, octave] + (ray - octave) * table.nodes + node, table.nodes)
+    @wp.func_native(_PLACE_OF + _POLAR)
+    def polar(u: wp.float32, v: wp.float32, least: wp.float32) -> wp.vec2f:
+        """The logarithm of |(u, v)| to the base of 2, and the angle in turns."""
 
     @wp.func
     def colour_at(
@@ -307,14 +429,14 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ) -> wp.vec3f:
         """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|, and by their covariance."""
         # The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
-        log_uv = at[0] + 0.5 * (angle2 - ratio2)
-        turns = (at[1] - both) * wp.float32(0.5 / wp.PI)
+        log_uv = at[0] + wp.static(0.5 / math.log(2.0)) * (angle2 - ratio2)
+        turns = at[1] - both * wp.float32(0.5 / wp.PI)
         entries = blending.weights.shape[0]
         fractions = blending.weights.shape[1]
         all_taps = blending.weights.shape[2]
 
         # Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
-        place = log_uv * table.per_log + table.node_of_one
+        place = log_uv * wp.float32(table.nodes) + table.node_of_one
         nearest = wp.int32(wp.rint(place))
         variance = ratio2 * table.per_log * table.per_log
         step = wp.int32(variance * blending.per_variance + 0.5)
@@ -347,7 +469,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
 
         colour = wp.vec3f()
         while node < end:
-            octave = node // table.nodes
+            octave = wp.int32(wp.float32(node) * table.per_octave)
             # The level that is blurred by as much or less, and what is left of it.
             level = wp.int32(0)
             blur2 = aside2
@@ -355,8 +477,9 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
                 blur2 = wp.max(aside2 - table.blurs2[octave], 0.0)
             if blur2 > 0.0:
                 relative = blur2 / (table.widths[1, octave] * table.widths[1, octave])
-                if relative >= 1.0:
-                    level = wp.min(wp.int32(0.5 * wp.log2(relative)) + 1, table.rays.shape[0] - 1)
+                while relative >= 1.0 and level + 1 < table.rays.shape[0]:
+                    level = level + 1
+                    relative = 0.25 * relative
             rays = table.rays[level, octave]
             spacing = wp.float32(2.0 * wp.PI) / wp.float32(rays)
             left = wp.max(blur2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
@@ -389,6 +512,14 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         return wp.max(colour, wp.vec3f())
 
     @wp.func
+    def sees_mirror(table: Colours, u: wp.float32, v: wp.float32, spread2: wp.float32) -> bool:
+        """Whether ``mirror_at`` is not 0: to hand the struct on takes longer than this."""
+        if table.mirror.shape[0] == 0:
+            return False
+        tau = table.wavenumbers[0]
+        return u * u + v * v < _FAR_IN_LOBES * (table.lobe2 / (tau * tau) + spread2)
+
+    @wp.func
     def mirror_at(
         table: Colours,
         u: wp.float32,
@@ -404,9 +535,6 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         ``size2`` is the part of a source, the root of its covariance's determinant.
         """
         colour = wp.vec3f()
-        tau = table.wavenumbers[0]
-        if u * u + v * v > _FAR_IN_LOBES * (table.lobe2 / (tau * tau) + xx + yy):
-            return colour
         for k in range(table.wavenumbers.shape[0]):
             tau = table.wavenumbers[k]
             lobe2 = table.lobe2 / (tau * tau)
@@ -421,6 +549,119 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
                 power = (1.0 - t) * table.mirror[entry] + t * table.mirror[entry + 1]
                 colour += (power * (lobe2 + size2) / wp.sqrt(determinant) * wp.exp(-0.5 * exponent)) * table.weights[k]
         return colour
+
+    @wp.func
+    def add_mirror(
+        table: Colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        gains: wp.array(dtype=wp.float32),
+        begin: wp.int32,
+        end: wp.int32,
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add what the mean plane reflects of a run of deflections times their gains."""
+        for i in range(begin, end):
+            if gains[i] > 0.0:
+                u = wp.float32(deflections[i][0])
+                v = wp.float32(deflections[i][1])
+                if sees_mirror(table, u, v, 0.0):
+                    w = wp.float32(-deflections[i][2])
+                    xyz_out[i] = xyz_out[i] + gains[i] * mirror_at(table, u, v, w, 0.0, 0.0, 0.0, 0.0)
+
+    @wp.func
+    def add_means(
+        table: Colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: Blending,
+        begin: wp.int32,
+        end: wp.int32,
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add the mean XYZ over footprints and the source of a run of deflections times their gains."""
+        for i in range(begin, end):
+            gain = gains[i]
+            if wp.static(source):
+                left_out[i] = wp.float32(0.0)
+            if gain > 0.0:
+                deflection = deflections[i]
+                u = wp.float32(deflection[0])
+                v = wp.float32(deflection[1])
+                w = wp.float32(-deflection[2])
+                colour = wp.vec3f()
+                count = wp.int32(1)
+                along = wp.vec2f()
+                xx = wp.float32(0.0)
+                xy = wp.float32(0.0)
+                yy = wp.float32(0.0)
+                size2 = wp.float32(0.0)
+                if wp.static(source):
+                    # Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
+                    t = to_lights[i]
+                    size2 = table.spread2 * t[2]
+                    xx = table.spread2 * (1.0 - t[0] * t[0])
+                    xy = -table.spread2 * t[0] * t[1]
+                    yy = table.spread2 * (1.0 - t[1] * t[1])
+                if footprints.shape[0] > 0:
+                    f = footprints[i]
+                    xx += f[0] * f[0] + f[2] * f[2]
+                    xy += f[0] * f[1] + f[2] * f[3]
+                    yy += f[1] * f[1] + f[3] * f[3]
+                # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
+                uv2 = wp.max(u * u + v * v + table.spread * table.spread, table.least_uv * table.least_uv)
+                x = u / uv2
+                y = v / uv2
+                with_angle = wp.vec2f(x * xy - y * xx, x * yy - y * xy)
+                angle2 = wp.max(x * with_angle[1] - y * with_angle[0], 0.0)
+                both = x * with_angle[0] + y * with_angle[1]
+                ratio2 = wp.max(x * x * xx + 2.0 * x * y * xy + y * y * yy, 0.0)
+                if angle2 > 0.0:
+                    count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
+                    # Parts lie along what goes with the angle.
+                    along = with_angle / wp.sqrt(angle2)
+                    within = blending.parts[count - 1, 0, 0]
+                    ratio2 = ratio2 - (1.0 - within) * both * both / angle2
+                    angle2 = within * angle2
+                    both = within * both
+                if wp.static(source):
+                    # What the source blurs less than the rows are, or so much that it is no range of angles. Nodes are
+                    # further apart than what goes with the ratio spreads.
+                    over2 = ratio2 + 0.25 / (table.per_log * table.per_log)
+                    node = polar(u, v, table.least_uv)[0] * wp.float32(table.nodes) + table.node_of_one
+                    octave = wp.clamp(wp.int32(node * table.per_octave), 0, table.blurs2.shape[0] - 1)
+                    if u * u + v * v < table.near2 or (angle2 - table.blurs2[octave]) * over2 < both * both:
+                        left_out[i] = gain
+                        count = 0
+                for k in range(count):
+                    away = blending.parts[count - 1, 1, k]
+                    at_u = u + away * along[0]
+                    at_v = v + away * along[1]
+                    part_angle2 = angle2
+                    part_ratio2 = ratio2
+                    part_both = both
+                    if count > 1:
+                        # Relative to the part's own |(u, v)|.
+                        change = uv2 / (at_u * at_u + at_v * at_v + table.spread * table.spread)
+                        part_angle2 = angle2 * change
+                        part_ratio2 = ratio2 * change
+                        part_both = both * change
+                    turn_share = wp.min(_WIDEST_ANGLE / wp.sqrt(wp.max(part_angle2, 1.0e-12)), 1.0)
+                    ratio_share = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
+                    part_angle2 = part_angle2 * turn_share * turn_share
+                    part_ratio2 = part_ratio2 * ratio_share * ratio_share
+                    part_both = part_both * turn_share * ratio_share
+                    place = polar(at_u, at_v, table.least_uv)
+                    part = colour_at(table, blending, w, place, part_angle2, part_ratio2, part_both)
+                    colour += blending.parts[count - 1, 2, k] * part
+                if wp.static(source):
+                    colour = (wp.float32(2.0 * wp.PI) * size2) * colour
+                if count > 0:
+                    if sees_mirror(table, u, v, xx + yy):
+                        colour += mirror_at(table, u, v, w, xx, xy, yy, size2)
+                    xyz_out[i] = xyz_out[i] + gain * colour
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
@@ -439,113 +680,19 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
 
-        Look-ups wait for memory: rows are asked for before the direction before them is done. Of a source, directions
-        that the table does not serve are skipped, and ``left_out`` holds their gains, others' are 0.
+        Of a source, directions that the table does not serve are skipped, and ``left_out`` holds their gains, others'
+        are 0.
         """
-        i = (first + wp.tid()) * run
-        end = wp.min(i + run, gains.shape[0])
-        at = polar(table, wp.float32(deflections[i][0]), wp.float32(deflections[i][1]))
-        while i < end:
-            gain = gains[i]
-            deflection = deflections[i]
-            if wp.static(source):
-                left_out[i] = wp.float32(0.0)
-            following = at
-            if i + 1 < end and gains[i + 1] > 0.0:
-                ahead = deflections[i + 1]
-                following = polar(table, wp.float32(ahead[0]), wp.float32(ahead[1]))
-                if wp.static(not source) and footprints.shape[0] == 0:
-                    foresee(table, following)
-            if gain > 0.0:
-                u = wp.float32(deflection[0])
-                v = wp.float32(deflection[1])
-                w = wp.float32(-deflection[2])
-                colour = wp.vec3f()
-                count = wp.int32(1)
-                angle2 = wp.float32(0.0)
-                ratio2 = wp.float32(0.0)
-                both = wp.float32(0.0)
-                along = wp.vec2f()
-                xx = wp.float32(0.0)
-                xy = wp.float32(0.0)
-                yy = wp.float32(0.0)
-                size2 = wp.float32(0.0)
-                if wp.static(source):
-                    # Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
-                    t = to_lights[i]
-                    size2 = table.spread2 * t[2]
-                    xx = table.spread2 * (1.0 - t[0] * t[0])
-                    xy = -table.spread2 * t[0] * t[1]
-                    yy = table.spread2 * (1.0 - t[1] * t[1])
-                if footprints.shape[0] > 0:
-                    f = footprints[i]
-                    xx += f[0] * f[0] + f[2] * f[2]
-                    xy += f[0] * f[1] + f[2] * f[3]
-                    yy += f[1] * f[1] + f[3] * f[3]
-                if xx + yy > 0.0:
-                    # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
-                    uv2 = u * u + v * v + table.spread * table.spread
-                    radial = wp.vec2f(u / uv2, v / uv2)
-                    tangential = wp.vec2f(-radial[1], radial[0])
-                    with_angle = wp.vec2f(
-                        xx * tangential[0] + xy * tangential[1], xy * tangential[0] + yy * tangential[1]
-                    )
-                    angle2 = wp.max(wp.dot(with_angle, tangential), 0.0)
-                    both = wp.dot(with_angle, radial)
-                    ratio2 = wp.max(
-                        xx * radial[0] * radial[0] + 2.0 * xy * radial[0] * radial[1] + yy * radial[1] * radial[1], 0.0
-                    )
-                    if angle2 > 0.0:
-                        count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
-                        # Parts lie along what goes with the angle.
-                        along = with_angle / wp.sqrt(angle2)
-                        within = blending.parts[count - 1, 0, 0]
-                        ratio2 = ratio2 - (1.0 - within) * both * both / angle2
-                        angle2 = within * angle2
-                        both = within * both
-                if wp.static(source):
-                    # What the source blurs less than the rows are, or so much that it is no range of angles. Nodes are
-                    # further apart than what goes with the ratio spreads.
-                    over2 = ratio2 + 0.25 / (table.per_log * table.per_log)
-                    octave = wp.int32(
-                        (0.5 * wp.log(u * u + v * v) * table.per_log + table.node_of_one) * table.per_octave
-                    )
-                    octave = wp.clamp(octave, 0, table.blurs2.shape[0] - 1)
-                    if u * u + v * v < table.near2 or (angle2 - table.blurs2[octave]) * over2 < both * both:
-                        left_out[i] = gain
-                        count = 0
-                for k in range(count):
-                    away = blending.parts[count - 1, 1, k]
-                    at_u = u + away * along[0]
-                    at_v = v + away * along[1]
-                    part_angle2 = angle2
-                    part_ratio2 = ratio2
-                    part_both = both
-                    if count > 1:
-                        # Relative to the part's own |(u, v)|.
-                        spread2 = table.spread * table.spread
-                        change = (u * u + v * v + spread2) / (at_u * at_u + at_v * at_v + spread2)
-                        part_angle2 = angle2 * change
-                        part_ratio2 = ratio2 * change
-                        part_both = both * change
-                    place = at
-                    if count > 1:
-                        place = polar(table, at_u, at_v)
-                    turn_share = wp.min(_WIDEST_ANGLE / wp.sqrt(wp.max(part_angle2, 1.0e-12)), 1.0)
-                    ratio_share = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
-                    part_angle2 = part_angle2 * turn_share * turn_share
-                    part_ratio2 = part_ratio2 * ratio_share * ratio_share
-                    part_both = part_both * turn_share * ratio_share
-                    part = colour_at(table, blending, w, place, part_angle2, part_ratio2, part_both)
-                    colour += blending.parts[count - 1, 2, k] * part
-                if wp.static(source):
-                    colour = (wp.float32(2.0 * wp.PI) * size2) * colour
-                if count > 0:
-                    if table.mirror.shape[0] > 0:
-                        colour += mirror_at(table, u, v, w, xx, xy, yy, size2)
-                    xyz_out[i] = xyz_out[i] + gain * colour
-            at = following
-            i = i + 1
+        begin = (first + wp.tid()) * run
+        end = wp.min(begin + run, gains.shape[0])
+        if wp.static(source):
+            add_means(table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out)
+        elif footprints.shape[0] > 0:
+            add_means(table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out)
+        else:
+            add_points(table, deflections, gains, begin, end, xyz_out)
+            if table.mirror.shape[0] > 0:
+                add_mirror(table, deflections, gains, begin, end, xyz_out)
 
     return types.SimpleNamespace(
         row=row_t, functions=functions_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate

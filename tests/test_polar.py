@@ -11,8 +11,9 @@ import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff import optics, projection, spectrum
+from warpdiff import colour_table, optics, projection, spectrum
 from warpdiff.bench import reference
+from warpdiff.integration import Integrator
 from warpdiff.kernels import polar as kernels
 from warpdiff.kernels.lookup import lookup
 
@@ -101,6 +102,42 @@ def test_colours_end_with_the_spectrum(nodes):
     ]  # fmt: skip
     wp.launch(projector.project, dim=rays // projector.abreast, inputs=inputs, outputs=[found], device="cpu")
     assert np.all(np.isfinite(found.numpy()))
+
+
+def test_points_are_splines_through_the_rows(fingers, rng):
+    """Look-ups against the same sums in float64, where octaves meet and a turn ends, too."""
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+    options = {"device": wp.get_device("cpu"), "threads": 1}
+    table = colour_table.table_for(fingers, plan, plan.scope, "D65", **options)[1]
+    firsts, rays = table.firsts.numpy()[0], table.rays.numpy()[0]
+    # A node's number is a multiple of an octave's nodes where an octave begins.
+    last = len(rays) * table.nodes - table.node_of_one
+    seams = last - table.nodes * np.arange(1, 3)
+    logs = np.concatenate(
+        [rng.uniform(seams[1] - 3.0, last - 3.0, 300), np.repeat(seams, 50) + rng.uniform(-2, 2, 100)]
+    )
+    angles = np.where(rng.random(400) < 0.8, rng.uniform(0.0, 1.0, 400), rng.uniform(-1e-3, 1e-3, 400)) * 2.0 * np.pi
+    uv = np.exp2(logs / table.nodes)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    deflections = np.column_stack([uv, rng.uniform(-1.9, -1.0, 400)])
+    found = wp.zeros(400, dtype=wp.vec3f, device="cpu")
+    arrays = [wp.array(deflections, dtype=wp.vec3d), wp.empty(400, dtype=wp.vec3f), wp.ones(400, dtype=wp.float32)]
+    Integrator(fingers, plan, plan.scope, **options).add(*arrays, "D65", found)
+
+    turns = (angles / (2.0 * np.pi)) % 1.0
+    places = logs + table.node_of_one
+    summed = 0.0
+    for m, j in itertools.product((-1, 0, 1), repeat=2):
+        node = np.rint(places).astype(int) + m
+        octave = node // table.nodes
+        ray = np.rint(turns * rays[octave]).astype(int) + j
+        row = table.rows.numpy()[firsts[octave] + ray * table.nodes + node - octave * table.nodes]
+        weight = projection.spline(places - node) * projection.spline(turns * rays[octave] - ray)
+        summed += weight[:, None, None] * row.reshape(len(row), 3, -1)
+    steps = (-deflections[:, 2] - table.least_w) * table.per_w
+    entries = np.arange(table.functions.shape[0])
+    at_w = np.stack([np.interp(steps, entries, each) for each in table.functions.numpy().T], axis=1)
+    expected = np.maximum(np.einsum("nck,nk->nc", summed, at_w), 0.0)
+    assert np.max(picture_errors(found.numpy(), expected)) < 5e-4
 
 
 def test_a_mirror_has_its_colour():

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from warpdiff.planning import Plan
     from warpdiff.scope import Scope
 
-# Directions that a thread looks up one after the other on the CPU, where it asks for the next one's rows beforehand;
-# those of a slice, which must be worth a launch, and slices for each thread.
-_RUN, _LEAST_SLICE, _SLICES = 32, 1024, 4
+# Directions of a slice, which must be worth a launch, and slices for each thread.
+_LEAST_SLICE, _SLICES = 1024, 4
 
 
 class Integrator:
@@ -73,13 +72,15 @@ class Integrator:
         """Add what a table serves; returns the gains of the rest, or none where there is never any."""
         import warp as wp
 
+        from warpdiff.kernels import lookup
+
         if illuminant not in self._colours:
             self._colours[illuminant] = colour_table.table_for(
                 self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads
             )
         kernel, table = self._colours[illuminant]
         seen = self._no_footprints if footprints is None else footprints
-        run = _RUN if self._device.is_cpu else 1
+        run = lookup.RUN if self._device.is_cpu else 1
         size = -(-len(gains) // run)
         options["slice_size"] = max(size // (_SLICES * self._threads), _LEAST_SLICE // run)
         is_source = self._plan.coherence.kind == "source"

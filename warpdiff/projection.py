@@ -81,8 +81,12 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     matrix = (basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]).reshape(len(ws), -1)
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _DIM_W * norms.max())[:, None]
-    left, singular, _ = np.linalg.svd(matrix * relative, full_matrices=False)
-    remaining = np.sqrt(np.append(np.cumsum(singular[::-1] ** 2)[::-1], 0.0) / np.sum(singular**2))
+    # A singular value decomposition, by the eigenvectors of so small a matrix that threads of a library, which wait for
+    # each other at every step, do not make it longer where a core is not theirs.
+    matrix *= relative
+    values, vectors = np.linalg.eigh(matrix @ matrix.T)
+    squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
+    remaining = np.sqrt(np.append(np.cumsum(squares)[::-1], 0.0) / np.sum(squares))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = min(_FUNCTIONS * math.ceil(max(needed, 1) / _FUNCTIONS), _MOST_FUNCTIONS)
     functions = left[:, :m] / relative
