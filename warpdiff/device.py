@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import checks
@@ -92,25 +92,34 @@ def launch(
     # Threads must not race to compile.
     load([kernel], device)[0].result()
     firsts = range(0, size, slice_size)
+    left = iter(firsts)
     lock = threading.Lock()
     done = 0
 
-    def run(first: int) -> None:
+    def run() -> None:
+        """Launch slices until none is left."""
         nonlocal done
-        count = min(slice_size, size - first)
-        indices = [first, count] if in_runs else [first]
-        wp.launch(kernel, dim=1 if in_runs else count, inputs=[*inputs, *indices], outputs=outputs, device=device)
-        with lock:
-            done += 1
-            if progress is not None:
-                progress(done / len(firsts))
+        while True:
+            with lock:
+                first = next(left, None)
+            if first is None:
+                return
+            count = min(slice_size, size - first)
+            indices = [first, count] if in_runs else [first]
+            wp.launch(kernel, dim=1 if in_runs else count, inputs=[*inputs, *indices], outputs=outputs, device=device)
+            with lock:
+                done += 1
+                if progress is not None:
+                    progress(done / len(firsts))
 
-    if threads == 1 or len(firsts) == 1:
-        for first in firsts:
-            run(first)
-        return
-    for _ in _pool(threads).map(run, firsts):
-        pass
+    # This thread is one of them: to hand a slice over and wait for it takes as long as a small one.
+    others = [_pool(threads - 1).submit(run) for _ in range(min(threads, len(firsts)) - 1)]
+    try:
+        run()
+    finally:
+        wait(others)
+    for other in others:
+        other.result()
 
 
 @functools.cache

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _SEED = 0
 _SURVEYED = 4
 # Rays and frames take a tenth of a microsecond or two each, and a launch as much as hundreds.
-_LEAST_SLICE = 4096
+_LEAST_SLICE, _SLICES_A_THREAD, _FACES = 4096, 8, 2048
 
 
 def shade(
@@ -414,7 +414,7 @@ class _Frame:
         return result
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int) -> None:
-        slice_size = max(size // (4 * self._threads), _LEAST_SLICE)
+        slice_size = max(size // (_SLICES_A_THREAD * self._threads), _LEAST_SLICE)
         launch(kernel, size, inputs, outputs, slice_size=slice_size, in_runs=True, **self._options)
 
     def cast(self, sample: int) -> None:
@@ -435,7 +435,8 @@ class _Frame:
         if self._covers:
             pixels.nearest.fill_(raycast.UNSEEN)
             faces = self._scene.face_count
-            launch(raycast.cover, faces, [self._camera, self._scene.arrays, pixels], [], in_runs=True, **self._options)
+            inputs = [self._camera, self._scene.arrays, pixels]
+            launch(raycast.cover, faces, inputs, [], slice_size=_FACES, in_runs=True, **self._options)
         self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], self._size)
 
     def _sort_faces(self) -> None:

@@ -56,9 +56,9 @@ def grid_for(
     across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
     across /= np.linalg.norm(across)
     up = np.cross(towards, across)
-    seen = surface.vertices @ np.stack([across, up], axis=1) * float(shadows.STEPS)
+    seen = np.stack([across, up]) @ surface.vertices.T * float(shadows.STEPS)
     # What a kernel rounds otherwise is within a step or two.
-    low, high = np.floor(seen.min(axis=0)) - 2.0, np.ceil(seen.max(axis=0)) + 2.0
+    low, high = np.floor(seen.min(axis=1)) - 2.0, np.ceil(seen.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
     # As many cells as faces.

@@ -28,9 +28,9 @@ _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time, which bounds the memory that they take.
 _MOST_RAYS = 150_000
 # What errors are relative to at least, as a share of the 99th percentile of luminance, and how many pixels tell it.
-_FLOOR, _GLIMPSE = 1e-3, 32_768
-# These kernels are cheap against a launch.
-_SLICE = 32_768
+_FLOOR, _GLIMPSE = 1e-3, 16_384
+# These kernels are cheap against a launch; of tiles' means fewer are worth one.
+_SLICE, _TILES_SLICE = 32_768, 2048
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def batches(
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
     launch(directions.classify, len(gains), inputs, [classes], **options)
     kinds = classes.numpy()
-    candidates = np.flatnonzero(kinds)
+    candidates = np.flatnonzero(kinds > 0)
     kinds = kinds[candidates]
     found = []
     for index, (_, tile) in enumerate(_TAKEN):
@@ -156,7 +156,8 @@ def set_means(
     from warpdiff.kernels import directions
 
     inputs = [of_rays, hit, pixels, wp.array(weights, dtype=wp.float32, device=device)]
-    launch(directions.gather, len(pixels), inputs, [colours], device=device, threads=threads, in_runs=True)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _TILES_SLICE, "in_runs": True}
+    launch(directions.gather, len(pixels), inputs, [colours], **options)
 
 
 def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:
