@@ -194,6 +194,36 @@ def test_bodies_beside_and_behind_the_eye_are_left_to_rays():
     assert not lies_ahead(surface, View((0, 1, 4), (0, 2, 8)))
 
 
+def test_rays_of_tiles_find_what_hides_their_pixels_face():
+    # Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not.
+    plates = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])])
+    surface = prepare_surface(plates)
+    scene = SceneArrays(surface, device="cpu")
+    view = View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=60, height=44)
+    face = cast(surface, view, scene=scene, covers=True)["face"]
+    sampling = raycast.Sampling()
+    tiles = np.flatnonzero(face >= 0)
+    places = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
+    sampling.tiles = wp.array(tiles, dtype=wp.int32, device="cpu")
+    sampling.places = wp.array(places, dtype=wp.vec2d, device="cpu")
+    count = len(tiles) * len(places)
+    found = []
+    for tried in (face, face[:0]):
+        sampling.faces = wp.array(tried, dtype=wp.int32, device="cpu")
+        pixels = raycast.Pixels()
+        pixels.nearest = wp.empty(0, dtype=wp.uint64, device="cpu")
+        for name in OUTPUTS:
+            dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
+            setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
+        inputs = [camera(view, surface), scene.arrays, sampling, pixels, 0, count]
+        wp.launch(raycast.cast, dim=1, inputs=inputs, device="cpu")
+        found.append(pixels.face.numpy())
+    alone = np.repeat(face[tiles], len(places))
+    assert np.count_nonzero(found[1] != alone) > 100
+    # Rays through an edge may take either face.
+    assert np.mean(found[0] != found[1]) < 1e-3
+
+
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
 def test_slices_make_the_same_picture(covers):
     surface = prepare_surface(meshes.tube(segments_along=24, segments_around=12))

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 _SEED = 0
 _SURVEYED = 4
-# Rays and frames take a tenth of a microsecond or two each, and a launch as much as hundreds.
-_LEAST_SLICE, _SLICES_A_THREAD, _FACES = 4096, 8, 2048
+# Rays and frames take a tenth of a microsecond each, faces two, and a launch as much as hundreds.
+_LEAST_SLICE, _SLICES_A_THREAD, _FACES = 4096, 4, 2048
 
 
 def shade(
