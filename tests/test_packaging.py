@@ -125,7 +125,7 @@ def check_wheel(wheel: Path) -> None:
     """Everything is inside, and nothing else."""
     names = set(zipfile.ZipFile(wheel).namelist())
     info = f"warpdiff-{PROJECT['version']}.dist-info"
-    expected = {f"warpdiff/{name}" for name in modules("warpdiff")} | {"warpdiff/py.typed"}
+    expected = {f"warpdiff/{name}" for name in modules("warpdiff")} | {"warpdiff/py.typed", "warpdiff/d65.npy"}
     expected |= {f"warpdiff/kernels/{name}" for name in modules("kernels")}
     bench = {name for name in names if name.startswith("warpdiff/bench/")}
     assert {name for name in names if not name.startswith(info)} - bench == expected

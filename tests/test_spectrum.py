@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -40,6 +42,18 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
         np.testing.assert_allclose(weights.sum(axis=0), expected, rtol=1e-12)
     if illuminant == "D65":
         np.testing.assert_allclose(expected, WHITE_D65, atol=1e-6)
+
+
+@pytest.mark.parametrize("illuminant", sorted(spectrum.KEPT))
+def test_what_is_kept_is_colour_sciences(illuminant):
+    """To be made anew by ``np.save`` where colour-science should change."""
+    expected = spectrum.products_by_colour_science(illuminant)
+    np.testing.assert_allclose(spectrum.colour_products(illuminant), expected, rtol=1e-12, atol=0.0)
+
+
+def test_daylight_needs_no_colour_science():
+    code = "import sys, warpdiff.spectrum as s; s.colour_products(); sys.exit('colour' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("geometric", [False, True])

@@ -2,13 +2,14 @@
 
 The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products S·x̄ȳz̄ are taken at
 1 nm from colour-science and interpolated linearly in between; the two end points count with full weight, so that
-ρ = 1 gives exactly the 1 nm sum.
+ρ = 1 gives exactly the 1 nm sum. Those of D65 are kept in a file: colour-science takes a second to import and to end.
 """
 
 from __future__ import annotations
 
 import functools
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
+
+KEPT = {"D65": Path(__file__).with_name("d65.npy")}
 
 # Where a curve ends, cubics overshoot: by some 1e-9 of the largest weight for the sets of plans, which is cut off.
 _OVERSHOOT = 1e-6
@@ -44,6 +47,8 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> str:
     """Return the name of an illuminant that covers 380 to 780 nm, or raise ``ValueError``."""
     if not isinstance(illuminant, str):
         raise TypeError(f"{name} must be the name of a CIE illuminant, such as 'D65', got {type(illuminant).__name__}")
+    if illuminant in KEPT:
+        return illuminant
     tabulated = _tabulated_nm(illuminant)
     if tabulated is None:
         names = ", ".join(sorted(_colour().SDS_ILLUMINANTS))
@@ -78,15 +83,20 @@ def colour_products(illuminant: str = "D65") -> NDArray[np.float64]:
         The products; their column sums are the XYZ of a perfect mirror, (0.950423, 1, 1.088610) for D65.
     """
     name = check_illuminant(illuminant)
+    products = np.load(KEPT[name]) if name in KEPT else products_by_colour_science(name)
+    products.setflags(write=False)
+    return products
+
+
+def products_by_colour_science(name: str) -> NDArray[np.float64]:
+    """``colour_products`` of an illuminant, without those that are kept."""
     colour = _colour()
     shape = colour.SpectralShape(LAMBDA_MIN_NM, LAMBDA_MAX_NM, 1)
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
     source = colour.SDS_ILLUMINANTS[name].copy().align(shape).values
     # The interpolation to 1 nm leaves values of −1e-24 where the curves end.
     products = np.maximum(np.asarray(observer * source[:, None], dtype=np.float64), 0.0)
-    products /= products[:, 1].sum()
-    products.setflags(write=False)
-    return products
+    return np.asarray(products / products[:, 1].sum())
 
 
 def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: str = "D65") -> NDArray[np.float64]:
