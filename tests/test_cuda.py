@@ -34,7 +34,7 @@ KERNELS = {
     },
     "spectral": {"integrate", "sample"},
     "lookup": {"blur", "integrate", "interpolate"},
-    "polar": {"project", "resample"},
+    "polar": {"gather", "project", "project_lines", "resample"},
 }
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [
@@ -108,9 +108,10 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
 
 
 @pytest.mark.parametrize("arch", SMS)
+@pytest.mark.parametrize("source", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS["lookup"]))
-def test_kernels_of_a_table_compile_and_stay_in_registers(name, arch, tmp_path):
-    ptx = compile_to_ptx(getattr(lookup.lookup(8), name).module, tmp_path, arch)
+def test_kernels_of_a_table_compile_and_stay_in_registers(name, source, arch, tmp_path):
+    ptx = compile_to_ptx(getattr(lookup.lookup(8, source), name).module, tmp_path, arch)
     assert entry_points(ptx) == {name}
     assert "__local_depot" not in ptx
 
@@ -119,10 +120,11 @@ def test_kernels_of_a_table_compile_and_stay_in_registers(name, arch, tmp_path):
 def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
     resample = polar.resampler(lanes, powers, nodes).resample
     assert entry_points(compile_to_ptx(resample.module, tmp_path)) == {"resample"}
-    project = polar.projector(nodes, 8).project
-    ptx = compile_to_ptx(project.module, tmp_path)
-    assert entry_points(ptx) == {"project"}
-    assert "__local_depot" not in ptx
+    assert entry_points(compile_to_ptx(polar.gatherer(nodes).gather.module, tmp_path)) == {"gather"}
+    for name in ("project", "project_lines"):
+        ptx = compile_to_ptx(getattr(polar.projector(nodes, 8), name).module, tmp_path)
+        assert entry_points(ptx) == {name}
+        assert "__local_depot" not in ptx
 
 
 @pytest.mark.parametrize(
