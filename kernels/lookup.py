@@ -103,9 +103,9 @@ _RUN_SUM = """
             const float position = place + slope * distance;
             const float nearest = wp::rint(position);
             int fraction = (int)((position - nearest + 0.5f) * (float)fractions);
-            fraction = fraction < fractions ? fraction : fractions - 1;
+            fraction = wp::clamp(fraction, 0, fractions - 1);
             int ray = (int)nearest;
-            ray = ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray;
+            ray = wp::clamp(ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray, 0, rays);
             tap = taps + (step * fractions + fraction) * all + all / 2 - around;
             row = table + (long long)(ray - around) * stride * WIDTH;
         }
@@ -147,7 +147,7 @@ _PLACE_OF = """
         float turn = 0.159154943f * t * series_of_t + (beyond ? 0.125f : 0.0f);
         turn = x > y ? turn : 0.25f - turn;
         turn = u < 0.0f ? 0.5f - turn : turn;
-        turns = v < 0.0f ? 1.0f - turn : turn;
+        turns = wp::min(v < 0.0f ? 1.0f - turn : turn, 1.0f);
     };
 """
 
@@ -213,7 +213,7 @@ _POINTS = """
     for (int i = 0; i < count && i < AHEAD; ++i) ask(i);
     for (int i = 0; i < count; ++i) {
         if (i + AHEAD < count) ask(i + AHEAD);
-        if (factors[i] <= 0.0f) continue;
+        if (!(factors[i] > 0.0f)) continue;
         float of_nodes[3], of_rays[3];
         spline(places[i] - (float)(nodes_of[i] + 1), of_nodes);
         chunk sum[CHUNKS];
