@@ -414,7 +414,7 @@ def _parts(most: int) -> NDArray[np.float64]:
 
 
 @functools.cache
-def _blends(reach: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _blends(reach: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Weights of the rays around an angle, (variances, fractions, 2 reach + 1), and how far those reach that count."""
     fine = np.arange(-512, 513) / 64.0
     sharp = spline(fine)
@@ -432,7 +432,7 @@ def _blends(reach: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
             f = (position + 0.5) / _POSITIONS - 0.5
             each = np.interp(offsets - f, fine, blurred) * (np.abs(offsets) <= reaches[index])
             weights[index, position] = each / each.sum()
-    return weights, reaches
+    return weights.astype(np.float32), reaches
 
 
 def _kappas(reached: tables.Reached) -> tuple[float, float]:
