@@ -416,22 +416,20 @@ def _parts(most: int) -> NDArray[np.float64]:
 @functools.cache
 def _blends(reach: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Weights of the rays around an angle, (variances, fractions, 2 reach + 1), and how far those reach that count."""
-    fine = np.arange(-512, 513) / 64.0
-    sharp = spline(fine)
+    # So far out that the widest does not come round, as transforms do.
+    fine = np.arange(-1024, 1024) / 64.0
+    spectrum_of_spline = np.fft.rfft(spline(fine))
+    square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     offsets = np.arange(-reach, reach + 1)
+    places = offsets - ((np.arange(_POSITIONS) + 0.5) / _POSITIONS - 0.5)[:, None]
     weights = np.zeros((_REMAINDERS, _POSITIONS, 2 * reach + 1))
     reaches = np.zeros(_REMAINDERS, dtype=np.int32)
     for index in range(_REMAINDERS):
         variance = index / (_REMAINDERS - 1) * _MOST_REMAINDER
-        blurred = sharp
-        if variance > 0.0:
-            gaussian = np.exp(-0.5 * fine**2 / variance)
-            blurred = np.convolve(sharp, gaussian / gaussian.sum(), mode="same")
+        blurred = np.fft.irfft(spectrum_of_spline * np.exp(-0.5 * square * variance), len(fine))
         reaches[index] = 1 if index == 0 else min(math.ceil(_REACHED * math.sqrt(variance + 0.25)), reach)
-        for position in range(_POSITIONS):
-            f = (position + 0.5) / _POSITIONS - 0.5
-            each = np.interp(offsets - f, fine, blurred) * (np.abs(offsets) <= reaches[index])
-            weights[index, position] = each / each.sum()
+        weights[index] = np.interp(places, fine, blurred) * (np.abs(offsets) <= reaches[index])
+    weights /= weights.sum(axis=2, keepdims=True)
     return weights.astype(np.float32), reaches
 
 

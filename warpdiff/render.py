@@ -151,7 +151,7 @@ def shade(
 
 
 def _load_ray_kernels(device: wp.Device) -> None:
-    """Begin to load what every picture needs: even to name an illuminant takes a library that is slow to import."""
+    """Begin to load what every picture needs, while the mesh is looked at."""
     from warpdiff.kernels import directions, raycast, shadows
 
     load([raycast.cast, directions.deflect_pixels, shadows.hide], device)
