@@ -9,7 +9,7 @@ import pytest
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff import meshes, optics, polar, spectrum
+from warpdiff import meshes, optics, polar, search, spectrum
 from warpdiff.bench import reference
 from warpdiff.integration import Integrator
 
@@ -128,6 +128,26 @@ def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
         exact = wd.reflectance(fingers, lights, views, coherence=SOURCE, method="low-rank", tolerance=1e-3)
         found = wd.reflectance(fingers, lights, views, plan=plan)
         np.testing.assert_allclose(found, exact, atol=2e-3 * exact.max(), rtol=2e-2)
+
+
+def test_what_no_truth_resolves_does_not_judge():
+    """A source at the horizon takes more wavelengths than there are, but a table has no need of them."""
+    trial = search.Trial.__new__(search.Trial)
+    trial._scale, trial._above = np.ones((1, 10)), np.ones((1, 10), dtype=np.bool_)
+    exact, found = np.ones((1, 10, 3)), np.ones((1, 10, 3))
+    found[0, 3] = 2.0
+    resolved = np.arange(10) != 3
+    assert trial.error(found, exact) > 1.0
+    assert trial.error(found, exact, resolved=resolved) == 0.0
+    assert trial.error(found, exact, resolved=np.zeros(10, dtype=np.bool_)) > 1.0
+
+
+def test_a_table_that_is_too_large_is_refused(rng):
+    large = wd.gratings.fingers(size_um=25.6, seed=1)
+    sharp = wd.Coherence("source", angular_diameter_deg=0.1)
+    lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
+    with pytest.raises(ValueError, match="takes more than 300 MB for tolerance"):
+        wd.plan(large, lights, views, coherence=sharp, tolerance=1e-2, method="low-rank/table")
 
 
 def test_lines_beyond_a_turn(fingers, plan):

@@ -443,6 +443,11 @@ def plan_for(
         trial = search.Trial(found, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
     if trial is not None and (trial.any_light or cut_short):
         best = search.tabled(found, trial, footprint=footprint) if tabled else None
+        if best is None and integration == "table":
+            raise ValueError(
+                f"method='{method}/table' takes more than {polar.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: use "
+                "method='auto', or ask for a larger tolerance"
+            )
         if best is None or (best.error > tolerance and integration != "table"):
             best = search.refined(found, trial, automatic=method == "auto")
         found = best

@@ -127,7 +127,8 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
         if polar.megabytes(tried) > polar.MOST_MEGABYTES:
             break
         trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
-        error = trial.error(trial.run(tried), trial.exact)
+        # Where bounds were cut short for a source at the horizon, the table is right and the truth is not.
+        error = trial.error(trial.run(tried), trial.exact, resolved=trial.lateral <= plan.max_lateral)
         best = dataclasses.replace(
             tried,
             footprint=footprint,
@@ -295,16 +296,20 @@ class Trial:
         """The error of each pilot, shape (illuminants, n)."""
         return np.asarray(np.linalg.norm(values - against, axis=2) / self._scale)
 
-    def error(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> float:
-        """Percentile 99 of the errors, of bright pilots or of dim ones, whichever is larger."""
-        return float(self.worst(self.errors(values, against)))
+    def error(
+        self, values: NDArray[np.float64], against: NDArray[np.float64], *, resolved: NDArray[np.bool_] | None = None
+    ) -> float:
+        """Percentile 99 of the errors, of bright pilots or of dim ones, whichever is larger; of some, if any are."""
+        some = slice(None) if resolved is None or not resolved.any() else resolved
+        return float(self.worst(self.errors(values, against)[:, some], self._above[:, some]))
 
-    def worst(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The same of errors (..., illuminants, n), shape (...)."""
+    def worst(self, errors: NDArray[np.float64], above: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """The same of errors (..., illuminants, n), shape (...), of which some are of bright pilots."""
+        bright = self._above if above is None else above
         groups = [
             np.percentile(errors[..., index, mask], 99.0, axis=-1)
             for index in range(errors.shape[-2])
-            for mask in (self._above[index], ~self._above[index])
+            for mask in (bright[index], ~bright[index])
             if mask.any()
         ]
         return np.asarray(np.max(groups, axis=0))
