@@ -26,6 +26,7 @@ class Integrator:
         self._scope = scope
         self._colours: dict[str, Any] = {}
         self._quadratures: dict[str, Any] = {}
+        self._table: tables.Table | None = None
         if plan.nodes:
             import warp as wp
 
@@ -100,8 +101,10 @@ class Integrator:
     ) -> None:
         """Add the sums over wavelengths."""
         given: dict[str, Any] = {"device": self._device}
-        table = tables.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
+        # Others may have taken its place among those that are kept.
+        if self._table is None:
+            self._table = tables.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
         if illuminant not in self._quadratures:
             self._quadratures[illuminant] = tables.quadrature_for(self._hf, self._plan, illuminant, **given)
-        inputs = [table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
-        launch(table.integrate, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)
+        inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
+        launch(self._table.integrate, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)
