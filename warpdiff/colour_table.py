@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import spectrum, tables
+from warpdiff import lines, spectrum, tables
 from warpdiff.device import launch, load
 from warpdiff.polar import LOG_RED, Layout, has_levels, near
 from warpdiff.projection import Projection, Terms, projection, spline
@@ -41,8 +41,6 @@ _SHARE, _SHARE_OF_CARDINALS = 0.2, 0.02
 _SAMPLED, _LEAST_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths; that of its size among small ones.
 _MIRROR_ENTRIES, _MIRROR_WAVELENGTHS, _MIDDLE_UM = 2048, 40, 0.55
-# Deviations that a line's blur in angle reaches.
-_FAR_IN_BLURS = 4.5
 _SLICE = 32
 # What a height field keeps of tables: some for other lights and views, or a search's last attempts.
 _MOST_KEPT_MEGABYTES = 1000.0
@@ -108,7 +106,11 @@ def table_for(
         if source.key not in spectra:
             # The last one serves other illuminants.
             spectra.clear()
-            spectra[source.key] = _lines(source) if source.is_lines else _sampled(source, **options)
+            spectra[source.key] = (
+                lines.of_table(source.base.arguments, source.layout.highest)
+                if source.is_lines
+                else _sampled(source, **options)
+            )
         held[sharp] = _coloured(source, how, spectra[source.key], illuminant, **options)
     if wanted not in held:
         # Levels are added to colours that have none.
@@ -213,38 +215,6 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     return values
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """The coefficients but the mean plane's, in the order of their angles.
-
-    Attributes:
-        which: Where they lie among the rows of coefficients.
-        angles: Of their frequencies, 0 to 2π.
-        log_frequencies: ln |q|, |q| in 1/µm.
-    """
-
-    which: NDArray[np.int32]
-    angles: NDArray[np.float64]
-    log_frequencies: NDArray[np.float64]
-
-
-def _lines(source: _Source) -> _Lines:
-    """The lines within the layout's largest frequency."""
-    found, most = source.base.arguments, source.layout.highest
-    lengths = found.length_y, found.length_x
-    s, r = (np.arange(-math.floor(most * length), math.floor(most * length) + 1) for length in lengths)
-    qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
-    squared = qy**2 + qx**2
-    inside = (squared <= most**2) & (squared > 0.0)
-    # Beyond the pitch's limit they repeat.
-    rows = (s + found.origin_y) % found.count_y
-    columns = (r + found.origin_x) % found.count_x
-    which = (rows[:, None] * found.count_x + columns[None, :])[inside].astype(np.int32)
-    angles = (np.arctan2(qy, qx) % (2.0 * math.pi))[inside]
-    order = np.argsort(angles, kind="stable")
-    return _Lines(which[order], angles[order], 0.5 * np.log(squared[inside][order]))
-
-
 def _coloured(
     source: _Source, how: Projection, spectrum_rows: Any, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
@@ -282,7 +252,10 @@ def _coloured(
     def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
         begin = layout.log_low + (octave - how.before / layout.nodes) * math.log(2.0)
         given = layout.nodes + len(how.matrices) - 1
-        values = _gathered(source, spectrum_rows, octave, begin, given, **options)
+        values = lines.gathered(
+            spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
+            rays=layout.rays[0][octave], blur=layout.blurs[octave], **options,
+        )  # fmt: skip
         inputs = [values, matrices, terms, layout.nodes, given]
         launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
 
@@ -299,38 +272,6 @@ def _coloured(
 
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
     return target.integrate, table, table.rows.capacity * 1e-6
-
-
-def _gathered(source: _Source, lines: _Lines, octave: int, log_begin: float, nodes: int, **options: Any) -> Any:
-    """The density of lines on an octave's rays, of so many nodes from a ln |q| on."""
-    import warp as wp
-
-    device = options["device"]
-    layout, target = source.layout, source.sampler
-    rays, blur = layout.rays[0][octave], layout.blurs[octave]
-    places = (lines.log_frequencies - log_begin) * (layout.nodes / math.log(2.0))
-    some = np.flatnonzero((places > -0.5) & (places < nodes - 0.5))
-    angles, places = lines.angles[some], places[some]
-    # A turn, and what of it reaches beyond its ends.
-    far = _FAR_IN_BLURS * blur
-    after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
-    turned = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
-    again = np.concatenate([np.arange(before, len(some)), np.arange(len(some)), np.arange(after)])
-    at = 2.0 * math.pi * np.arange(rays) / rays
-    values = wp.empty(rays * nodes, dtype=target.row, device=device)
-    inputs = [
-        source.base.arguments.rows,
-        wp.array(lines.which[some][again], dtype=wp.int32, device=device),
-        wp.array(turned, dtype=wp.float32, device=device),
-        wp.array(places[again], dtype=wp.float32, device=device),
-        wp.array(np.exp(-2.0 * lines.log_frequencies[some][again]), dtype=wp.float32, device=device),
-        wp.array(np.searchsorted(turned, at - far), dtype=wp.int32, device=device),
-        wp.array(np.searchsorted(turned, at + far), dtype=wp.int32, device=device),
-        nodes,
-        blur,
-    ]
-    launch(target.gather, rays, inputs, [values], **options)
-    return values
 
 
 def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
