@@ -192,6 +192,16 @@ def test_footprints_widen_the_source(fingers, plan):
         np.testing.assert_allclose(found, mean, rtol=3e-2, atol=1e-2 * mean.max())
 
 
+def test_progress_goes_on_to_the_end_once(fingers, plan, rng):
+    """What the table leaves to sampling does not begin it anew."""
+    lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
+    told = []
+    wd.reflectance(fingers, lights, views, plan=plan, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert told.count(1.0) == 1
+
+
 def test_pictures_of_sources_have_footprints(fingers):
     tube = meshes.tube(segments_along=64, segments_around=48)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)

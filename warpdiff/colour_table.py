@@ -11,7 +11,7 @@ import numpy as np
 
 from warpdiff import lines, spectrum, tables
 from warpdiff.device import launch, load
-from warpdiff.polar import LOG_RED, Layout, has_levels, near
+from warpdiff.polar import LOG_RED, MIDDLE_UM, Layout, has_levels, near
 from warpdiff.projection import Projection, Terms, projection, spline
 from warpdiff.recent import found_again
 
@@ -39,8 +39,8 @@ _SMALLEST_KAPPA = 1e-3
 _SHARE, _SHARE_OF_CARDINALS = 0.2, 0.02
 # Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
 _SAMPLED, _LEAST_SIZE = 4096, 1e-3
-# The mean plane's lobe: entries over |κ|, linear between them, and wavelengths; that of its size among small ones.
-_MIRROR_ENTRIES, _MIRROR_WAVELENGTHS, _MIDDLE_UM = 2048, 40, 0.55
+# The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
+_MIRROR_ENTRIES, _MIRROR_WAVELENGTHS = 2048, 40
 _SLICE = 32
 # What a height field keeps of tables: some for other lights and views, or a search's last attempts.
 _MOST_KEPT_MEGABYTES = 1000.0
@@ -79,7 +79,7 @@ class _Source:
     @property
     def is_lines(self) -> bool:
         """Whether rows hold the lines of an endless surface."""
-        return not self.layout.spectrum_rays
+        return self.coherence.kind == "source"
 
     @property
     def sampler(self) -> Any:
@@ -233,7 +233,7 @@ def _coloured(
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
-    table.spread = math.sqrt(source.lobe2) * _MIDDLE_UM
+    table.spread = math.sqrt(source.lobe2) * MIDDLE_UM
     table.mirror = wp.array(source.mirror, dtype=wp.float32, device=device)
     table.least_kappa, highest = source.terms.kappas
     table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)

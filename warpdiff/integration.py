@@ -57,6 +57,8 @@ class Integrator:
         """
         if self._plan.nodes:
             gains = self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, **options)
+            # Progress is told once, by the part that serves nearly all.
+            options.pop("progress", None)
         if len(gains):
             self._sample(deflections, to_lights, gains, illuminant, xyz, **options)
 

@@ -34,7 +34,8 @@ _ALONG = 1.25
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT = 0.02
 _FEWEST_RAYS = 16
-_MIDDLE_UM = 0.55
+# A wavelength in the middle [µm].
+MIDDLE_UM = 0.55
 # A source's lines are blurred by so many distances of rays, which makes them smooth splines, ...
 _LINE_IN_RAYS = 0.8
 # ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
@@ -190,7 +191,7 @@ def near(coherence: Coherence) -> float:
 def blur(coherence: Coherence) -> float:
     """Standard deviation of the power spectrum's blur [1/µm]; that of a source is at a middle wavelength."""
     if coherence.sigma_um is None:
-        return coherence.spread / _MIDDLE_UM
+        return coherence.spread / MIDDLE_UM
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
