@@ -177,7 +177,7 @@ class Automatic:
     def shade(self) -> None:
         """Shade the sample."""
         self.frame.xyz.zero_()
-        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, slice_size=SLICE)
+        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, least_slice=SLICE)
 
     def on(self, frame: Frame) -> Automatic:
         """The same for other pixels of the frame."""
@@ -209,7 +209,7 @@ class Rate:
         """Run it."""
         launch(
             multiply_adds.multiply_add_rate, RATE_SLICES, [RATE_ROUNDS], [self._sums], device=self.frame.device,
-            threads=self.frame.threads, slice_size=1,
+            threads=self.frame.threads, least_slice=1,
         )  # fmt: skip
 
     @staticmethod

@@ -171,7 +171,7 @@ class Call:
             xyz.zero_()
             launch(
                 table.integrate, len(xyz), [table.arguments, *inputs, quadrature], [xyz], device=self.device,
-                threads=self.threads, slice_size=slices,
+                threads=self.threads, least_slice=slices,
             )  # fmt: skip
 
         return evaluate

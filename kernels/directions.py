@@ -70,6 +70,7 @@ def deflect_pixels(
     light: LightArguments,
     reflection: Reflection,
     weight: wp.float64,
+    counted: wp.float64,
     hidden: wp.array(dtype=wp.bool),
     first: wp.int32,
     run: wp.int32,
@@ -78,10 +79,14 @@ def deflect_pixels(
     to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
     xyz_out: wp.array(dtype=wp.vec3f),
+    coverage_out: wp.array(dtype=wp.float64),
+    lit_out: wp.array(dtype=wp.bool),
 ):
-    """Deflection, direction to the light and gain of pixels under one light; its pigment is added to ``xyz_out``.
+    """Deflection, direction to the light and gain of pixels under one light.
 
-    ``hidden`` says which pixels the light does not reach; empty is none.
+    Its pigment is added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it
+    reaches are marked as lit; empty arrays are none of these. ``hidden`` says which pixels the light does not reach;
+    empty is none.
     """
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         deflections_out[i] = wp.vec3d()
@@ -89,6 +94,8 @@ def deflect_pixels(
         gains_out[i] = wp.float32(0.0)
         if pixels.hit[i] == 0:
             continue
+        if coverage_out.shape[0] > 0:
+            coverage_out[i] += counted
         zero = wp.float64(0.0)
         one = wp.float64(1.0)
         t = wp.vec3d(pixels.tangent[i])
@@ -109,7 +116,9 @@ def deflect_pixels(
         deflections_out[i] = -to_light - to_view
         to_lights_out[i] = wp.vec3f(to_light)
         gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
-        if light.pigment > zero:
+        if lit_out.shape[0] > 0 and gains_out[i] > 0.0:
+            lit_out[i] = True
+        if xyz_out.shape[0] > 0 and light.pigment > zero:
             under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
             base = wp.vec3d(pixels.base_colour[i])
             colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)

@@ -8,9 +8,9 @@ import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff.device import resolve_device
+from warpdiff.device import launch_in_turn, resolve_device
 from warpdiff.scope import Pilots, Scope
-from warpdiff.survey import survey
+from warpdiff.survey import Survey
 
 WINDOWS = [
     wd.Coherence(),
@@ -35,7 +35,9 @@ def test_scope_and_pilots_are_those_of_all(coherence, share, device, rng):
         for each, dtype in zip((deflections, to_lights, gains), dtypes, strict=True)
     ]
     for threads in (1, 3):
-        scope, lit, some = survey(hf, coherence, *arrays, device=resolve_device(device), threads=threads)
+        summary = Survey(hf, coherence, *arrays, device=resolve_device(device))
+        launch_in_turn([summary.step], count, device=resolve_device(device), threads=threads)
+        scope, lit, some = summary.found()
         assert lit == np.count_nonzero(gains)
         for name in ("max_uv", "max_lateral", "min_w", "max_w"):
             assert getattr(scope, name) == pytest.approx(getattr(expected, name), rel=1e-14)

@@ -211,7 +211,7 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
             source.base.arguments, at_kappas, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
-        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_SLICE)
+        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, least_slice=_SLICE)
     return values
 
 
@@ -247,7 +247,7 @@ def _coloured(
         table.near2 = near(source.coherence) ** 2
     projector = polar.projector(len(source.at_kappas), count)
     matrices = wp.array(how.matrices.reshape(-1, 3 * count), dtype=target.row, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
 
     def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
         begin = layout.log_low + (octave - how.before / layout.nodes) * math.log(2.0)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import checks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import warp as wp
 
-# Enough slices that threads finish together and progress is smooth, and no smaller than what a launch costs.
-_SLICES_A_THREAD = 12
+# Of a launch: no smaller than what it costs, and no larger than what progress is smooth by.
 _LEAST_SLICE, _MOST_SLICE = 512, 32_768
 _LOADERS = 2
 _loading: dict[Any, Future[Any]] = {}
@@ -56,25 +57,63 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
     return [_loading[kernel.module] for kernel in kernels]
 
 
+@dataclass(frozen=True)
+class Step:
+    """A kernel with its arguments.
+
+    Attributes:
+        kernel: Its last input is ``first``, the index of its first thread.
+        inputs: Those before ``first``.
+        outputs: What it writes.
+        in_runs: Whether a number ``run`` of indices for each thread comes after ``first``: a thread on the CPU takes
+            its arguments, a kilobyte of them for some kernels, once for all of a slice rather than once for each index.
+        block: How many elements one index stands for.
+    """
+
+    kernel: Any
+    inputs: list[Any]
+    outputs: list[Any]
+    in_runs: bool = False
+    block: int = 1
+
+    def launch(self, first: int, count: int, device: wp.Device) -> None:
+        """Launch it for so many elements from the first on, on a GPU for each index by itself."""
+        import warp as wp
+
+        first, count = first // self.block, -(-count // self.block)
+        alone = self.in_runs and device.is_cpu
+        indices = [first, count if alone else 1] if self.in_runs else [first]
+        size = 1 if alone else count
+        wp.launch(self.kernel, dim=size, inputs=[*self.inputs, *indices], outputs=self.outputs, device=device)
+
+
 def launch(
     kernel: Any,
     size: int,
     inputs: list[Any],
     outputs: list[Any],
     *,
+    in_runs: bool = False,
+    **options: Any,
+) -> None:
+    """Launch one kernel: see :class:`Step` and, for the options, :func:`launch_in_turn`."""
+    launch_in_turn([Step(kernel, inputs, outputs, in_runs)], size, **options)
+
+
+def launch_in_turn(
+    steps: Sequence[Step],
+    size: int,
+    *,
     device: wp.Device,
     threads: int,
-    slice_size: int | None = None,
-    in_runs: bool = False,
+    least_slice: int = _LEAST_SLICE,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Launch a kernel whose last input is ``first``, the index of its first thread.
+    """Launch kernels of which each reads of an element what those before it wrote of the same one.
 
-    If ``in_runs`` a number ``run`` of indices for each thread comes after it: a thread on the CPU takes its arguments,
-    a kilobyte of them for some kernels, once for all of a slice rather than once for each index.
-
-    A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads;
-    every index is computed by itself, and the result depends neither on their number nor on the slices' size.
+    A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads, each
+    through all kernels; every index is computed by itself, and the result depends neither on the threads' number nor on
+    the slices.
     """
     import warp as wp
 
@@ -82,38 +121,63 @@ def launch(
         return
     if not device.is_cpu:
         # Launches of a frame queue up; whoever reads their results waits for them.
-        wp.launch(kernel, dim=size, inputs=[*inputs, 0, 1] if in_runs else [*inputs, 0], outputs=outputs, device=device)
+        for step in steps:
+            step.launch(0, size, device)
         if progress is not None:
             wp.synchronize_device(device)
             progress(1.0)
         return
-    if slice_size is None:
-        slice_size = min(max(size // (_SLICES_A_THREAD * threads), _LEAST_SLICE), _MOST_SLICE)
+    block = math.lcm(*(step.block for step in steps))
+    slices = list(slices_of(size, least=least_slice, most=_MOST_SLICE, threads=threads, block=block))
     # Threads must not race to compile.
-    load([kernel], device)[0].result()
-    firsts = range(0, size, slice_size)
-    left = iter(firsts)
+    for loaded in load([step.kernel for step in steps], device):
+        loaded.result()
+
+    def run(part: range) -> None:
+        for step in steps:
+            step.launch(part.start, len(part), device)
+
+    side_by_side(run, slices, threads=threads, progress=progress)
+
+
+def slices_of(size: int, *, least: int, most: int, threads: int, block: int = 1) -> Iterator[range]:
+    """Slices that get smaller, so that threads finish together, of whole blocks but for the last."""
+    first = 0
+    while first < size:
+        count = min(max((size - first) // (2 * threads), least), most)
+        end = min(first + -(-count // block) * block, size)
+        yield range(first, end)
+        first = end
+
+
+def side_by_side(
+    work: Callable[[Any], None],
+    items: Sequence[Any],
+    *,
+    threads: int,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Do some work for each item, the next one whenever a thread is free."""
+    left = iter(items)
     lock = threading.Lock()
     done = 0
 
     def run() -> None:
-        """Launch slices until none is left."""
+        """Work until none is left."""
         nonlocal done
         while True:
             with lock:
-                first = next(left, None)
-            if first is None:
+                item = next(left, None)
+            if item is None:
                 return
-            count = min(slice_size, size - first)
-            indices = [first, count] if in_runs else [first]
-            wp.launch(kernel, dim=1 if in_runs else count, inputs=[*inputs, *indices], outputs=outputs, device=device)
+            work(item)
             with lock:
                 done += 1
                 if progress is not None:
-                    progress(done / len(firsts))
+                    progress(done / len(items))
 
-    # This thread is one of them: to hand a slice over and wait for it takes as long as a small one.
-    others = [_pool(threads - 1).submit(run) for _ in range(min(threads, len(firsts)) - 1)]
+    # This thread is one of them: to hand an item over and wait for it takes as long as a small one.
+    others = [_pool(threads - 1).submit(run) for _ in range(min(threads, len(items)) - 1)]
     try:
         run()
     finally:

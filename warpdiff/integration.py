@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import colour_table, tables
-from warpdiff.device import launch
+from warpdiff.device import Step, launch_in_turn
 
 if TYPE_CHECKING:
     import warp as wp
@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
     from warpdiff.planning import Plan
     from warpdiff.scope import Scope
-
-# Directions of a slice, which must be worth a launch, and slices for each thread.
-_LEAST_SLICE, _SLICES = 1024, 4
 
 
 class Integrator:
@@ -53,14 +50,34 @@ class Integrator:
             illuminant: A name.
             xyz: What is added to.
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
-            options: Of ``launch``, ``progress``.
+            options: Of ``launch_in_turn``, ``least_slice`` and ``progress``.
         """
-        if self._plan.nodes:
-            gains = self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, **options)
-            # Progress is told once, by the part that serves nearly all.
-            options.pop("progress", None)
-        if len(gains):
-            self._sample(deflections, to_lights, gains, illuminant, xyz, **options)
+        launch_in_turn(
+            self.steps(deflections, to_lights, gains, illuminant, xyz, footprints), len(gains),
+            device=self._device, threads=self._threads, **options,
+        )  # fmt: skip
+
+    def steps(
+        self,
+        deflections: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminant: str,
+        xyz: wp.array,
+        footprints: wp.array | None = None,
+    ) -> list[Step]:
+        """What ``add`` launches."""
+        if not self._plan.nodes:
+            return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
+        import warp as wp
+
+        # A table leaves out some directions of a source.
+        is_source = self._plan.coherence.kind == "source"
+        left_out = wp.empty(len(gains) if is_source else 0, dtype=wp.float32, device=self._device)
+        steps = [self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)]
+        if is_source:
+            steps.append(self._sample(deflections, to_lights, left_out, illuminant, xyz))
+        return steps
 
     def _look_up(
         self,
@@ -70,11 +87,9 @@ class Integrator:
         illuminant: str,
         xyz: wp.array,
         footprints: wp.array | None,
-        **options: Any,
-    ) -> wp.array:
-        """Add what a table serves; returns the gains of the rest, or none where there is never any."""
-        import warp as wp
-
+        left_out: wp.array,
+    ) -> Step:
+        """Add what a table serves."""
         from warpdiff.kernels import lookup
 
         if illuminant not in self._colours:
@@ -84,23 +99,12 @@ class Integrator:
         kernel, table = self._colours[illuminant]
         seen = self._no_footprints if footprints is None else footprints
         run = lookup.RUN if self._device.is_cpu else 1
-        size = -(-len(gains) // run)
-        options["slice_size"] = max(size // (_SLICES * self._threads), _LEAST_SLICE // run)
-        is_source = self._plan.coherence.kind == "source"
-        left_out = wp.empty(len(gains) if is_source else 0, dtype=wp.float32, device=self._device)
         inputs = [table, deflections, to_lights, gains, seen, self._blending, run]
-        launch(kernel, size, inputs, [left_out, xyz], device=self._device, threads=self._threads, **options)
-        return left_out
+        return Step(kernel, inputs, [left_out, xyz], block=run)
 
     def _sample(
-        self,
-        deflections: wp.array,
-        to_lights: wp.array,
-        gains: wp.array,
-        illuminant: str,
-        xyz: wp.array,
-        **options: Any,
-    ) -> None:
+        self, deflections: wp.array, to_lights: wp.array, gains: wp.array, illuminant: str, xyz: wp.array
+    ) -> Step:
         """Add the sums over wavelengths."""
         given: dict[str, Any] = {"device": self._device}
         # Others may have taken its place among those that are kept.
@@ -109,4 +113,4 @@ class Integrator:
         if illuminant not in self._quadratures:
             self._quadratures[illuminant] = tables.quadrature_for(self._hf, self._plan, illuminant, **given)
         inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
-        launch(self._table.integrate, len(gains), inputs, [xyz], device=self._device, threads=self._threads, **options)
+        return Step(self._table.integrate, inputs, [xyz])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from warpdiff import checks, optics, spectrum, supersample
 from warpdiff.coherence import Coherence
-from warpdiff.device import launch, load, resolve_device, resolve_threads
+from warpdiff.device import Step, launch, launch_in_turn, load, resolve_device, resolve_threads, side_by_side
 from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.integration import Integrator
@@ -19,7 +20,7 @@ from warpdiff.planning import Plan, check_method, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.surface import prepare_surface
-from warpdiff.survey import survey
+from warpdiff.survey import Survey
 from warpdiff.view import View
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 
 _SEED = 0
 _SURVEYED = 4
-# Rays and frames take a tenth of a microsecond each, faces two, and a launch as much as hundreds.
-_LEAST_SLICE, _SLICES_A_THREAD, _FACES = 4096, 4, 2048
+# Rays and frames take a tenth of a microsecond each, colours three, faces two, and a launch as much as hundreds.
+_SLICE, _COLOURS, _FACES = 8192, 2048, 2048
 
 
 def shade(
@@ -175,29 +176,35 @@ def _takes_footprints(footprint: bool | None, method: str, window: Coherence, pl
 
 @dataclass(frozen=True)
 class _Seen:
-    """What rays see: the mesh, and under the last light deflections, directions to the light and gains."""
+    """What rays see: the mesh, and under the last light whether it is hidden, deflections, directions to it, gains."""
 
     pixels: Any
+    hidden: wp.array
     deflections: wp.array
     to_lights: wp.array
     gains: wp.array
+    footprints: wp.array
 
     @classmethod
-    def by(cls, rays: int, *, device: wp.Device, covered: bool = False) -> _Seen:
-        """Arrays for so many rays, whose first hits are found face by face if ``covered``."""
+    def by(cls, rays: int, *, device: wp.Device, means: bool, covered: bool = False) -> _Seen:
+        """Arrays for so many rays, with footprints if they show ``means``.
+
+        Their first hits are found face by face if ``covered``.
+        """
         import warp as wp
 
         from warpdiff.kernels import raycast
 
-        def empty(dtype: Any) -> Any:
-            return wp.empty(rays, dtype=dtype, device=device)
+        def empty(dtype: Any, size: int = rays) -> Any:
+            return wp.empty(size, dtype=dtype, device=device)
 
         pixels = raycast.Pixels()
-        pixels.nearest = wp.empty(rays if covered else 0, dtype=wp.uint64, device=device)
+        pixels.nearest = empty(wp.uint64, rays if covered else 0)
         pixels.hit, pixels.face = empty(wp.int32), empty(wp.int32)
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
             setattr(pixels, name, empty(wp.vec3f))
-        return cls(pixels, empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32))
+        footprints = empty(wp.vec4f, rays if means else 0)
+        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
 
     @property
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:
@@ -245,10 +252,13 @@ class _Frame:
         self._has_base_colour = surface.has_base_colour
         self._size = size = view.width * view.height
 
-        self._seen = _Seen.by(size, device=device, covered=self._covers)
-        self._xyz = wp.zeros(size, dtype=wp.vec3f, device=device)
-        self._hits = np.zeros(size)
-        self._lit = np.zeros(size, dtype=np.bool_)
+        self._seen = _Seen.by(size, device=device, means=means and samples == 1, covered=self._covers)
+        self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
+        dtypes = (wp.vec3f, wp.float64, wp.bool)
+        # XYZ, coverage, and what any light reaches.
+        self._sums = [wp.zeros(size, dtype=dtype, device=device) for dtype in dtypes]
+        self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
+        self._lit_count = 0
         self._lights: list[Any] = []
         self._reflection: Any = None
 
@@ -270,36 +280,35 @@ class _Frame:
             if sample == 0:
                 self._sort_faces()
             for light in self._lights:
-                self.deflect(light)
-                found, lit, pilots = survey(hf, window, *self._seen.directions, **self._options)
+                summary = Survey(hf, window, *self._seen.directions, device=self._device)
+                self.deflect(light, summary.step)
+                found, lit, pilots = summary.found()
                 scope = scope.joined(found)
                 count += lit
                 if sample == 0:
                     seen.append(pilots.arrays)
-        count = count * self._samples // surveyed
-        return scope, count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
+        self._lit_count = count * self._samples // surveyed
+        return scope, self._lit_count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
 
     def _passes(
         self, progress: Callable[[float], None] | None
-    ) -> Iterator[tuple[int, int, Callable[[float], None] | None]]:
+    ) -> Iterator[tuple[int, Callable[[float], None] | None]]:
         """Cast and deflect sample after sample, light after light.
 
-        Yields a light's index, how many pixels it reaches, and the pass' share of progress.
+        Yields a light's index, and the pass' share of progress.
         """
         passes = self._samples * len(self._lights)
+        # The survey has left behind what a single pass needs.
         if passes > 1:
-            self._xyz.zero_()
+            for sums in self._sums:
+                sums.zero_()
         for sample in range(self._samples):
             if self._samples > 1:
                 self.cast(sample)
-            self._hits += self._weights[sample] * self._seen.pixels.hit.numpy()
             for index, light in enumerate(self._lights):
-                # The survey has left behind what a single pass needs.
                 if passes > 1:
                     self.deflect(light)
-                lit = self._seen.gains.numpy() > 0.0
-                self._lit |= lit
-                yield index, int(np.count_nonzero(lit)), _share(progress, sample * len(self._lights) + index, passes)
+                yield index, _share(progress, sample * len(self._lights) + index, passes)
 
     def integrate(
         self,
@@ -317,9 +326,9 @@ class _Frame:
         if footprint:
             self._cast(0, 1)
             spreads = [self.spread(light) for light in self._lights]
-        for index, _, share in self._passes(progress):
+        for index, share in self._passes(progress):
             integrator.add(
-                *self._seen.directions, illuminants[index], self._xyz, footprints=spreads[index], progress=share
+                *self._seen.directions, illuminants[index], self._sums[0], footprints=spreads[index], progress=share
             )
         return 0.0
 
@@ -334,53 +343,78 @@ class _Frame:
         """The same of means over pixels, where that takes it over several rays in each."""
         import warp as wp
 
-        tiled, lit = 0, 0
-        for index, count, share in self._passes(progress):
+        tiled, width = 0, self._view.width
+        for index, share in self._passes(progress):
             light, illuminant, seen = self._lights[index], illuminants[index], self._seen
             colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
-            spread = self.spread(light)
-            integrator.add(*seen.directions, illuminant, colours, footprints=spread, progress=share)
-            width = self._view.width
-            for batch in supersample.batches(colours, seen.gains, width, tolerance, **self._options):
-                self._set_means(integrator, light, illuminant, batch, colours)
-                tiled += len(batch.pixels)
-            supersample.add(colours, self._xyz, **self._options)
-            lit += count
-        return tiled / max(lit, 1)
+            steps = [self._spread(light, seen, width, self._view.height, self._deviation, seen.footprints)]
+            steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints)
+            launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
+            batches = supersample.batches(colours, seen.gains, width, tolerance, **self._options)
+            self._set_means(integrator, light, illuminant, batches, colours)
+            tiled += sum(len(batch.pixels) for batch in batches)
+            supersample.add(colours, self._sums[0], **self._options)
+        return tiled / max(self._lit_count, 1)
 
     def _set_means(
-        self, integrator: Integrator, light: Any, illuminant: str, batch: supersample.Batch, colours: wp.array
+        self,
+        integrator: Integrator,
+        light: Any,
+        illuminant: str,
+        batches: list[supersample.Batch],
+        colours: wp.array,
     ) -> None:
         """Set the colours of some pixels to the means over tiles of rays."""
         import warp as wp
 
-        from warpdiff.kernels import raycast
+        from warpdiff.kernels import directions, raycast
 
-        tile = batch.tile
-        places, weights = tile.rays
-        sampling = raycast.Sampling()
-        sampling.tiles = wp.array(batch.pixels, dtype=wp.int32, device=self._device)
-        sampling.places = wp.array(places, dtype=wp.vec2d, device=self._device)
-        if not batch.shadows:
-            sampling.faces = self._seen.pixels.face
-        seen = _Seen.by(len(batch.pixels) * len(weights), device=self._device)
-        self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], len(seen))
-        of_rays = wp.zeros(len(seen), dtype=wp.vec3f, device=self._device)
-        self._deflect(light, seen, 1.0, of_rays, shadows=batch.shadows)
-        spread = self._spread(light, seen, tile.across, tile.across, tile.deviation / tile.apart)
-        # The pigment of the pixel's own ray stays.
-        of_rays.zero_()
-        integrator.add(*seen.directions, illuminant, of_rays, footprints=spread)
-        supersample.set_means(colours, sampling.tiles, weights, seen.pixels.hit, of_rays, **self._options)
+        # What a part of the pixels of a batch takes, made here, as other threads' memory is given back each time.
+        rays = {batch.tile.across: batch.tile.on(self._device) for batch in batches}
+        parts = [(batch, part) for batch in batches for part in batch.parts(self._device, self._threads)]
+        most = max((len(part) * len(batch.tile.rays[1]) for batch, part in parts), default=0)
+        rooms: queue.SimpleQueue[tuple[_Seen, wp.array]] = queue.SimpleQueue()
+        for _ in range(min(len(parts), self._threads)):
+            seen = _Seen.by(most, device=self._device, means=True)
+            rooms.put((seen, wp.empty(most, dtype=wp.vec3f, device=self._device)))
+
+        def work(each: tuple[supersample.Batch, range]) -> None:
+            (batch, part), (seen, of_rays) = each, rooms.get()
+            tile = batch.tile
+            sampling = raycast.Sampling()
+            sampling.tiles = wp.array(batch.pixels[part.start : part.stop], dtype=wp.int32, device=self._device)
+            sampling.places, weights = rays[tile.across]
+            if not batch.shadows:
+                sampling.faces = self._seen.pixels.face
+            of_rays.zero_()
+            count = len(part) * len(weights)
+            deflections, to_lights, gains = seen.directions
+            deviation = tile.deviation / tile.apart
+            steps = [
+                Step(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], in_runs=True),
+                # The pigment of the pixel's own ray stays.
+                *self._deflect(light, seen, 1.0, self._no_sums, shadows=batch.shadows),
+                self._spread(light, seen, tile.across, tile.across, deviation, seen.footprints),
+                # Look-ups take whole runs of those that there are gains of.
+                *integrator.steps(deflections, to_lights, gains[:count], illuminant, of_rays, seen.footprints),
+                Step(
+                    directions.gather, [of_rays, seen.pixels.hit, sampling.tiles, weights], [colours],
+                    in_runs=True, block=len(weights),
+                ),
+            ]  # fmt: skip
+            launch_in_turn(steps, count, least_slice=count, device=self._device, threads=1)
+            rooms.put((seen, of_rays))
+
+        side_by_side(work, parts, threads=self._threads)
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
     ) -> None:
         """The same by the direct sum."""
-        for index, _, share in self._passes(progress):
+        for index, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
             added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[index], progress=share)
-            self._xyz.assign((self._xyz.numpy() + added).astype(np.float32))
+            self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
 
     def light_arguments(
         self, light: DirectionalLight, window: Coherence, area_um2: float, *, pigment: float, shadows: bool
@@ -413,10 +447,6 @@ class _Frame:
         result.per_light_cosine = window.kind == "source"
         return result
 
-    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int) -> None:
-        slice_size = max(size // (_SLICES_A_THREAD * self._threads), _LEAST_SLICE)
-        launch(kernel, size, inputs, outputs, slice_size=slice_size, in_runs=True, **self._options)
-
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""
         self._cast(sample, self._samples)
@@ -436,8 +466,9 @@ class _Frame:
             pixels.nearest.fill_(raycast.UNSEEN)
             faces = self._scene.face_count
             inputs = [self._camera, self._scene.arrays, pixels]
-            launch(raycast.cover, faces, inputs, [], slice_size=_FACES, in_runs=True, **self._options)
-        self._launch(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], self._size)
+            launch(raycast.cover, faces, inputs, [], least_slice=_FACES, in_runs=True, **self._options)
+        inputs = [self._camera, self._scene.arrays, sampling, pixels]
+        launch(raycast.cast, self._size, inputs, [], least_slice=_SLICE, in_runs=True, **self._options)
 
     def _sort_faces(self) -> None:
         """Make grids of faces for shadow rays where these are worth it. A GPU has rays enough for its hierarchy."""
@@ -447,22 +478,26 @@ class _Frame:
                 to_light = [float(part) for part in light.to_light]
                 light.grid = grid_for(self._surface, self._scene, to_light, **self._options)
 
-    def deflect(self, light: Any) -> None:
-        """Compute the deflections and gains under one light, and add its pigment."""
-        self._deflect(light, self._seen, float(self._weights[self._sample]), self._xyz)
+    def deflect(self, light: Any, *after: Step) -> None:
+        """Compute the deflections and gains under one light, add its pigment, and what comes after."""
+        steps = self._deflect(light, self._seen, float(self._weights[self._sample]), self._sums)
+        launch_in_turn([*steps, *after], self._size, least_slice=_SLICE, **self._options)
 
-    def _deflect(self, light: Any, seen: _Seen, weight: float, xyz: wp.array, *, shadows: bool = True) -> None:
-        import warp as wp
-
+    def _deflect(
+        self, light: Any, seen: _Seen, weight: float, sums: list[wp.array], *, shadows: bool = True
+    ) -> list[Step]:
         from warpdiff.kernels import directions
         from warpdiff.kernels.shadows import hide
 
         shadows = shadows and light.shadows
-        hidden = wp.empty(len(seen) if shadows else 0, dtype=wp.bool, device=self._device)
+        hidden = seen.hidden if shadows else self._none_hidden
+        # What is covered counts once.
+        counted = weight if light is self._lights[0] else 0.0
+        inputs = [seen.pixels, light, self._reflection, weight, counted, hidden]
+        steps = [Step(directions.deflect_pixels, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
-            self._launch(hide, [light.grid, seen.pixels], [hidden], len(seen))
-        inputs = [seen.pixels, light, self._reflection, weight, hidden]
-        self._launch(directions.deflect_pixels, inputs, [*seen.directions, xyz], len(seen))
+            steps.insert(0, Step(hide, [light.grid, seen.pixels], [hidden], in_runs=True))
+        return steps
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
@@ -471,26 +506,31 @@ class _Frame:
 
     def spread(self, light: Any) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
-        return self._spread(light, self._seen, self._view.width, self._view.height, self._deviation)
+        import warp as wp
 
-    def _spread(self, light: Any, seen: _Seen, width: int, height: int, deviation: float) -> wp.array:
+        result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
+        step = self._spread(light, self._seen, self._view.width, self._view.height, self._deviation, result)
+        launch_in_turn([step], self._size, least_slice=_SLICE, **self._options)
+        return result
+
+    @staticmethod
+    def _spread(light: Any, seen: _Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
         import warp as wp
 
         from warpdiff.kernels import directions
 
-        result = wp.empty(len(seen), dtype=wp.vec4f, device=self._device)
         inputs = [seen.pixels, wp.vec3f(*light.to_light), width, height, deviation]
-        self._launch(directions.spread_pixels, inputs, [result], len(seen))
-        return result
+        return Step(directions.spread_pixels, inputs, [result], in_runs=True)
 
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
         shape = (self._view.height, self._view.width)
-        coverage = self._hits.astype(np.float32).reshape(shape)
+        xyz, coverage, lit = (sums.numpy() for sums in self._sums)
+        coverage = coverage.astype(np.float32).reshape(shape)
         return Image(
-            xyz=self._xyz.numpy().reshape(*shape, 3).copy(),
+            xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
-            lit=self._lit.reshape(shape),
+            lit=lit.reshape(shape),
             coverage=coverage,
             plan=plan,
         )

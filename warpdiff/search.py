@@ -267,14 +267,14 @@ class Trial:
             values = wp.empty((self._count, len(self._wavenumbers)), dtype=wp.float32, device=self._device)
             launch(
                 table.sample, self._count, inputs, [values], device=self._device, threads=self._threads,
-                slice_size=_SLICE,
+                least_slice=_SLICE,
             )  # fmt: skip
             return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
         integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
         results = []
         for illuminant in self._illuminants:
             xyz = wp.zeros(self._count, dtype=wp.vec3f, device=self._device)
-            integrator.add(self._deflections, self._to_lights, self._gains, illuminant, xyz, slice_size=_SLICE)
+            integrator.add(self._deflections, self._to_lights, self._gains, illuminant, xyz, least_slice=_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 

@@ -68,7 +68,7 @@ def grid_for(
     grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
     grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
     grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
+    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
     spans = wp.empty(faces, dtype=wp.int32, device=device)
     launch(shadows.project, faces, [grid, scene.arrays.positions, scene.arrays.faces], [spans], **options)
     listed = int(spans.numpy().sum(dtype=np.int64))

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import launch
+from warpdiff.device import launch, slices_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import warp as wp
     from numpy.typing import NDArray
 
@@ -25,12 +27,12 @@ FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(
 _ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
-# Rays at a time, which bounds the memory that they take.
-_MOST_RAYS = 150_000
+# Rays at a time: worth the launches, and bounded by the memory that they take; a GPU takes as many as it can.
+_LEAST_RAYS, _MOST_RAYS = 8192, 150_000
 # What errors are relative to at least, as a share of the 99th percentile of luminance, and how many pixels tell it.
 _FLOOR, _GLIMPSE = 1e-3, 16_384
-# These kernels are cheap against a launch; of tiles' means fewer are worth one.
-_SLICE, _TILES_SLICE = 32_768, 2048
+# These kernels are cheap against a launch.
+_SLICE = 32_768
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,13 @@ class Tile:
         pairs = [(right, down) for down in halves for right in halves]
         weights = [self.weights[min(abs(x), abs(y)), max(abs(x), abs(y))] for x, y in pairs]
         return np.array(pairs) * (self.apart / 2.0), np.array(weights) / sum(weights)
+
+    def on(self, device: wp.Device) -> tuple[wp.array, wp.array]:
+        """The rays on a device."""
+        import warp as wp
+
+        places, weights = self.rays
+        return wp.array(places, dtype=wp.vec2d, device=device), wp.array(weights, dtype=wp.float32, device=device)
 
 
 _TILES = (
@@ -110,6 +119,12 @@ class Batch:
     pixels: NDArray[np.int32]
     shadows: bool
 
+    def parts(self, device: wp.Device, threads: int) -> Iterator[range]:
+        """Ranges of the pixels to be met at a time."""
+        rays = self.tile.across**2
+        least = _LEAST_RAYS if device.is_cpu else _MOST_RAYS
+        return slices_of(len(self.pixels), least=least // rays, most=_MOST_RAYS // rays, threads=threads)
+
 
 def batches(
     colours: wp.array, gains: wp.array, width: int, tolerance: float, *, device: wp.Device, threads: int
@@ -126,7 +141,7 @@ def batches(
     bounds = wp.array([above * tolerance / _ERROR_OF_CONTRAST for above, _ in _TAKEN], dtype=wp.float32, device=device)
     classes = wp.empty(len(gains), dtype=wp.uint8, device=device)
     inputs = [colours, gains, width, max(floor, np.finfo(np.float32).tiny), bounds]
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
+    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
     launch(directions.classify, len(gains), inputs, [classes], **options)
     kinds = classes.numpy()
     candidates = np.flatnonzero(kinds > 0)
@@ -135,29 +150,9 @@ def batches(
     for index, (_, tile) in enumerate(_TAKEN):
         for shadowed in (False, True):
             pixels = candidates[kinds == 2 * (index + 1) + shadowed].astype(np.int32)
-            parts = -(-len(pixels) * tile.across**2 // _MOST_RAYS)
-            found += [Batch(tile, part, shadowed) for part in np.array_split(pixels, parts or 1) if len(part)]
+            if len(pixels):
+                found.append(Batch(tile, pixels, shadowed))
     return found
-
-
-def set_means(
-    colours: wp.array,
-    pixels: wp.array,
-    weights: NDArray[np.float64],
-    hit: wp.array,
-    of_rays: wp.array,
-    *,
-    device: wp.Device,
-    threads: int,
-) -> None:
-    """Set the colours of pixels to the means over their tiles' rays that meet the mesh."""
-    import warp as wp
-
-    from warpdiff.kernels import directions
-
-    inputs = [of_rays, hit, pixels, wp.array(weights, dtype=wp.float32, device=device)]
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _TILES_SLICE, "in_runs": True}
-    launch(directions.gather, len(pixels), inputs, [colours], **options)
 
 
 def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:
@@ -171,6 +166,6 @@ def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) ->
         [xyz],
         device=device,
         threads=threads,
-        slice_size=_SLICE,
+        least_slice=_SLICE,
         in_runs=True,
     )
