@@ -77,6 +77,31 @@ def test_given_normals_are_kept_and_those_trimesh_worked_out_are_not():
     np.testing.assert_allclose(before[1], before[3], atol=1e-7)
 
 
+def test_a_surface_is_found_again_while_nothing_of_its_mesh_changed():
+    texture = Image.fromarray(np.full((4, 4, 3), 200, dtype=np.uint8))
+    upwards = np.tile([[0.0, 0.0, 1.0]], (4, 1))
+    visual = TextureVisuals(uv=SQUARE[:, :2].copy(), image=texture)
+    mesh = trimesh.Trimesh(SQUARE.copy(), SQUARE_FACES, visual=visual, process=False, vertex_normals=upwards)
+    first = prepare_surface(mesh)
+    assert prepare_surface(mesh) is first
+    # Past what trimesh itself would notice.
+    np.asarray(mesh.vertices).view(np.ndarray)[0] += 0.1
+    moved = prepare_surface(mesh)
+    assert moved is not first
+    texture.putpixel((1, 2), (10, 20, 30))
+    painted = prepare_surface(mesh)
+    assert painted is not moved
+    assert not np.array_equal(painted.texture, moved.texture)
+    mesh.vertex_normals = np.tile([[0.0, 0.6, 0.8]], (4, 1))
+    tilted = prepare_surface(mesh)
+    assert not np.array_equal(tilted.normals, painted.normals)
+    along = np.tile([[0.0, 1.0, 0.0]], (4, 1))
+    turned = prepare_surface(mesh, tangents=along)
+    assert turned is not tilted
+    assert prepare_surface(mesh, tangents=along.copy()) is turned
+    assert prepare_surface(mesh) is tilted
+
+
 def test_given_normals_keep_their_side_under_an_overhang():
     # Two larger corners look down where one looks up.
     corners = np.array(

@@ -323,6 +323,7 @@ def _fill(
             launch(target.interpolate, repeated, inputs, [table.rows], device=device, threads=threads)
 
 
+@functools.cache
 def blending(device: wp.Device) -> Any:
     """The struct ``Blending`` of the kernels."""
     import warp as wp

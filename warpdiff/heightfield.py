@@ -85,7 +85,7 @@ class HeightField:
         ValueError: The heights are not a non-empty, finite 2-D array, or the pitch is not positive.
     """
 
-    __slots__ = ("__weakref__", "_heights_um", "_pitch_um")
+    __slots__ = ("__weakref__", "_height_range_um", "_heights_um", "_pitch_um")
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
         heights = checks.finite_array(heights_um, "heights_um", ndim=2)
@@ -93,6 +93,8 @@ class HeightField:
             raise ValueError(f"heights_um must hold at least one sample, got shape {heights.shape}")
         heights.setflags(write=False)
         self._heights_um = heights
+        # Every call of a picture asks for it.
+        self._height_range_um = float(np.ptp(heights))
         self._pitch_um = checks.pair(pitch_um, "pitch_um")
 
     @classmethod
@@ -164,7 +166,7 @@ class HeightField:
     @property
     def height_range_um(self) -> float:
         """Highest minus lowest height [µm]."""
-        return float(np.ptp(self._heights_um))
+        return self._height_range_um
 
     @property
     def rms_um(self) -> float:

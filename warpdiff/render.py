@@ -290,9 +290,7 @@ class _Frame:
         self._lit_count = count * self._samples // surveyed
         return scope, self._lit_count, Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
 
-    def _passes(
-        self, progress: Callable[[float], None] | None
-    ) -> Iterator[tuple[int, Callable[[float], None] | None]]:
+    def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
         """Cast and deflect sample after sample, light after light.
 
         Yields a light's index, and the pass' share of progress.

@@ -5,7 +5,6 @@ Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with 
 
 from __future__ import annotations
 
-import hashlib
 import os
 import warnings
 from dataclasses import dataclass
@@ -16,7 +15,6 @@ import numpy as np
 
 from warpdiff import checks
 from warpdiff.errors import WarpdiffWarning
-from warpdiff.recent import found_again
 from warpdiff.spectrum import srgb_decode
 
 if TYPE_CHECKING:
@@ -97,26 +95,39 @@ def prepare_surface(
         ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
             vertices it lacks; there is no tangent field; several textures would have to be used at once.
     """
-    part = _join([_part(geometry, transform) for geometry, transform in _geometries(mesh)])
-    given = _check_tangents(part, tangents)
-    key = _digest(
-        part.vertices, part.faces, part.source, part.normals, part.uvs, part.texture, part.colours, given
-    )  # fmt: skip
-    return found_again(_kept, key, lambda: _build(part, given), most=_MOST_KEPT)
+    geometries = _geometries(mesh)
+    told_by = [np.asarray(each) for geometry, transform in geometries for each in (transform, *_told_by(geometry))]
+    if tangents is not None:
+        told_by.append(checks.finite_array(tangents, "tangents"))
+    for index, (known, surface) in enumerate(_kept):
+        if len(known) == len(told_by) and all(map(np.array_equal, known, told_by)):
+            _kept.append(_kept.pop(index))
+            return surface
+    part = _join([_part(geometry, transform) for geometry, transform in geometries])
+    surface = _build(part, _check_tangents(part, tangents))
+    _kept.append(([each.copy() for each in told_by], surface))
+    del _kept[:-_MOST_KEPT]
+    return surface
 
 
-def _digest(*arrays: NDArray[Any] | None) -> bytes:
-    """What tells arrays from others."""
-    found = hashlib.sha256()
-    for array in arrays:
-        found.update(b"none" if array is None else repr((array.shape, array.dtype)).encode())
-        if array is not None:
-            found.update(np.ascontiguousarray(array).data)
-    return found.digest()
+# What was told by what, the last one asked for at the end.
+_kept: list[tuple[list[NDArray[Any]], Surface]] = []
 
 
-_kept: dict[bytes, Surface] = {}
-_are_given: dict[bytes, bool] = {}
+def _told_by(mesh: Any) -> list[Any]:
+    """All that a surface is made of: a mesh that moved in place is told by its values."""
+    visual = mesh.visual
+    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), getattr(visual, "uv", None), visual.kind]
+    if visual.kind in ("vertex", "face"):
+        found.append(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)
+    elif hasattr(visual, "material"):
+        found.append(getattr(visual, "face_materials", None) is None)
+        for name in ("baseColorFactor", "diffuse", "baseColorTexture", "image"):
+            value: Any = getattr(visual.material, name, None)
+            found.append(value)
+            if hasattr(value, "getpalette"):
+                found += [value.mode, value.getpalette()]
+    return found
 
 
 @dataclass
@@ -206,20 +217,19 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position;
     the latter are told by their value.
     """
-    if "vertex_normals" not in mesh._cache:
+    normals = _cached_normals(mesh)
+    if normals is None or np.shape(normals) != vertices.shape:
         return None
-    normals = np.array(mesh.vertex_normals, dtype=np.float64)
-    if normals.shape != vertices.shape:
-        return None
+    normals = np.asarray(normals, dtype=np.float64)
     normals = _unit(np.where(np.isfinite(normals), normals, 0.0))
+    angles = _corner_angles(vertices, faces)
+    computed = _unit(_angle_weighted(vertices, faces, angles, np.arange(len(vertices)))[0])
+    return None if np.allclose(normals, computed, atol=1e-6) else normals
 
-    def are_given() -> bool:
-        angles = _corner_angles(vertices, faces)
-        computed = _unit(_angle_weighted(vertices, faces, angles, np.arange(len(vertices)))[0])
-        return not np.allclose(normals, computed, atol=1e-6)
 
-    key = _digest(vertices, faces, normals)
-    return normals if found_again(_are_given, key, are_given, most=_MOST_KEPT) else None
+def _cached_normals(mesh: Any) -> Any:
+    """Vertex normals that trimesh holds, or None."""
+    return mesh.vertex_normals if "vertex_normals" in mesh._cache else None
 
 
 def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
