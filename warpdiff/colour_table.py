@@ -324,8 +324,8 @@ def _fill(
 
 
 @functools.cache
-def blending(device: wp.Device) -> Any:
-    """The struct ``Blending`` of the kernels."""
+def blending(device: str) -> Any:
+    """The struct ``Blending`` of the kernels, on the device of a name."""
     import warp as wp
 
     from warpdiff.kernels import lookup as kernels

@@ -27,7 +27,7 @@ class Integrator:
         if plan.nodes:
             import warp as wp
 
-            self._blending = colour_table.blending(device)
+            self._blending = colour_table.blending(device.alias)
             self._no_footprints = wp.empty(0, dtype=wp.vec4f, device=device)
 
     def add(
