@@ -71,6 +71,7 @@ def deflect_pixels(
     reflection: Reflection,
     weight: wp.float64,
     counted: wp.float64,
+    begins: wp.bool,
     hidden: wp.array(dtype=wp.bool),
     first: wp.int32,
     run: wp.int32,
@@ -85,16 +86,21 @@ def deflect_pixels(
     """Deflection, direction to the light and gain of pixels under one light.
 
     Its pigment is added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it
-    reaches are marked as lit; empty arrays are none of these. ``hidden`` says which pixels the light does not reach;
-    empty is none.
+    reaches are marked as lit, from nothing if the sum ``begins``; empty arrays are none of these. ``hidden`` says which
+    pixels the light does not reach; empty is none.
     """
+    sums = xyz_out.shape[0] > 0
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         deflections_out[i] = wp.vec3d()
         to_lights_out[i] = wp.vec3f()
         gains_out[i] = wp.float32(0.0)
+        if sums and begins:
+            xyz_out[i] = wp.vec3f()
+            coverage_out[i] = wp.float64(0.0)
+            lit_out[i] = False
         if pixels.hit[i] == 0:
             continue
-        if coverage_out.shape[0] > 0:
+        if sums:
             coverage_out[i] += counted
         zero = wp.float64(0.0)
         one = wp.float64(1.0)
@@ -116,9 +122,9 @@ def deflect_pixels(
         deflections_out[i] = -to_light - to_view
         to_lights_out[i] = wp.vec3f(to_light)
         gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
-        if lit_out.shape[0] > 0 and gains_out[i] > 0.0:
+        if sums and gains_out[i] > 0.0:
             lit_out[i] = True
-        if xyz_out.shape[0] > 0 and light.pigment > zero:
+        if sums and light.pigment > zero:
             under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
             base = wp.vec3d(pixels.base_colour[i])
             colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)

@@ -256,7 +256,7 @@ class _Frame:
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         dtypes = (wp.vec3f, wp.float64, wp.bool)
         # XYZ, coverage, and what any light reaches.
-        self._sums = [wp.zeros(size, dtype=dtype, device=device) for dtype in dtypes]
+        self._sums = [wp.empty(size, dtype=dtype, device=device) for dtype in dtypes]
         self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
         self._lit_count = 0
         self._lights: list[Any] = []
@@ -296,14 +296,11 @@ class _Frame:
         Yields a light's index, and the pass' share of progress.
         """
         passes = self._samples * len(self._lights)
-        # The survey has left behind what a single pass needs.
-        if passes > 1:
-            for sums in self._sums:
-                sums.zero_()
         for sample in range(self._samples):
             if self._samples > 1:
                 self.cast(sample)
             for index, light in enumerate(self._lights):
+                # The survey has left behind what a single pass needs.
                 if passes > 1:
                     self.deflect(light)
                 yield index, _share(progress, sample * len(self._lights) + index, passes)
@@ -344,14 +341,17 @@ class _Frame:
         tiled, width = 0, self._view.width
         for index, share in self._passes(progress):
             light, illuminant, seen = self._lights[index], illuminants[index], self._seen
-            colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
+            # A single light's without pigments are the picture.
+            alone = len(self._lights) == 1 and not light.pigment
+            colours = self._sums[0] if alone else wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
             steps = [self._spread(light, seen, width, self._view.height, self._deviation, seen.footprints)]
             steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints)
             launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
             batches = supersample.batches(colours, seen.gains, width, tolerance, **self._options)
             self._set_means(integrator, light, illuminant, batches, colours)
             tiled += sum(len(batch.pixels) for batch in batches)
-            supersample.add(colours, self._sums[0], **self._options)
+            if not alone:
+                supersample.add(colours, self._sums[0], **self._options)
         return tiled / max(self._lit_count, 1)
 
     def _set_means(
@@ -490,8 +490,9 @@ class _Frame:
         shadows = shadows and light.shadows
         hidden = seen.hidden if shadows else self._none_hidden
         # What is covered counts once.
-        counted = weight if light is self._lights[0] else 0.0
-        inputs = [seen.pixels, light, self._reflection, weight, counted, hidden]
+        is_first = light is self._lights[0]
+        counted, begins = weight if is_first else 0.0, is_first and self._sample == 0
+        inputs = [seen.pixels, light, self._reflection, weight, counted, begins, hidden]
         steps = [Step(directions.deflect_pixels, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
             steps.insert(0, Step(hide, [light.grid, seen.pixels], [hidden], in_runs=True))
