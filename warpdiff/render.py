@@ -367,12 +367,13 @@ class _Frame:
 
         from warpdiff.kernels import directions, raycast
 
+        threads = self._threads if self._device.is_cpu else 1
         # What a part of the pixels of a batch takes, made here, as other threads' memory is given back each time.
         rays = {batch.tile.across: batch.tile.on(self._device) for batch in batches}
-        parts = [(batch, part) for batch in batches for part in batch.parts(self._device, self._threads)]
+        parts = [(batch, part) for batch in batches for part in batch.parts(self._device, threads)]
         most = max((len(part) * len(batch.tile.rays[1]) for batch, part in parts), default=0)
         rooms: queue.SimpleQueue[tuple[_Seen, wp.array]] = queue.SimpleQueue()
-        for _ in range(min(len(parts), self._threads)):
+        for _ in range(min(len(parts), threads)):
             seen = _Seen.by(most, device=self._device, means=True)
             rooms.put((seen, wp.empty(most, dtype=wp.vec3f, device=self._device)))
 
@@ -403,7 +404,7 @@ class _Frame:
             launch_in_turn(steps, count, least_slice=count, device=self._device, threads=1)
             rooms.put((seen, of_rays))
 
-        side_by_side(work, parts, threads=self._threads)
+        side_by_side(work, parts, threads=threads)
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
