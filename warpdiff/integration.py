@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from warpdiff.planning import Plan
     from warpdiff.scope import Scope
 
+# Look-ups that are worth a launch.
+_LOOK_UPS = 4096
+
 
 class Integrator:
     """The kernel of a plan with what it reads, made or found again."""
@@ -52,6 +55,8 @@ class Integrator:
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
             options: Of ``launch_in_turn``, ``least_slice`` and ``progress``.
         """
+        if self._plan.nodes and self._plan.coherence.kind != "source":
+            options.setdefault("least_slice", _LOOK_UPS)
         launch_in_turn(
             self.steps(deflections, to_lights, gains, illuminant, xyz, footprints), len(gains),
             device=self._device, threads=self._threads, **options,
