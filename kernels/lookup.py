@@ -26,7 +26,7 @@ OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
 # a turn.
 REACH = 6
 # Directions that a thread looks up one after the other on the CPU, at most.
-RUN = 32
+RUN = 128
 # Of those, how many before its turn one's rows are asked for.
 _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
@@ -57,14 +57,21 @@ CHUNKS_OF_ROWS = """
     constexpr int CHUNKS = WIDTH / SIZE;
 """
 
-# Sums of rows times the functions at w: cubics through four entries.
+# Sums of rows times the functions at w: the first of four entries, and the cubic through them.
 _WEIGH = """
-    auto weigh = [](const chunk* sum, const chunk* functions, int entry, float t) {
+    auto find_w = [&](float w, int& entry, float& w0, float& w1, float& w2, float& w3) {
+        const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
+        const int last = table.functions.shape[0] - 4, before = (int)steps - 1;
+        entry = before < 0 ? 0 : before < last ? before : last;
+        const float t = steps - (float)entry - 1.0f, prior = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
+        w0 = (-1.0f / 6.0f) * t * after * beyond;
+        w1 = 0.5f * prior * after * beyond;
+        w2 = 0.5f * prior * t * beyond;
+        w3 = (-1.0f / 6.0f) * prior * t * after;
+    };
+    auto weigh = [&](const chunk* sum, int entry, float w0, float w1, float w2, float w3) {
         constexpr int EACH = CHUNKS / 3;
-        const chunk* entries = functions + (long long)entry * EACH;
-        const float before = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
-        const float w0 = -t * after * beyond / 6.0f, w1 = 0.5f * before * after * beyond;
-        const float w2 = 0.5f * before * t * beyond, w3 = -before * t * after / 6.0f;
+        const chunk* const entries = (const chunk*)table.functions.data + (long long)entry * EACH;
         chunk colour[3] = {chunk{}, chunk{}, chunk{}};
         for (int k = 0; k < EACH; ++k) {
             const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
@@ -114,7 +121,8 @@ _PLACE_OF = """
 # What the mean plane reflects, over a covariance of (u, v): a Gaussian at each wavelength. ``size2`` is the part of a
 # source, the root of its covariance's determinant.
 _MIRROR = """
-    auto add_mirror = [&](float u, float v, float w, float xx, float xy, float yy, float size2, float gain, float* out) {
+    auto add_mirror = [&](float u, float v, float w, float xx, float xy, float yy, float size2, float gain,
+                          float* out) {
         if (table.mirror.shape[0] == 0) return;
         const float* const wavenumbers = (const float*)table.wavenumbers.data;
         const float* const weights = (const float*)table.weights.data;
@@ -150,10 +158,11 @@ _POINTS = """
     const float* const factors = (const float*)gains.data + begin;
     const int* const all_rays = (const int*)table.rays.data;
     const int* const firsts = (const int*)table.firsts.data;
-    float u[MOST] = {}, v[MOST] = {}, turns[MOST], places[MOST];
+    float u[MOST] = {}, v[MOST] = {}, w[MOST] = {}, turns[MOST], places[MOST];
     for (int i = 0; i < count; ++i) {
         u[i] = (float)given[3 * i];
         v[i] = (float)given[3 * i + 1];
+        w[i] = (float)-given[3 * i + 2];
     }
     const float least = table.least_uv, nodes = (float)size, last = (float)(octaves * size - 2);
     for (int i = 0; i < MOST; ++i) {
@@ -161,6 +170,9 @@ _POINTS = """
         place_of(u[i], v[i], least, log2, turns[i]);
         places[i] = wp::min(log2 * nodes + table.node_of_one, last);
     }
+    int entries[MOST];
+    float w0[MOST], w1[MOST], w2[MOST], w3[MOST];
+    for (int i = 0; i < MOST; ++i) find_w(w[i], entries[i], w0[i], w1[i], w2[i], w3[i]);
     auto locate = [&](int i, int node, int octave, float& away) {
         const float position = turns[i] * (float)all_rays[octave], nearest = wp::rint(position);
         away = position - nearest;
@@ -217,22 +229,24 @@ _POINTS = """
                 row += stride;
             }
         }
-        const float steps = wp::max(((float)-given[3 * i + 2] - table.least_w) * table.per_w, 0.0f);
-        const int entry = wp::clamp((int)steps - 1, 0, table.functions.shape[0] - 4);
-        const auto colour = weigh(sum, (const chunk*)table.functions.data, entry, steps - (float)entry - 1.0f);
+        const auto colour = weigh(sum, entries[i], w0[i], w1[i], w2[i], w3[i]);
         float* const out = (float*)xyz_out.data + 3LL * (begin + i);
         // Projected colour curves have shallow negative lobes.
         for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour[c], 0.0f);
-        add_mirror(u[i], v[i], (float)-given[3 * i + 2], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], out);
+        add_mirror(u[i], v[i], w[i], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], out);
     }
 """
 
-# Look-ups of means. A footprint consists of one part, mostly, and a part of nodes, each of which sums rays around it.
+# Look-ups of means, step after step for a run of them: each is of one part, mostly, a part of segments that lie in one
+# octave, mostly one, and a segment of nodes, which sum rays around them. What a step finds is kept in arrays for the
+# next one, so that the compiler makes vectors of it and no pixel waits for another's branches. A GPU takes one pixel,
+# part and segment at a time.
 _MEANS = """
 #if defined(__CUDA_ARCH__)
-    constexpr int MOST = 1, LISTED = 1;
+    // Nodes of a segment: any number, as they are not kept.
+    constexpr int MOST = 1, SEGMENTS = 1, AT_ONCE = 1 << 20;
 #else
-    constexpr int MOST = RUN, LISTED = 8 * RUN;
+    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8;
 #endif
     constexpr float PI = 3.14159265f;
     // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds
@@ -241,6 +255,8 @@ _MEANS = """
     const int size = table.nodes, octaves = table.rays.shape[1], levels = table.rays.shape[0], count = end - begin;
     const int entries = blending.weights.shape[0], fractions = blending.weights.shape[1];
     const int all_taps = blending.weights.shape[2];
+    const long long stride = (long long)size * WIDTH;
+    const float* const all_rows = (const float*)table.rows.data;
     const double* const given = (const double*)deflections.data + 3LL * begin;
     const float* const lights = (const float*)to_lights.data + 3LL * begin;
     const float* const factors = (const float*)gains.data + begin;
@@ -258,11 +274,13 @@ _MEANS = """
     auto smaller = [](float a, float b) { return a < b ? a : b; };
 
     // Covariance of (u, v), and along it and across, relative to |(u, v)|, within the narrowest lobe to its size.
-    float u[MOST], v[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
-    float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST];
+    float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
+    float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST], w0[MOST], w1[MOST], w2[MOST], w3[MOST];
+    int entries_at_w[MOST];
     for (int i = 0; i < count; ++i) {
         u[i] = (float)given[3 * i];
         v[i] = (float)given[3 * i + 1];
+        w[i] = (float)-given[3 * i + 2];
         float sum_xx = 0.0f, sum_xy = 0.0f, sum_yy = 0.0f;
         if (SOURCE) {
             // Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
@@ -285,6 +303,7 @@ _MEANS = """
         yy[i] = sum_yy;
     }
     for (int i = 0; i < count; ++i) {
+        find_w(w[i], entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
         uv2[i] = larger(u[i] * u[i] + v[i] * v[i] + table.spread * table.spread, table.least_uv * table.least_uv);
         const float x = u[i] / uv2[i], y = v[i] / uv2[i];
         const float angle_u = x * xy[i] - y * xx[i], angle_v = x * yy[i] - y * xy[i];
@@ -306,7 +325,8 @@ _MEANS = """
     for (;;) {
         // The next parts: where they lie, and their variances in angle and in ln |(u, v)|, and their covariance.
         int pixels[MOST], filled = 0;
-        float shares[MOST], turns[MOST], places[MOST], variances[MOST], turn_of[MOST], aside2[MOST];
+        int begins[MOST], ends[MOST], ratios[MOST];
+        float shares[MOST], turns[MOST], places[MOST], falloffs[MOST], turn_of[MOST], aside2[MOST];
         float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST];
         while (filled < MOST && pixel < count) {
             const int i = pixel, all = (int)parts[i];
@@ -340,7 +360,7 @@ _MEANS = """
                 continue;
             }
             if (part == 0)
-                add_mirror(u[i], v[i], (float)-given[3 * i + 2], xx[i], xy[i], yy[i], size2[i], gain, out + 3 * i);
+                add_mirror(u[i], v[i], w[i], xx[i], xy[i], yy[i], size2[i], gain, out + 3 * i);
             const float away = split[PARTS + part];
             at_u[filled] = u[i] + away * along_u[i];
             at_v[filled] = v[i] + away * along_v[i];
@@ -374,101 +394,132 @@ _MEANS = """
             log2 += 0.721347520f * (a2 - r2);
             turns[k] -= b * (0.5f / PI);
             places[k] = log2 * (float)size + table.node_of_one;
-            variances[k] = r2 * table.per_log * table.per_log;
             // What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
             // spline between nodes has a variance of a quarter.
-            turn_of[k] = b * table.per_log / (variances[k] + 0.25f);
+            const float variance = r2 * table.per_log * table.per_log;
+            turn_of[k] = b * table.per_log / (variance + 0.25f);
             aside2[k] = larger(a2 - turn_of[k] * b * table.per_log, 0.0f);
+            // Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
+            const float nearest = wp::rint(places[k]);
+            const int step = (int)(variance * blending.per_variance + 0.5f), in_table = wp::min(step, entries - 1);
+            const int fraction = (int)((places[k] - nearest + 0.5f) * (float)fractions);
+            const int reach = step < entries ? reaches[in_table] : -(int)wp::floor(-3.2f * wp::sqrt(variance + 0.25f));
+            falloffs[k] = step < entries ? 0.0f : 0.5f / (variance + 0.25f);
+            const int row = in_table * fractions + wp::clamp(fraction, 0, fractions - 1);
+            ratios[k] = row * all_taps + REACH - (int)nearest;
+            const int begin_of = wp::max((int)nearest - reach, 0), all_nodes = octaves * size;
+            begins[k] = wp::min(begin_of, all_nodes - 1);
+            ends[k] = begin_of < all_nodes ? wp::min((int)nearest + reach + 1, all_nodes) : begins[k];
         }
-        int node = 0, last = 0, ratio = 0, k = -1, summed = 0;
-        float scale = 1.0f, falloff = 0.0f;
-        for (;;) {
-            // Nodes around the parts' places, by a table of weights or, of a wide blur, by the Gaussian itself.
-            const float *rows[LISTED], *taps_of[LISTED];
-            float weights[LISTED];
-            int around[LISTED], ends[LISTED], listed = 0;
-            while (listed < LISTED) {
-                if (node == last) {
-                    if (++k >= filled) break;
-                    const int nearest = (int)wp::rint(places[k]);
-                    float variance = variances[k];
-                    const int step = (int)(variance * blending.per_variance + 0.5f);
-                    int reach;
-                    if (step < entries) {
-                        reach = reaches[step];
-                        const int f = wp::clamp((int)((places[k] - (float)nearest + 0.5f) * (float)fractions), 0,
-                            fractions - 1);
-                        ratio = (step * fractions + f) * all_taps + REACH - nearest;
-                        falloff = 0.0f;
-                    } else {
-                        variance += 0.25f;
-                        reach = (int)-wp::floor(-3.2f * wp::sqrt(variance));
-                        falloff = 0.5f / variance;
-                        scale = wp::sqrt(falloff / PI);
-                    }
-                    node = wp::max(nearest - reach, 0);
-                    last = wp::min(nearest + reach + 1, octaves * size);
-                }
-                // The level that is blurred by as much or less, and what is left of it.
+        for (int k = 0, node = begins[0]; k < filled;) {
+            // Segments: nodes of a part that lie in one octave.
+            int part_of[SEGMENTS], firsts_of[SEGMENTS], counts[SEGMENTS], segments = 0;
+            while (segments < SEGMENTS && k < filled) {
                 const int octave = (int)((float)node * table.per_octave);
-                const float blur2 = SOURCE ? larger(aside2[k] - blurs2[octave], 0.0f) : aside2[k];
-                const float first_width = levels > 1 ? widths[octaves + octave] : 1.0f;
-                float relative = blur2 / (first_width * first_width);
-                int level = 0;
-                while (relative >= 1.0f && level + 1 < levels) {
-                    ++level;
-                    relative *= 0.25f;
-                }
-                const int rays = all_rays[level * octaves + octave];
-                const float width = widths[level * octaves + octave], per_radian = (float)rays * (0.5f / PI);
-                const float left = larger(blur2 - width * width, 0.0f) * per_radian * per_radian;
-                const int step = wp::min((int)(left * blending.per_variance + 0.5f), entries - 1), reach = reaches[step];
-                const float place = turns[k] * (float)rays, slope = turn_of[k] * per_radian;
-                const float* const tap = taps + step * fractions * all_taps + all_taps / 2 - reach;
-                const int offset = node - octave * size;
-                const float* const row = (const float*)table.rows.data
-                    + (long long)(firsts[level * octaves + octave] + offset - reach * size) * WIDTH;
-                const int here = wp::min(wp::min(last - node, size - offset), LISTED - listed);
-                for (int m = 0; m < here; ++m) {
-                    // Rays around the direction that goes with this node.
-                    const float distance = (float)(node + m) - places[k];
-                    const float position = place + slope * distance, nearest = wp::rint(position);
-                    const int fraction = wp::clamp((int)((position - nearest + 0.5f) * (float)fractions), 0,
-                        fractions - 1);
-                    int ray = (int)nearest;
-                    ray = wp::clamp(ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray, 0, rays);
-                    taps_of[listed + m] = tap + fraction * all_taps;
-                    rows[listed + m] = row + ((long long)ray * size + m) * WIDTH;
-                    weights[listed + m] = falloff > 0.0f ? scale * wp::exp(-falloff * distance * distance)
-                        : taps[ratio + node + m];
-                    around[listed + m] = 2 * reach + 1;
-                    ends[listed + m] = 0;
-                }
-                node += here;
-                listed += here;
-                if (node == last) ends[listed - 1] = 1;
+                const int end = wp::min(wp::min(ends[k], (octave + 1) * size), node + AT_ONCE);
+                part_of[segments] = k;
+                firsts_of[segments] = node;
+                counts[segments++] = end - node;
+                node = end;
+                if (node == ends[k] && ++k < filled) node = begins[k];
             }
-            if (listed == 0) break;
-            for (int n = 0; n < listed; ++n) {
-                const float* row = rows[n];
-                const float* const tap = taps_of[n];
-                chunk of_rays[CHUNKS];
-                for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
-                for (int j = 0; j < around[n]; ++j) {
-#pragma unroll
-                    for (int l = 0; l < CHUNKS; ++l) of_rays[l] += tap[j] * ((const chunk*)row)[l];
-                    row += (long long)size * WIDTH;
+            float positions[SEGMENTS], slopes[SEGMENTS], aways[SEGMENTS];
+            int ratio_of[SEGMENTS], rays_of[SEGMENTS], reach_of[SEGMENTS], tap_of[SEGMENTS], row_of[SEGMENTS];
+            for (int s = 0; s < segments; ++s) {
+                const int of = part_of[s], octave = (int)((float)firsts_of[s] * table.per_octave);
+                // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
+                const float blur2 = SOURCE ? larger(aside2[of] - blurs2[octave], 0.0f) : aside2[of];
+                const float width_of_first = widths[octaves + octave];
+                const float relative = blur2 / (width_of_first * width_of_first);
+                int bits;
+                memcpy(&bits, &relative, sizeof(bits));
+                const int level = wp::clamp(((bits >> 23) - 125) >> 1, 0, levels - 1), at = level * octaves + octave;
+                const float width = widths[at], per_radian = (float)all_rays[at] * (0.5f / PI);
+                const float left = larger(blur2 - width * width, 0.0f) * per_radian * per_radian;
+                const int step = wp::min((int)(left * blending.per_variance + 0.5f), entries - 1);
+                ratio_of[s] = ratios[of] + firsts_of[s];
+                rays_of[s] = all_rays[at];
+                reach_of[s] = reaches[step];
+                slopes[s] = turn_of[of] * per_radian;
+                positions[s] = turns[of] * (float)all_rays[at];
+                aways[s] = (float)firsts_of[s] - places[of];
+                tap_of[s] = step * fractions * all_taps + REACH - reach_of[s];
+                row_of[s] = firsts[at] + firsts_of[s] - (octave + reach_of[s]) * size;
+            }
+            auto node_at = [&](int s, int m, int& row, int& tap) {
+                // Rays around the direction that goes with this node.
+                const float position = positions[s] + slopes[s] * (aways[s] + (float)m), nearest = wp::rint(position);
+                const int fraction = (int)((position - nearest + 0.5f) * (float)fractions), rays = rays_of[s];
+                const int ray = (int)nearest, turned = ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray;
+                row = row_of[s] + wp::clamp(turned, 0, rays) * size + m;
+                tap = tap_of[s] + wp::clamp(fraction, 0, fractions - 1) * all_taps;
+            };
+#if !defined(__CUDA_ARCH__)
+            int rows[SEGMENTS][AT_ONCE], taps_of[SEGMENTS][AT_ONCE];
+            for (int s = 0; s < segments; ++s)
+                for (int m = 0; m < AT_ONCE; ++m) node_at(s, m, rows[s][m], taps_of[s][m]);
+            // Most rows are those of the part before; at either end new ones come in.
+            auto ask = [&](int s) {
+                const long long across = 2 * reach_of[s] * stride;
+                for (int m = 0; m < counts[s]; ++m) {
+                    const float* const row = all_rows + (long long)rows[s][m] * WIDTH;
+                    for (int l = 0; l < WIDTH; l += WIDTH - 1) {
+                        __builtin_prefetch(row + l);
+                        __builtin_prefetch(row + across + l);
+                    }
+                    __builtin_prefetch(row + stride);
+                    __builtin_prefetch(row + across - stride);
                 }
-                for (int l = 0; l < CHUNKS; ++l) sum[l] += weights[n] * of_rays[l];
-                if (!ends[n]) continue;
-                const int i = pixels[summed];
-                const float steps = larger(((float)-given[3 * i + 2] - table.least_w) * table.per_w, 0.0f);
-                const int entry = wp::clamp((int)steps - 1, 0, table.functions.shape[0] - 4);
-                const auto colour = weigh(sum, (const chunk*)table.functions.data, entry, steps - (float)entry - 1.0f);
+            };
+            for (int s = 0; s < segments && s < AHEAD; ++s) ask(s);
+#endif
+            for (int s = 0; s < segments; ++s) {
+#if !defined(__CUDA_ARCH__)
+                if (s + AHEAD < segments) ask(s + AHEAD);
+#endif
+                const int of = part_of[s];
+                auto add_nodes = [&](int across) __attribute__((always_inline)) {
+                    for (int m = 0; m < counts[s]; ++m) {
+#if defined(__CUDA_ARCH__)
+                        int row_at, tap_at;
+                        node_at(s, m, row_at, tap_at);
+#else
+                        const int row_at = rows[s][m], tap_at = taps_of[s][m];
+#endif
+                        const float distance = aways[s] + (float)m, falloff = falloffs[of];
+                        const float weight = falloff > 0.0f
+                            ? wp::sqrt(falloff / PI) * wp::exp(-falloff * distance * distance) : taps[ratio_of[s] + m];
+                        const float* row = all_rows + (long long)row_at * WIDTH;
+                        chunk of_rays[CHUNKS];
+                        for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
+#pragma unroll
+                        for (int j = 0; j < across; ++j) {
+#pragma unroll
+                            for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
+                            row += stride;
+                        }
+                        for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
+                    }
+                };
+#if defined(__CUDA_ARCH__)
+                add_nodes(2 * reach_of[s] + 1);
+#else
+                // Loops over rays whose lengths the compiler knows.
+                switch (reach_of[s]) {
+                case 1: add_nodes(3); break;
+                case 2: add_nodes(5); break;
+                case 3: add_nodes(7); break;
+                case 4: add_nodes(9); break;
+                case 5: add_nodes(11); break;
+                default: add_nodes(2 * REACH + 1);
+                }
+#endif
+                if (firsts_of[s] + counts[s] < ends[of]) continue;
+                const int i = pixels[of];
+                const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
                 // Projected colour curves have shallow negative lobes.
-                for (int c = 0; c < 3; ++c) out[3 * i + c] += shares[summed] * larger(colour[c], 0.0f);
+                for (int c = 0; c < 3; ++c) out[3 * i + c] += shares[of] * larger(colour[c], 0.0f);
                 for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
-                ++summed;
             }
         }
     }
