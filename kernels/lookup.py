@@ -26,8 +26,8 @@ OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
 # a turn.
 REACH = 6
 # Directions that a thread looks up one after the other on the CPU, at most.
-RUN = 128
-# Of those, how many before its turn one's rows are asked for.
+RUN = 256
+# Of those, or of their segments, how many before its turn one's rows are asked for.
 _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
@@ -478,42 +478,26 @@ _MEANS = """
                 if (s + AHEAD < segments) ask(s + AHEAD);
 #endif
                 const int of = part_of[s];
-                auto add_nodes = [&](int across) __attribute__((always_inline)) {
-                    for (int m = 0; m < counts[s]; ++m) {
+                for (int m = 0; m < counts[s]; ++m) {
 #if defined(__CUDA_ARCH__)
-                        int row_at, tap_at;
-                        node_at(s, m, row_at, tap_at);
+                    int row_at, tap_at;
+                    node_at(s, m, row_at, tap_at);
 #else
-                        const int row_at = rows[s][m], tap_at = taps_of[s][m];
+                    const int row_at = rows[s][m], tap_at = taps_of[s][m];
 #endif
-                        const float distance = aways[s] + (float)m, falloff = falloffs[of];
-                        const float weight = falloff > 0.0f
-                            ? wp::sqrt(falloff / PI) * wp::exp(-falloff * distance * distance) : taps[ratio_of[s] + m];
-                        const float* row = all_rows + (long long)row_at * WIDTH;
-                        chunk of_rays[CHUNKS];
-                        for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
+                    const float distance = aways[s] + (float)m, falloff = falloffs[of];
+                    const float weight = falloff > 0.0f
+                        ? wp::sqrt(falloff / PI) * wp::exp(-falloff * distance * distance) : taps[ratio_of[s] + m];
+                    const float* row = all_rows + (long long)row_at * WIDTH;
+                    chunk of_rays[CHUNKS];
+                    for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
+                    for (int j = 0; j < 2 * reach_of[s] + 1; ++j) {
 #pragma unroll
-                        for (int j = 0; j < across; ++j) {
-#pragma unroll
-                            for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
-                            row += stride;
-                        }
-                        for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
+                        for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
+                        row += stride;
                     }
-                };
-#if defined(__CUDA_ARCH__)
-                add_nodes(2 * reach_of[s] + 1);
-#else
-                // Loops over rays whose lengths the compiler knows.
-                switch (reach_of[s]) {
-                case 1: add_nodes(3); break;
-                case 2: add_nodes(5); break;
-                case 3: add_nodes(7); break;
-                case 4: add_nodes(9); break;
-                case 5: add_nodes(11); break;
-                default: add_nodes(2 * REACH + 1);
+                    for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
                 }
-#endif
                 if (firsts_of[s] + counts[s] < ends[of]) continue;
                 const int i = pixels[of];
                 const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
