@@ -13,7 +13,7 @@ A source does the same to the lines of an endless surface.
 """
 
 import functools
-import math
+import re
 import types
 
 import warp as wp
@@ -26,19 +26,13 @@ OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
 # a turn.
 REACH = 6
 # Directions that a thread looks up one after the other on the CPU, at most.
-RUN = 32
-# Of those, how many before its turn one's rows are asked for.
+RUN = 256
+# Of those, or of their segments, how many before its turn one's rows are asked for.
 _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
-# A footprint is split where its direction turns by so much: its parts are straight.
-_MOST_TURN = wp.constant(wp.float32(0.06))
 # Parts of a footprint along its angle.
 MOST_PARTS = 12
-# In variances of the mirror's lobe: exp(−24) is 4e-11.
-_FAR_IN_LOBES = wp.constant(wp.float32(48.0))
-# Beyond these a footprint surrounds the mirror direction and is no range of angles.
-_WIDEST_ANGLE, _WIDEST_RATIO = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(0.35))
 
 
 @wp.struct
@@ -63,14 +57,21 @@ CHUNKS_OF_ROWS = """
     constexpr int CHUNKS = WIDTH / SIZE;
 """
 
-# Sums of rows times the functions at w: cubics through four entries.
+# Sums of rows times the functions at w: the first of four entries, and the cubic through them.
 _WEIGH = """
-    auto weigh = [](const chunk* sum, const chunk* functions, int entry, float t) {
+    auto find_w = [&](float w, int& entry, float& w0, float& w1, float& w2, float& w3) {
+        const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
+        const int last = table.functions.shape[0] - 4, before = (int)steps - 1;
+        entry = before < 0 ? 0 : before < last ? before : last;
+        const float t = steps - (float)entry - 1.0f, prior = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
+        w0 = (-1.0f / 6.0f) * t * after * beyond;
+        w1 = 0.5f * prior * after * beyond;
+        w2 = 0.5f * prior * t * beyond;
+        w3 = (-1.0f / 6.0f) * prior * t * after;
+    };
+    auto weigh = [&](const chunk* sum, int entry, float w0, float w1, float w2, float w3) {
         constexpr int EACH = CHUNKS / 3;
-        const chunk* entries = functions + (long long)entry * EACH;
-        const float before = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
-        const float w0 = -t * after * beyond / 6.0f, w1 = 0.5f * before * after * beyond;
-        const float w2 = 0.5f * before * t * beyond, w3 = -before * t * after / 6.0f;
+        const chunk* const entries = (const chunk*)table.functions.data + (long long)entry * EACH;
         chunk colour[3] = {chunk{}, chunk{}, chunk{}};
         for (int k = 0; k < EACH; ++k) {
             const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
@@ -85,40 +86,6 @@ _WEIGH = """
         }
         return result;
     };
-"""
-
-# One octave's share of a colour.
-_RUN_SUM = """
-    const float* const table = (const float*)rows.data + (long long)offset * WIDTH;
-    const float* const taps = (const float*)weights.data;
-    const int across = 2 * around + 1, all = weights.shape[2], fractions = weights.shape[1];
-    chunk sum[CHUNKS];
-    for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
-    const float* tap = taps;
-    const float* row = table;
-    for (int m = 0; m < count; ++m) {
-        const float distance = away + (float)m;
-        if (m == 0 || slope != 0.0f) {
-            // Rays around the direction that goes with this node.
-            const float position = place + slope * distance;
-            const float nearest = wp::rint(position);
-            int fraction = (int)((position - nearest + 0.5f) * (float)fractions);
-            fraction = wp::clamp(fraction, 0, fractions - 1);
-            int ray = (int)nearest;
-            ray = wp::clamp(ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray, 0, rays);
-            tap = taps + (step * fractions + fraction) * all + all / 2 - around;
-            row = table + (long long)(ray - around) * stride * WIDTH;
-        }
-        const float weight = falloff > 0.0f ? scale * wp::exp(-falloff * distance * distance) : taps[ratio + m];
-        const float* from = row + m * WIDTH;
-        for (int j = 0; j < across; ++j) {
-            const float factor = weight * tap[j];
-#pragma unroll
-            for (int l = 0; l < CHUNKS; ++l) sum[l] += factor * ((const chunk*)from)[l];
-            from += (long long)stride * WIDTH;
-        }
-    }
-    return weigh(sum, (const chunk*)functions.data, entry, t);
 """
 
 # The logarithm of |(u, v)| to the base of 2, at least that of ``least``, and the angle in turns from 0 to 1: faster
@@ -151,10 +118,30 @@ _PLACE_OF = """
     };
 """
 
-_POLAR = """
-    wp::vec_t<2, float> result;
-    place_of(u, v, least, result[0], result[1]);
-    return result;
+# What the mean plane reflects, over a covariance of (u, v): a Gaussian at each wavelength. ``size2`` is the part of a
+# source, the root of its covariance's determinant.
+_MIRROR = """
+    auto add_mirror = [&](float u, float v, float w, float xx, float xy, float yy, float size2, float gain,
+                          float* out) {
+        if (table.mirror.shape[0] == 0) return;
+        const float* const wavenumbers = (const float*)table.wavenumbers.data;
+        const float* const weights = (const float*)table.weights.data;
+        const float* const powers = (const float*)table.mirror.data;
+        const float least = wavenumbers[0];
+        // Not so far out at any wavelength that exp(-24) = 4e-11 is left.
+        if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
+        for (int k = 0; k < table.wavenumbers.shape[0]; ++k) {
+            const float tau = wavenumbers[k], lobe2 = table.lobe2 / (tau * tau), a = lobe2 + xx, d = lobe2 + yy;
+            const float determinant = a * d - xy * xy;
+            const float exponent = (d * u * u - 2.0f * xy * u * v + a * v * v) / determinant;
+            if (!(exponent < 48.0f)) continue;
+            const float steps = wp::max((w * tau - table.least_kappa) * table.per_kappa, 0.0f);
+            const int entry = wp::min((int)steps, table.mirror.shape[0] - 2);
+            const float t = steps - (float)entry, power = (1.0f - t) * powers[entry] + t * powers[entry + 1];
+            const float factor = gain * power * (lobe2 + size2) / wp::sqrt(determinant) * wp::exp(-0.5f * exponent);
+            for (int c = 0; c < 3; ++c) out[c] += factor * weights[3 * k + c];
+        }
+    };
 """
 
 # Look-ups of points: where they lie, which the compiler finds for many abreast, and then the sums, while what the next
@@ -171,10 +158,11 @@ _POINTS = """
     const float* const factors = (const float*)gains.data + begin;
     const int* const all_rays = (const int*)table.rays.data;
     const int* const firsts = (const int*)table.firsts.data;
-    float u[MOST] = {}, v[MOST] = {}, turns[MOST], places[MOST];
+    float u[MOST] = {}, v[MOST] = {}, w[MOST] = {}, turns[MOST], places[MOST];
     for (int i = 0; i < count; ++i) {
         u[i] = (float)given[3 * i];
         v[i] = (float)given[3 * i + 1];
+        w[i] = (float)-given[3 * i + 2];
     }
     const float least = table.least_uv, nodes = (float)size, last = (float)(octaves * size - 2);
     for (int i = 0; i < MOST; ++i) {
@@ -182,6 +170,9 @@ _POINTS = """
         place_of(u[i], v[i], least, log2, turns[i]);
         places[i] = wp::min(log2 * nodes + table.node_of_one, last);
     }
+    int entries[MOST];
+    float w0[MOST], w1[MOST], w2[MOST], w3[MOST];
+    for (int i = 0; i < MOST; ++i) find_w(w[i], entries[i], w0[i], w1[i], w2[i], w3[i]);
     auto locate = [&](int i, int node, int octave, float& away) {
         const float position = turns[i] * (float)all_rays[octave], nearest = wp::rint(position);
         away = position - nearest;
@@ -238,12 +229,283 @@ _POINTS = """
                 row += stride;
             }
         }
-        const float steps = wp::max(((float)-given[3 * i + 2] - table.least_w) * table.per_w, 0.0f);
-        const int entry = wp::clamp((int)steps - 1, 0, table.functions.shape[0] - 4);
-        const auto colour = weigh(sum, (const chunk*)table.functions.data, entry, steps - (float)entry - 1.0f);
+        const auto colour = weigh(sum, entries[i], w0[i], w1[i], w2[i], w3[i]);
         float* const out = (float*)xyz_out.data + 3LL * (begin + i);
         // Projected colour curves have shallow negative lobes.
         for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour[c], 0.0f);
+        add_mirror(u[i], v[i], w[i], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], out);
+    }
+"""
+
+# Look-ups of means, step after step for a run of them: each is of one part, mostly, a part of segments that lie in one
+# octave, mostly one, and a segment of nodes, which sum rays around them. What a step finds is kept in arrays for the
+# next one, so that the compiler makes vectors of it and no pixel waits for another's branches. A GPU takes one pixel,
+# part and segment at a time.
+_MEANS = """
+#if defined(__CUDA_ARCH__)
+    // Nodes of a segment: any number, as they are not kept.
+    constexpr int MOST = 1, SEGMENTS = 1, AT_ONCE = 1 << 20;
+#else
+    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8;
+#endif
+    constexpr float PI = 3.14159265f;
+    // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds
+    // the mirror direction and is no range of angles.
+    constexpr float MOST_TURN = 0.06f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
+    const int size = table.nodes, octaves = table.rays.shape[1], levels = table.rays.shape[0], count = end - begin;
+    const int entries = blending.weights.shape[0], fractions = blending.weights.shape[1];
+    const int all_taps = blending.weights.shape[2];
+    const long long stride = (long long)size * WIDTH;
+    const float* const all_rows = (const float*)table.rows.data;
+    const double* const given = (const double*)deflections.data + 3LL * begin;
+    const float* const lights = (const float*)to_lights.data + 3LL * begin;
+    const float* const factors = (const float*)gains.data + begin;
+    const float* const seen = (const float*)footprints.data + 4LL * begin;
+    const float* const taps = (const float*)blending.weights.data;
+    const float* const splits = (const float*)blending.parts.data;
+    const int* const reaches = (const int*)blending.reaches.data;
+    const int* const all_rays = (const int*)table.rays.data;
+    const int* const firsts = (const int*)table.firsts.data;
+    const float* const widths = (const float*)table.widths.data;
+    const float* const blurs2 = (const float*)table.blurs2.data;
+    float* const out = (float*)xyz_out.data + 3LL * begin;
+    const bool with_footprints = footprints.shape[0] > 0;
+    auto larger = [](float a, float b) { return a > b ? a : b; };
+    auto smaller = [](float a, float b) { return a < b ? a : b; };
+
+    // Covariance of (u, v), and along it and across, relative to |(u, v)|, within the narrowest lobe to its size.
+    float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
+    float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST], w0[MOST], w1[MOST], w2[MOST], w3[MOST];
+    int entries_at_w[MOST];
+    for (int i = 0; i < count; ++i) {
+        u[i] = (float)given[3 * i];
+        v[i] = (float)given[3 * i + 1];
+        w[i] = (float)-given[3 * i + 2];
+        float sum_xx = 0.0f, sum_xy = 0.0f, sum_yy = 0.0f;
+        if (SOURCE) {
+            // Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
+            const float t0 = lights[3 * i], t1 = lights[3 * i + 1];
+            size2[i] = table.spread2 * lights[3 * i + 2];
+            sum_xx = table.spread2 * (1.0f - t0 * t0);
+            sum_xy = -table.spread2 * t0 * t1;
+            sum_yy = table.spread2 * (1.0f - t1 * t1);
+        } else {
+            size2[i] = 0.0f;
+        }
+        if (with_footprints) {
+            const float* const f = seen + 4 * i;
+            sum_xx += f[0] * f[0] + f[2] * f[2];
+            sum_xy += f[0] * f[1] + f[2] * f[3];
+            sum_yy += f[1] * f[1] + f[3] * f[3];
+        }
+        xx[i] = sum_xx;
+        xy[i] = sum_xy;
+        yy[i] = sum_yy;
+    }
+    for (int i = 0; i < count; ++i) {
+        find_w(w[i], entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
+        uv2[i] = larger(u[i] * u[i] + v[i] * v[i] + table.spread * table.spread, table.least_uv * table.least_uv);
+        const float x = u[i] / uv2[i], y = v[i] / uv2[i];
+        const float angle_u = x * xy[i] - y * xx[i], angle_v = x * yy[i] - y * xy[i];
+        const float whole2 = larger(x * angle_v - y * angle_u, 0.0f), whole = wp::sqrt(whole2);
+        const float with_ratio = x * angle_u + y * angle_v, per_whole = whole2 > 0.0f ? 1.0f / whole : 0.0f;
+        // Parts lie along what goes with the angle.
+        along_u[i] = angle_u * per_whole;
+        along_v[i] = angle_v * per_whole;
+        const float turns = whole * (1.0f / MOST_TURN);
+        parts[i] = turns > 1.0f ? smaller(-wp::floor(-turns), (float)PARTS) : 1.0f;
+        angle2[i] = whole2;
+        both[i] = with_ratio;
+        ratio2[i] = larger(x * x * xx[i] + 2.0f * x * y * xy[i] + y * y * yy[i], 0.0f);
+    }
+
+    chunk sum[CHUNKS];
+    for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+    int pixel = 0, part = 0;
+    for (;;) {
+        // The next parts: where they lie, and their variances in angle and in ln |(u, v)|, and their covariance.
+        int pixels[MOST], filled = 0;
+        int begins[MOST], ends[MOST], ratios[MOST];
+        float shares[MOST], turns[MOST], places[MOST], falloffs[MOST], turn_of[MOST], aside2[MOST];
+        float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST];
+        while (filled < MOST && pixel < count) {
+            const int i = pixel, all = (int)parts[i];
+            const float gain = factors[i];
+            bool served = gain > 0.0f;
+            const float* const split = splits + (all - 1) * 3 * PARTS;
+            const float within = split[0];
+            float part_angle2 = angle2[i], part_both = both[i], part_ratio2 = ratio2[i];
+            if (all > 1) {
+                part_ratio2 -= (1.0f - within) * part_both * part_both / part_angle2;
+                part_angle2 *= within;
+                part_both *= within;
+            }
+            float share = gain * split[2 * PARTS + part];
+            if (SOURCE) {
+                // What the source blurs less than the rows are, or so much that it is no range of angles. Nodes are
+                // further apart than what goes with the ratio spreads.
+                float log2, unused;
+                place_of(u[i], v[i], table.least_uv, log2, unused);
+                const float over2 = part_ratio2 + 0.25f / (table.per_log * table.per_log);
+                const int octave = wp::clamp((int)((log2 * (float)size + table.node_of_one) * table.per_octave), 0,
+                    octaves - 1);
+                const bool left = u[i] * u[i] + v[i] * v[i] < table.near2
+                    || (part_angle2 - blurs2[octave]) * over2 < part_both * part_both;
+                ((float*)left_out.data)[begin + i] = served && left ? gain : 0.0f;
+                served = served && !left;
+                share *= 2.0f * PI * size2[i];
+            }
+            if (!served) {
+                ++pixel;
+                continue;
+            }
+            if (part == 0)
+                add_mirror(u[i], v[i], w[i], xx[i], xy[i], yy[i], size2[i], gain, out + 3 * i);
+            const float away = split[PARTS + part];
+            at_u[filled] = u[i] + away * along_u[i];
+            at_v[filled] = v[i] + away * along_v[i];
+            if (all > 1) {
+                // Relative to the part's own |(u, v)|.
+                const float change = uv2[i] / (at_u[filled] * at_u[filled] + at_v[filled] * at_v[filled]
+                    + table.spread * table.spread);
+                part_angle2 *= change;
+                part_ratio2 *= change;
+                part_both *= change;
+            }
+            of_angle2[filled] = part_angle2;
+            of_ratio2[filled] = part_ratio2;
+            of_both[filled] = part_both;
+            shares[filled] = share;
+            pixels[filled++] = i;
+            if (++part == all) {
+                part = 0;
+                ++pixel;
+            }
+        }
+        if (filled == 0) break;
+        for (int k = 0; k < filled; ++k) {
+            const float turn_share = smaller(WIDEST_ANGLE / wp::sqrt(larger(of_angle2[k], 1.0e-12f)), 1.0f);
+            const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2[k], 1.0e-12f)), 1.0f);
+            const float a2 = of_angle2[k] * turn_share * turn_share, r2 = of_ratio2[k] * ratio_share * ratio_share;
+            const float b = of_both[k] * turn_share * ratio_share;
+            // The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
+            float log2;
+            place_of(at_u[k], at_v[k], table.least_uv, log2, turns[k]);
+            log2 += 0.721347520f * (a2 - r2);
+            turns[k] -= b * (0.5f / PI);
+            places[k] = log2 * (float)size + table.node_of_one;
+            // What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
+            // spline between nodes has a variance of a quarter.
+            const float variance = r2 * table.per_log * table.per_log;
+            turn_of[k] = b * table.per_log / (variance + 0.25f);
+            aside2[k] = larger(a2 - turn_of[k] * b * table.per_log, 0.0f);
+            // Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
+            const float nearest = wp::rint(places[k]);
+            const int step = (int)(variance * blending.per_variance + 0.5f), in_table = wp::min(step, entries - 1);
+            const int fraction = (int)((places[k] - nearest + 0.5f) * (float)fractions);
+            const int reach = step < entries ? reaches[in_table] : -(int)wp::floor(-3.2f * wp::sqrt(variance + 0.25f));
+            falloffs[k] = step < entries ? 0.0f : 0.5f / (variance + 0.25f);
+            const int row = in_table * fractions + wp::clamp(fraction, 0, fractions - 1);
+            ratios[k] = row * all_taps + REACH - (int)nearest;
+            const int begin_of = wp::max((int)nearest - reach, 0), all_nodes = octaves * size;
+            begins[k] = wp::min(begin_of, all_nodes - 1);
+            ends[k] = begin_of < all_nodes ? wp::min((int)nearest + reach + 1, all_nodes) : begins[k];
+        }
+        for (int k = 0, node = begins[0]; k < filled;) {
+            // Segments: nodes of a part that lie in one octave.
+            int part_of[SEGMENTS], firsts_of[SEGMENTS], counts[SEGMENTS], segments = 0;
+            while (segments < SEGMENTS && k < filled) {
+                const int octave = (int)((float)node * table.per_octave);
+                const int end = wp::min(wp::min(ends[k], (octave + 1) * size), node + AT_ONCE);
+                part_of[segments] = k;
+                firsts_of[segments] = node;
+                counts[segments++] = end - node;
+                node = end;
+                if (node == ends[k] && ++k < filled) node = begins[k];
+            }
+            float positions[SEGMENTS], slopes[SEGMENTS], aways[SEGMENTS];
+            int ratio_of[SEGMENTS], rays_of[SEGMENTS], reach_of[SEGMENTS], tap_of[SEGMENTS], row_of[SEGMENTS];
+            for (int s = 0; s < segments; ++s) {
+                const int of = part_of[s], octave = (int)((float)firsts_of[s] * table.per_octave);
+                // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
+                const float blur2 = SOURCE ? larger(aside2[of] - blurs2[octave], 0.0f) : aside2[of];
+                const float width_of_first = widths[octaves + octave];
+                const float relative = blur2 / (width_of_first * width_of_first);
+                int bits;
+                memcpy(&bits, &relative, sizeof(bits));
+                const int level = wp::clamp(((bits >> 23) - 125) >> 1, 0, levels - 1), at = level * octaves + octave;
+                const float width = widths[at], per_radian = (float)all_rays[at] * (0.5f / PI);
+                const float left = larger(blur2 - width * width, 0.0f) * per_radian * per_radian;
+                const int step = wp::min((int)(left * blending.per_variance + 0.5f), entries - 1);
+                ratio_of[s] = ratios[of] + firsts_of[s];
+                rays_of[s] = all_rays[at];
+                reach_of[s] = reaches[step];
+                slopes[s] = turn_of[of] * per_radian;
+                positions[s] = turns[of] * (float)all_rays[at];
+                aways[s] = (float)firsts_of[s] - places[of];
+                tap_of[s] = step * fractions * all_taps + REACH - reach_of[s];
+                row_of[s] = firsts[at] + firsts_of[s] - (octave + reach_of[s]) * size;
+            }
+            auto node_at = [&](int s, int m, int& row, int& tap) {
+                // Rays around the direction that goes with this node.
+                const float position = positions[s] + slopes[s] * (aways[s] + (float)m), nearest = wp::rint(position);
+                const int fraction = (int)((position - nearest + 0.5f) * (float)fractions), rays = rays_of[s];
+                const int ray = (int)nearest, turned = ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray;
+                row = row_of[s] + wp::clamp(turned, 0, rays) * size + m;
+                tap = tap_of[s] + wp::clamp(fraction, 0, fractions - 1) * all_taps;
+            };
+#if !defined(__CUDA_ARCH__)
+            int rows[SEGMENTS][AT_ONCE], taps_of[SEGMENTS][AT_ONCE];
+            for (int s = 0; s < segments; ++s)
+                for (int m = 0; m < AT_ONCE; ++m) node_at(s, m, rows[s][m], taps_of[s][m]);
+            // Most rows are those of the part before; at either end new ones come in.
+            auto ask = [&](int s) {
+                const long long across = 2 * reach_of[s] * stride;
+                for (int m = 0; m < counts[s]; ++m) {
+                    const float* const row = all_rows + (long long)rows[s][m] * WIDTH;
+                    for (int l = 0; l < WIDTH; l += WIDTH - 1) {
+                        __builtin_prefetch(row + l);
+                        __builtin_prefetch(row + across + l);
+                    }
+                    __builtin_prefetch(row + stride);
+                    __builtin_prefetch(row + across - stride);
+                }
+            };
+            for (int s = 0; s < segments && s < AHEAD; ++s) ask(s);
+#endif
+            for (int s = 0; s < segments; ++s) {
+#if !defined(__CUDA_ARCH__)
+                if (s + AHEAD < segments) ask(s + AHEAD);
+#endif
+                const int of = part_of[s];
+                for (int m = 0; m < counts[s]; ++m) {
+#if defined(__CUDA_ARCH__)
+                    int row_at, tap_at;
+                    node_at(s, m, row_at, tap_at);
+#else
+                    const int row_at = rows[s][m], tap_at = taps_of[s][m];
+#endif
+                    const float distance = aways[s] + (float)m, falloff = falloffs[of];
+                    const float weight = falloff > 0.0f
+                        ? wp::sqrt(falloff / PI) * wp::exp(-falloff * distance * distance) : taps[ratio_of[s] + m];
+                    const float* row = all_rows + (long long)row_at * WIDTH;
+                    chunk of_rays[CHUNKS];
+                    for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
+                    for (int j = 0; j < 2 * reach_of[s] + 1; ++j) {
+#pragma unroll
+                        for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
+                        row += stride;
+                    }
+                    for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
+                }
+                if (firsts_of[s] + counts[s] < ends[of]) continue;
+                const int i = pixels[of];
+                const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
+                // Projected colour curves have shallow negative lobes.
+                for (int c = 0; c < 3; ++c) out[3 * i + c] += shares[of] * larger(colour[c], 0.0f);
+                for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+            }
+        }
     }
 """
 
@@ -299,7 +561,10 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
 
     def native(code: str) -> str:
-        return (CHUNKS_OF_ROWS + _WEIGH + code).replace("WIDTH", str(width))
+        names = {
+            "WIDTH": width, "SOURCE": int(source), "RUN": RUN, "AHEAD": _AHEAD, "REACH": REACH, "PARTS": MOST_PARTS,
+        }  # fmt: skip
+        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + _WEIGH + code)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
@@ -360,7 +625,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         for k in range(table.nodes):
             values_out[ray * table.nodes + k] = (1.0 / total_weight) * values_out[ray * table.nodes + k]
 
-    @wp.func_native(native(_PLACE_OF + _POINTS).replace("RUN", str(RUN)).replace("AHEAD", str(_AHEAD)))
+    @wp.func_native(native(_PLACE_OF + _MIRROR + _POINTS))
     def add_points(
         table: Colours,
         deflections: wp.array(dtype=wp.vec3d),
@@ -371,204 +636,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Add the XYZ of a run of deflections times their gains."""
 
-    @wp.func_native(native(_RUN_SUM))
-    def run_sum(
-        rows: wp.array(dtype=row_t),
-        weights: wp.array3d(dtype=wp.float32),
-        offset: wp.int32,
-        stride: wp.int32,
-        count: wp.int32,
-        rays: wp.int32,
-        place: wp.float32,
-        slope: wp.float32,
-        step: wp.int32,
-        around: wp.int32,
-        ratio: wp.int32,
-        scale: wp.float32,
-        falloff: wp.float32,
-        away: wp.float32,
-        functions: wp.array(dtype=functions_t),
-        entry: wp.int32,
-        t: wp.float32,
-    ) -> wp.vec3f:
-        """Rows of one octave times the weights of their rays and nodes, and times the functions at w.
-
-        Args:
-            rows: Those of the table.
-            weights: Those of ``Blending``.
-            offset: The row of ray 0 at the first node.
-            stride: Rows from one ray to the next.
-            count: Nodes.
-            rays: Of the octave and level.
-            place: The direction in rays, where the distance to a node is 0.
-            slope: Rays that it shifts by from one node to the next, and by less than a turn at the last.
-            step: The entry of ``weights`` for the variance across rays.
-            around: Rays on either side that count.
-            ratio: Where ``weights`` hold the first node's weight, if ``falloff`` is 0.
-            scale: Else the weight at distance 0.
-            falloff: And its Gaussian's exponent over the squared distance.
-            away: The first node's distance.
-            functions: At equal steps in |w|.
-            entry: The first of the four of them around w.
-            t: How far w is behind the second.
-        """
-
-    @wp.func_native(_PLACE_OF + _POLAR)
-    def polar(u: wp.float32, v: wp.float32, least: wp.float32) -> wp.vec2f:
-        """The logarithm of |(u, v)| to the base of 2, and the angle in turns."""
-
-    @wp.func
-    def colour_at(
-        table: Colours,
-        blending: Blending,
-        w: wp.float32,
-        at: wp.vec2f,
-        angle2: wp.float32,
-        ratio2: wp.float32,
-        both: wp.float32,
-    ) -> wp.vec3f:
-        """XYZ of a deflection that spreads by variances in angle and in ln |(u, v)|, and by their covariance."""
-        # The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
-        log_uv = at[0] + wp.static(0.5 / math.log(2.0)) * (angle2 - ratio2)
-        turns = at[1] - both * wp.float32(0.5 / wp.PI)
-        entries = blending.weights.shape[0]
-        fractions = blending.weights.shape[1]
-        all_taps = blending.weights.shape[2]
-
-        # Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
-        place = log_uv * wp.float32(table.nodes) + table.node_of_one
-        nearest = wp.int32(wp.rint(place))
-        variance = ratio2 * table.per_log * table.per_log
-        step = wp.int32(variance * blending.per_variance + 0.5)
-        reach = wp.int32(0)
-        ratio = wp.int32(0)
-        falloff = wp.float32(0.0)
-        scale = wp.float32(1.0)
-        if step < entries:
-            reach = blending.reaches[step]
-            f = wp.int32((place - wp.float32(nearest) + 0.5) * wp.float32(fractions))
-            f = wp.clamp(f, 0, fractions - 1)
-            ratio = (step * fractions + f) * all_taps + wp.static(REACH) - reach
-        else:
-            variance = variance + 0.25
-            reach = wp.int32(wp.ceil(3.2 * wp.sqrt(variance)))
-            falloff = 0.5 / variance
-            scale = wp.sqrt(falloff / wp.PI)
-        # What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
-        # spline between nodes has a variance of a quarter.
-        turn = both * table.per_log / (ratio2 * table.per_log * table.per_log + 0.25)
-        aside2 = wp.max(angle2 - turn * both * table.per_log, 0.0)
-        octaves = table.rays.shape[1]
-        node = wp.max(nearest - reach, 0)
-        end = wp.min(nearest + reach + 1, octaves * table.nodes)
-        ratio = ratio + node - (nearest - reach)
-
-        steps = wp.max((w - table.least_w) * table.per_w, 0.0)
-        entry = wp.clamp(wp.int32(steps) - 1, 0, table.functions.shape[0] - 4)
-        between = steps - wp.float32(entry) - 1.0
-
-        colour = wp.vec3f()
-        while node < end:
-            octave = wp.int32(wp.float32(node) * table.per_octave)
-            # The level that is blurred by as much or less, and what is left of it.
-            level = wp.int32(0)
-            blur2 = aside2
-            if wp.static(source):
-                blur2 = wp.max(aside2 - table.blurs2[octave], 0.0)
-            if blur2 > 0.0:
-                relative = blur2 / (table.widths[1, octave] * table.widths[1, octave])
-                while relative >= 1.0 and level + 1 < table.rays.shape[0]:
-                    level = level + 1
-                    relative = 0.25 * relative
-            rays = table.rays[level, octave]
-            spacing = wp.float32(2.0 * wp.PI) / wp.float32(rays)
-            left = wp.max(blur2 - table.widths[level, octave] * table.widths[level, octave], 0.0)
-            step = wp.int32(left / (spacing * spacing) * blending.per_variance + 0.5)
-            step = wp.min(step, entries - 1)
-            offset = node - octave * table.nodes
-            count = wp.min(end - node, table.nodes - offset)
-            colour += run_sum(
-                table.rows,
-                blending.weights,
-                table.firsts[level, octave] + offset,
-                table.nodes,
-                count,
-                rays,
-                turns * wp.float32(rays),
-                turn / spacing,
-                step,
-                blending.reaches[step],
-                ratio,
-                scale,
-                falloff,
-                wp.float32(node) - place,
-                table.functions,
-                entry,
-                between,
-            )
-            node = node + count
-            ratio = ratio + count
-        # Projected colour curves have shallow negative lobes.
-        return wp.max(colour, wp.vec3f())
-
-    @wp.func
-    def sees_mirror(table: Colours, u: wp.float32, v: wp.float32, spread2: wp.float32) -> bool:
-        """Whether ``mirror_at`` is not 0: to hand the struct on takes longer than this."""
-        if table.mirror.shape[0] == 0:
-            return False
-        tau = table.wavenumbers[0]
-        return u * u + v * v < _FAR_IN_LOBES * (table.lobe2 / (tau * tau) + spread2)
-
-    @wp.func
-    def mirror_at(
-        table: Colours,
-        u: wp.float32,
-        v: wp.float32,
-        w: wp.float32,
-        xx: wp.float32,
-        xy: wp.float32,
-        yy: wp.float32,
-        size2: wp.float32,
-    ) -> wp.vec3f:
-        """XYZ of what the mean plane reflects, over a covariance of (u, v): a Gaussian at each wavelength.
-
-        ``size2`` is the part of a source, the root of its covariance's determinant.
-        """
-        colour = wp.vec3f()
-        for k in range(table.wavenumbers.shape[0]):
-            tau = table.wavenumbers[k]
-            lobe2 = table.lobe2 / (tau * tau)
-            a = lobe2 + xx
-            d = lobe2 + yy
-            determinant = a * d - xy * xy
-            exponent = (d * u * u - 2.0 * xy * u * v + a * v * v) / determinant
-            if exponent < _FAR_IN_LOBES:
-                steps = wp.max((w * tau - table.least_kappa) * table.per_kappa, 0.0)
-                entry = wp.min(wp.int32(steps), table.mirror.shape[0] - 2)
-                t = steps - wp.float32(entry)
-                power = (1.0 - t) * table.mirror[entry] + t * table.mirror[entry + 1]
-                colour += (power * (lobe2 + size2) / wp.sqrt(determinant) * wp.exp(-0.5 * exponent)) * table.weights[k]
-        return colour
-
-    @wp.func
-    def add_mirror(
-        table: Colours,
-        deflections: wp.array(dtype=wp.vec3d),
-        gains: wp.array(dtype=wp.float32),
-        begin: wp.int32,
-        end: wp.int32,
-        xyz_out: wp.array(dtype=wp.vec3f),
-    ):
-        """Add what the mean plane reflects of a run of deflections times their gains."""
-        for i in range(begin, end):
-            if gains[i] > 0.0:
-                u = wp.float32(deflections[i][0])
-                v = wp.float32(deflections[i][1])
-                if sees_mirror(table, u, v, 0.0):
-                    w = wp.float32(-deflections[i][2])
-                    xyz_out[i] = xyz_out[i] + gains[i] * mirror_at(table, u, v, w, 0.0, 0.0, 0.0, 0.0)
-
-    @wp.func
+    @wp.func_native(native(_PLACE_OF + _MIRROR + _MEANS))
     def add_means(
         table: Colours,
         deflections: wp.array(dtype=wp.vec3d),
@@ -582,86 +650,6 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
         """Add the mean XYZ over footprints and the source of a run of deflections times their gains."""
-        for i in range(begin, end):
-            gain = gains[i]
-            if wp.static(source):
-                left_out[i] = wp.float32(0.0)
-            if gain > 0.0:
-                deflection = deflections[i]
-                u = wp.float32(deflection[0])
-                v = wp.float32(deflection[1])
-                w = wp.float32(-deflection[2])
-                colour = wp.vec3f()
-                count = wp.int32(1)
-                along = wp.vec2f()
-                xx = wp.float32(0.0)
-                xy = wp.float32(0.0)
-                yy = wp.float32(0.0)
-                size2 = wp.float32(0.0)
-                if wp.static(source):
-                    # Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
-                    t = to_lights[i]
-                    size2 = table.spread2 * t[2]
-                    xx = table.spread2 * (1.0 - t[0] * t[0])
-                    xy = -table.spread2 * t[0] * t[1]
-                    yy = table.spread2 * (1.0 - t[1] * t[1])
-                if footprints.shape[0] > 0:
-                    f = footprints[i]
-                    xx += f[0] * f[0] + f[2] * f[2]
-                    xy += f[0] * f[1] + f[2] * f[3]
-                    yy += f[1] * f[1] + f[3] * f[3]
-                # Covariance along (u, v) and across, relative to |(u, v)|, within the narrowest lobe to its size.
-                uv2 = wp.max(u * u + v * v + table.spread * table.spread, table.least_uv * table.least_uv)
-                x = u / uv2
-                y = v / uv2
-                with_angle = wp.vec2f(x * xy - y * xx, x * yy - y * xy)
-                angle2 = wp.max(x * with_angle[1] - y * with_angle[0], 0.0)
-                both = x * with_angle[0] + y * with_angle[1]
-                ratio2 = wp.max(x * x * xx + 2.0 * x * y * xy + y * y * yy, 0.0)
-                if angle2 > 0.0:
-                    count = wp.clamp(wp.int32(wp.ceil(wp.sqrt(angle2) / _MOST_TURN)), 1, wp.static(MOST_PARTS))
-                    # Parts lie along what goes with the angle.
-                    along = with_angle / wp.sqrt(angle2)
-                    within = blending.parts[count - 1, 0, 0]
-                    ratio2 = ratio2 - (1.0 - within) * both * both / angle2
-                    angle2 = within * angle2
-                    both = within * both
-                if wp.static(source):
-                    # What the source blurs less than the rows are, or so much that it is no range of angles. Nodes are
-                    # further apart than what goes with the ratio spreads.
-                    over2 = ratio2 + 0.25 / (table.per_log * table.per_log)
-                    node = polar(u, v, table.least_uv)[0] * wp.float32(table.nodes) + table.node_of_one
-                    octave = wp.clamp(wp.int32(node * table.per_octave), 0, table.blurs2.shape[0] - 1)
-                    if u * u + v * v < table.near2 or (angle2 - table.blurs2[octave]) * over2 < both * both:
-                        left_out[i] = gain
-                        count = 0
-                for k in range(count):
-                    away = blending.parts[count - 1, 1, k]
-                    at_u = u + away * along[0]
-                    at_v = v + away * along[1]
-                    part_angle2 = angle2
-                    part_ratio2 = ratio2
-                    part_both = both
-                    if count > 1:
-                        # Relative to the part's own |(u, v)|.
-                        change = uv2 / (at_u * at_u + at_v * at_v + table.spread * table.spread)
-                        part_angle2 = angle2 * change
-                        part_ratio2 = ratio2 * change
-                        part_both = both * change
-                    turn_share = wp.min(_WIDEST_ANGLE / wp.sqrt(wp.max(part_angle2, 1.0e-12)), 1.0)
-                    ratio_share = wp.min(_WIDEST_RATIO / wp.sqrt(wp.max(part_ratio2, 1.0e-12)), 1.0)
-                    part_angle2 = part_angle2 * turn_share * turn_share
-                    part_ratio2 = part_ratio2 * ratio_share * ratio_share
-                    part_both = part_both * turn_share * ratio_share
-                    place = polar(at_u, at_v, table.least_uv)
-                    part = colour_at(table, blending, w, place, part_angle2, part_ratio2, part_both)
-                    colour += blending.parts[count - 1, 2, k] * part
-                if wp.static(source):
-                    colour = (wp.float32(2.0 * wp.PI) * size2) * colour
-                if count > 0:
-                    if sees_mirror(table, u, v, xx + yy):
-                        colour += mirror_at(table, u, v, w, xx, xy, yy, size2)
-                    xyz_out[i] = xyz_out[i] + gain * colour
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
@@ -691,8 +679,6 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             add_means(table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out)
         else:
             add_points(table, deflections, gains, begin, end, xyz_out)
-            if table.mirror.shape[0] > 0:
-                add_mirror(table, deflections, gains, begin, end, xyz_out)
 
     return types.SimpleNamespace(
         row=row_t, functions=functions_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate
