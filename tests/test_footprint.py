@@ -86,6 +86,31 @@ def test_rays_are_a_circle(fingers, angle_deg):
     np.testing.assert_allclose(found[0], found[1], rtol=0.05)
 
 
+@pytest.mark.parametrize("blurred", [True, False])
+def test_a_colour_does_not_depend_on_those_beside_it(fingers, blurred, rng):
+    """Look-ups of a run are computed abreast, and where a run begins depends on the number of threads."""
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+    device = wp.get_device("cpu")
+    integrator = Integrator(fingers, dataclasses.replace(plan, footprint=True), plan.scope, device=device, threads=1)
+    count = 700
+    deflections = np.concatenate([rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, (count, 1))], axis=1)
+    spreads = rng.normal(0.0, 0.03, (count, 4)) * rng.choice([0.1, 1.0, 5.0], (count, 1))
+    gains = np.where(rng.uniform(size=count) < 0.8, rng.uniform(size=count), 0.0)
+
+    def colours(begin, end):
+        xyz = wp.zeros(end - begin, dtype=wp.vec3f, device=device)
+        footprints = wp.array(spreads[begin:end], dtype=wp.vec4f, device=device) if blurred else None
+        given = wp.array(deflections[begin:end], dtype=wp.vec3d, device=device)
+        factors = wp.array(gains[begin:end], dtype=wp.float32, device=device)
+        integrator.add(given, None, factors, "D65", xyz, footprints=footprints)
+        return xyz.numpy()
+
+    together = colours(0, count)
+    assert np.count_nonzero(together) > count
+    for begin, end in ((1, count), (2, 301), (7, 520), (256, 257), (299, count)):
+        np.testing.assert_array_equal(colours(begin, end), together[begin:end])
+
+
 def test_a_flat_surface_has_none(fingers):
     disc = meshes.disc(inner_radius=0.0, outer_radius=1.0, segments=32, rings=3)
     along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
