@@ -37,7 +37,7 @@ _SURVEYED = 4
 # Rays and frames take a tenth of a microsecond each, colours three, faces two, and a launch as much as hundreds.
 _SLICE, _COLOURS, _FACES = 8192, 2048, 2048
 # Tolerances at which what a table takes is guessed.
-_LIKELY = (3e-3, 3e-2)
+_LIKELY = (3e-3, 2e-2)
 
 
 def shade(
