@@ -1,4 +1,4 @@
-"""From directions, or from pixels and a light, to what the spectral kernels take: (u, v, w), gain and footprint.
+"""From pixels and a light to what the spectral kernels take: (u, v, w), gain and footprint.
 
 And back from the colours of rays to those of pixels.
 """
@@ -42,25 +42,6 @@ def reflected(to_light: wp.vec3d, to_view: wp.vec3d, reflection: Reflection) -> 
     if reflection.per_light_cosine and result > wp.float64(0.0):
         result = result / to_light[2]
     return result
-
-
-@wp.kernel
-def deflect_directions(
-    # In:
-    to_lights: wp.array(dtype=wp.vec3d),
-    to_views: wp.array(dtype=wp.vec3d),
-    reflection: Reflection,
-    first: wp.int32,
-    # Out:
-    deflections_out: wp.array(dtype=wp.vec3d),
-    to_lights_out: wp.array(dtype=wp.vec3f),
-    gains_out: wp.array(dtype=wp.float32),
-):
-    """Deflection, direction to the light and gain of pairs of unit vectors in the local frame."""
-    i = first + wp.tid()
-    deflections_out[i] = -to_lights[i] - to_views[i]
-    to_lights_out[i] = wp.vec3f(to_lights[i])
-    gains_out[i] = wp.float32(reflected(to_lights[i], to_views[i], reflection))
 
 
 @wp.kernel

@@ -25,7 +25,6 @@ KERNELS = {
     "directions": {
         "accumulate",
         "classify",
-        "deflect_directions",
         "deflect_pixels",
         "gather",
         "pick",

@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 from conftest import at_angle, hemisphere
 
 import warpdiff as wd
 from warpdiff import optics
+from warpdiff.kernels import directions
 
 KINDS = ["averaged", "centred", "source", "replicas"]
 
@@ -46,22 +48,24 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
     np.testing.assert_allclose(there, back, rtol=1e-12)
 
 
+@wp.kernel
+def reflect(
+    to_lights: wp.array(dtype=wp.vec3d),
+    to_views: wp.array(dtype=wp.vec3d),
+    reflection: directions.Reflection,
+    gains_out: wp.array(dtype=wp.float32),
+):
+    i = wp.tid()
+    gains_out[i] = wp.float32(directions.reflected(to_lights[i], to_views[i], reflection))
+
+
 def kernel_gain(lights, views, normal, masking, device):
-    """C·M as the kernel computes it."""
-    import warp as wp
-
-    from warpdiff.kernels import directions
-
+    """C·M as kernels compute it."""
     reflection = directions.Reflection()
     reflection.normal_reflectance, reflection.masking = normal, masking
     gains = wp.empty(len(lights), dtype=wp.float32, device=device)
-    deflections = wp.empty(len(lights), dtype=wp.vec3d, device=device)
-    to_lights = wp.empty(len(lights), dtype=wp.vec3f, device=device)
     inputs = [wp.array(array, dtype=wp.vec3d, device=device) for array in (lights, views)]
-    wp.launch(
-        directions.deflect_directions, dim=len(lights), inputs=[*inputs, reflection, 0],
-        outputs=[deflections, to_lights, gains], device=device,
-    )  # fmt: skip
+    wp.launch(reflect, dim=len(lights), inputs=[*inputs, reflection], outputs=[gains], device=device)
     return gains.numpy()
 
 

@@ -13,7 +13,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
-from warpdiff import meshes
+from warpdiff import colour_table, meshes, search
 from warpdiff.bench import reference
 from warpdiff.surface import prepare_surface
 
@@ -424,3 +424,29 @@ def test_progress_grows_to_one(options, snake, fingers):
     assert np.all(np.diff(seen) >= 0.0)
     assert seen[0] > 0.0
     assert seen[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("light", "options", "look_ups"),
+    [
+        (SNAKE_LIGHT, {}, 3),
+        (wd.DirectionalLight((0.6, 1.0, -0.1)), {}, 3),
+        (SNAKE_LIGHT, {"tolerance": 1e-3}, 0),
+        (SNAKE_LIGHT, {"coherence": wd.Coherence("centred")}, 0),
+    ],
+)
+def test_kernels_are_guessed_right_before_rays_are_cast(snake, light, options, look_ups, monkeypatch):
+    begun = []
+
+    def record(module):
+        load = module.load
+        monkeypatch.setattr(module, "load", lambda kernels, device: begun.append(set(kernels)) or load(kernels, device))
+
+    record(search)
+    record(colour_table)
+    skin = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
+    wd.shade(snake, skin, light, snake_view(), **options)
+    guessed, searched, *tabled = begun
+    assert len(guessed) == 2 + look_ups
+    assert searched <= guessed
+    assert guessed <= searched.union(*tabled), "compiled and never used"

@@ -323,14 +323,18 @@ class _Call:
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> None:
         self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
-        self._hf, self._normal, self._masking = hf, optics.normal_reflectance(ior), masking
+        self._hf = hf
         self._device, self._threads = resolve_device(device), resolve_threads(threads)
         if plan is not None:
             check_plan(plan, coherence, colour=wavelengths_nm is None)
         window = plan.coherence if plan is not None else coherence or Coherence()
         self._deflections = -self._lights - self._views
         self._gains = optics.gain(
-            self._lights, self._views, normal=self._normal, masking=masking, per_light_cosine=window.kind == "source"
+            self._lights,
+            self._views,
+            normal=optics.normal_reflectance(ior),
+            masking=masking,
+            per_light_cosine=window.kind == "source",
         )
         lit = self._gains > 0.0
         self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
@@ -387,23 +391,11 @@ class _Call:
         """Deflections, directions to the light and gains on the device."""
         import warp as wp
 
-        from warpdiff.kernels import directions as kernels
-
-        count = len(self._lights)
-        reflection = kernels.Reflection()
-        reflection.normal_reflectance = self._normal
-        reflection.masking = self._masking
-        reflection.per_light_cosine = self.plan.coherence.kind == "source"
-        lights = wp.array(self._lights, dtype=wp.vec3d, device=self._device)
-        views = wp.array(self._views, dtype=wp.vec3d, device=self._device)
-        deflections = wp.empty(count, dtype=wp.vec3d, device=self._device)
-        to_lights = wp.empty(count, dtype=wp.vec3f, device=self._device)
-        gains = wp.empty(count, dtype=wp.float32, device=self._device)
-        launch(
-            kernels.deflect_directions, count, [lights, views, reflection], [deflections, to_lights, gains],
-            device=self._device, threads=self._threads,
-        )  # fmt: skip
-        return deflections, to_lights, gains
+        return (
+            wp.array(self._deflections, dtype=wp.vec3d, device=self._device),
+            wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=self._device),
+            wp.array(self._gains.astype(np.float32), dtype=wp.float32, device=self._device),
+        )
 
 
 def direct_colour(

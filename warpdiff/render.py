@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, optics, spectrum, supersample
+from warpdiff import checks, optics, search, spectrum, supersample
 from warpdiff.coherence import Coherence
 from warpdiff.device import Step, launch, launch_in_turn, load, resolve_device, resolve_threads, side_by_side
 from warpdiff.evaluate import check_call, check_plan, direct_colour
 from warpdiff.image import Image
 from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
-from warpdiff.planning import Plan, check_method, plan_for, warn_outside
+from warpdiff.planning import AUTOMATIC, Plan, check_method, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.surface import prepare_surface
@@ -36,6 +36,8 @@ _SEED = 0
 _SURVEYED = 4
 # Rays and frames take a tenth of a microsecond each, colours three, faces two, and a launch as much as hundreds.
 _SLICE, _COLOURS, _FACES = 8192, 2048, 2048
+# Tolerances at which what a table takes is guessed.
+_LIKELY = (3e-3, 2e-2)
 
 
 def shade(
@@ -121,6 +123,8 @@ def shade(
         plan = replace(plan, footprint=blurred)
     target, workers = resolve_device(device), resolve_threads(threads)
     _load_ray_kernels(target)
+    if plan is None:
+        _load_likely_kernels(hf, window, method, lights, view, footprint=blurred, tolerance=tolerance, device=target)
     names = [each.illuminant for each in lights]
     for index, name in enumerate(names):
         spectrum.check_illuminant(name, f"light[{index}].illuminant")
@@ -156,6 +160,26 @@ def _load_ray_kernels(device: wp.Device) -> None:
     from warpdiff.kernels import directions, raycast, shadows
 
     load([raycast.cast, directions.deflect_pixels, shadows.hide], device)
+
+
+def _load_likely_kernels(
+    hf: HeightField,
+    window: Coherence,
+    method: str,
+    lights: list[DirectionalLight],
+    view: View,
+    *,
+    footprint: bool,
+    tolerance: float,
+    device: wp.Device,
+) -> None:
+    """Begin to load what the plan is likely to take: threads that compile would wait until rays have been cast."""
+    if method.partition("/")[0] not in ("auto", AUTOMATIC):
+        return
+    # What looks halfway between light and eye has the largest |w|.
+    max_w = max(float(np.linalg.norm(np.add(each.to_light, view.frame().back))) for each in lights)
+    tabled = footprint and window.kind == "averaged" and _LIKELY[0] <= tolerance <= _LIKELY[1]
+    search.begin_to_load(hf, AUTOMATIC, window, max_w, tabled=tabled, device=device)
 
 
 def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:

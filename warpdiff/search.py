@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from warpdiff.coefficients import holds_powers
 from warpdiff.device import launch, load
 from warpdiff.expansions import EXPANSIONS
 from warpdiff.integration import Integrator
-from warpdiff.scope import lateral
+from warpdiff.scope import Scope, lateral
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
+    from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
     from warpdiff.planning import Plan
-    from warpdiff.scope import Pilots, Scope
+    from warpdiff.scope import Pilots
 
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # The sample stands for the call, whose error may be this much larger.
@@ -49,6 +50,10 @@ _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, the next larger one.
 _LIKELY = 0.85
 _WIDENINGS = 3
+# Functions of w that tables have at tolerances near 1e-2, of most surfaces. Kernels of more terms take long to compile.
+_LIKELY_FUNCTIONS, _MOST_GUESSED = 8, 32
+# Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
+_TRUTH = "jacobi-anger"
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SLACK = 1.2
 _SUBDIVISION_SHARE = 0.3
@@ -62,6 +67,35 @@ _SLICE = 8
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
 # neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
 _A_WAVELENGTH, _A_TERM, _A_NEIGHBOUR, _A_FACTOR = 340.0, 16.0, 20.0, 280.0
+
+
+def begin_to_load(
+    hf: HeightField, method: str, coherence: Coherence, max_w: float, *, tabled: bool, device: wp.Device
+) -> None:
+    """Begin to load what a search for a fitted basis is likely to take, before its directions are known.
+
+    A wrong guess is compiled in vain, a second of one thread, once; what is needed in its place comes that much later.
+
+    Args:
+        hf: The height field.
+        method: That of plans.
+        coherence: The window, source or copies.
+        max_w: An estimate of the largest |w|.
+        tabled: Whether a table will be tried.
+        device: Where.
+    """
+    terms = coefficients.series_terms(hf, Scope(0.0, 0.0, 0.0, max_w).kappas)
+    if terms > _MOST_GUESSED:
+        return
+    needed = [each.integrate for each in _kernels(terms, method, tables.LANES, coherence)]
+    if tabled:
+        needed += colour_table.kernels_of_look_ups(_LIKELY_FUNCTIONS, coherence)
+    load(needed, device)
+
+
+def _kernels(series_terms: int, method: str, terms: int, coherence: Coherence) -> list[Any]:
+    """The kernels of the truth and of a plan."""
+    return [tables.kernels_for(_TRUTH, coherence, series_terms), tables.kernels_for(method, coherence, terms)]
 
 
 def wavelength_count(plan: Plan, lateral_reach: float, w: float) -> float:
@@ -216,11 +250,10 @@ class Trial:
         self._pilots = pilots
         self.lateral = lateral(hf, plan.coherence, pilots.deflections, pilots.to_lights)
         self.w = np.abs(pilots.deflections[:, 2])
-        # Jacobi and Anger's amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
         low, high = scope.kappas
         terms = coefficients.series_terms(hf, (low, high))
-        self.finest = dataclasses.replace(plan, method="jacobi-anger", terms=terms, adaptive=False)
-        kernels = [tables.kernels_for(self.finest, terms), tables.kernels_for(plan, min(plan.terms, tables.LANES))]
+        self.finest = dataclasses.replace(plan, method=_TRUTH, terms=terms, adaptive=False)
+        kernels = _kernels(terms, plan.method, min(plan.terms, tables.LANES), plan.coherence)
         load([each.integrate if self.integrates else each.sample for each in kernels], device)
         self.sharpen(plan)
 

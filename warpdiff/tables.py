@@ -158,12 +158,12 @@ def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
     return fourier.fine_grid(hf, lambda nu: interpolation.kernel_transform(nu, spectral.TAPS))
 
 
-def kernels_for(plan: Plan, terms: int) -> Any:
+def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
     """The kernels for rows of so many terms."""
     from warpdiff.kernels import spectral
 
-    powers = coefficients.holds_powers(plan.method, adds_powers=plan.coherence.adds_powers)
-    return spectral.kernels(lanes_of(terms), plan.coherence.kind, powers)
+    powers = coefficients.holds_powers(method, adds_powers=coherence.adds_powers)
+    return spectral.kernels(lanes_of(terms), coherence.kind, powers)
 
 
 def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> Table:
@@ -178,7 +178,7 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     )
     terms = min(plan.terms, found.terms)
     lanes = lanes_of(terms)
-    kernels = kernels_for(plan, terms)
+    kernels = kernels_for(plan.method, coherence, terms)
     table = kernels.Table()
     moved = coherence if coherence.kind == "centred" else None
     key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)
