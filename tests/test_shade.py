@@ -429,8 +429,8 @@ def test_progress_grows_to_one(options, snake, fingers):
 @pytest.mark.parametrize(
     ("light", "options", "look_ups"),
     [
-        (SNAKE_LIGHT, {}, 3),
-        (wd.DirectionalLight((0.6, 1.0, -0.1)), {}, 3),
+        (SNAKE_LIGHT, {}, 1),
+        (wd.DirectionalLight((0.6, 1.0, -0.1)), {}, 1),
         (SNAKE_LIGHT, {"tolerance": 1e-3}, 0),
         (SNAKE_LIGHT, {"coherence": wd.Coherence("centred")}, 0),
     ],

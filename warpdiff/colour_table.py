@@ -128,24 +128,25 @@ def begin_to_load(
     _load_kernels(*_prepared(hf, plan, scope, illuminant, device=device, threads=threads), plan, device)
 
 
-def kernels_of_look_ups(functions: int, coherence: Coherence, *, levels: bool = True) -> list[Any]:
-    """The kernels of a table with so many functions of w that do not depend on its coefficients."""
+def kernel_of_look_ups(functions: int, coherence: Coherence) -> Any:
+    """The kernel that looks up a table with so many functions of w."""
     from warpdiff.kernels import lookup
 
-    target = lookup.lookup(functions, coherence.kind == "source")
-    return [target.integrate, target.interpolate, *([target.blur] if levels else [])]
+    return lookup.lookup(functions, coherence.kind == "source").integrate
 
 
 def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
-    from warpdiff.kernels import polar
+    from warpdiff.kernels import lookup, polar
 
     count = how.functions.shape[1]
+    target = lookup.lookup(count, source.is_lines)
     projector = polar.projector(len(source.at_kappas), count)
     if source.is_lines:
         needed = [source.sampler.gather, projector.project_lines]
     else:
         needed = [source.sampler.resample, projector.project]
-    load([*needed, *kernels_of_look_ups(count, plan.coherence, levels=has_levels(plan))], device)
+    needed += [target.interpolate, target.integrate]
+    load([*needed, target.blur] if has_levels(plan) else needed, device)
 
 
 def _prepared(

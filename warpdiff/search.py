@@ -89,7 +89,8 @@ def begin_to_load(
         return
     needed = [each.integrate for each in _kernels(terms, method, tables.LANES, coherence)]
     if tabled:
-        needed += colour_table.kernels_of_look_ups(_LIKELY_FUNCTIONS, coherence)
+        # It takes the longest; the table's others are asked for behind those that come first.
+        needed.append(colour_table.kernel_of_look_ups(_LIKELY_FUNCTIONS, coherence))
     load(needed, device)
 
 
