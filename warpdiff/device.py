@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _LEAST_SLICE, _MOST_SLICE = 512, 32_768
 _LOADERS = 2
 _loading: dict[Any, Future[Any]] = {}
+_load_once = threading.Lock()
 
 
 def resolve_device(device: Any) -> wp.Device:
@@ -50,11 +51,12 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
     """
     if not device.is_cpu:
         return []
-    for kernel in kernels:
-        if kernel.module not in _loading:
-            # What launches on the CPU take is the module for blocks of one.
-            _loading[kernel.module] = _loaders().submit(kernel.module.load, device, 1)
-    return [_loading[kernel.module] for kernel in kernels]
+    with _load_once:
+        for kernel in kernels:
+            if kernel.module not in _loading:
+                # What launches on the CPU take is the module for blocks of one.
+                _loading[kernel.module] = _loaders().submit(kernel.module.load, device, 1)
+        return [_loading[kernel.module] for kernel in kernels]
 
 
 @dataclass(frozen=True)
