@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from warpdiff.scope import Scope
 
 # Look-ups that are worth a launch.
-_LOOK_UPS = 4096
+_LOOK_UPS = 2048
 
 
 class Integrator:
