@@ -329,12 +329,9 @@ class _Call:
             check_plan(plan, coherence, colour=wavelengths_nm is None)
         window = plan.coherence if plan is not None else coherence or Coherence()
         self._deflections = -self._lights - self._views
+        normal, per_cosine = optics.normal_reflectance(ior), window.kind == "source"
         self._gains = optics.gain(
-            self._lights,
-            self._views,
-            normal=optics.normal_reflectance(ior),
-            masking=masking,
-            per_light_cosine=window.kind == "source",
+            self._lights, self._views, normal=normal, masking=masking, per_light_cosine=per_cosine
         )
         lit = self._gains > 0.0
         self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)

@@ -36,8 +36,6 @@ _SEED = 0
 _SURVEYED = 4
 # Rays and frames take a tenth of a microsecond each, colours three, faces two, and a launch as much as hundreds.
 _SLICE, _COLOURS, _FACES = 8192, 2048, 2048
-# Tolerances at which what a table takes is guessed.
-_LIKELY = (3e-3, 2e-2)
 
 
 def shade(
@@ -177,9 +175,9 @@ def _load_likely_kernels(
     if method.partition("/")[0] not in ("auto", AUTOMATIC):
         return
     # What looks halfway between light and eye has the largest |w|.
-    max_w = max(float(np.linalg.norm(np.add(each.to_light, view.frame().back))) for each in lights)
-    tabled = footprint and window.kind == "averaged" and _LIKELY[0] <= tolerance <= _LIKELY[1]
-    search.begin_to_load(hf, AUTOMATIC, window, max_w, tabled=tabled, device=device)
+    back = view.frame().back
+    max_w = max(float(np.linalg.norm(np.add(each.to_light, back))) for each in lights)
+    search.begin_to_load(hf, AUTOMATIC, window, max_w, footprint=footprint, tolerance=tolerance, device=device)
 
 
 def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
@@ -234,9 +232,6 @@ class _Seen:
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:
         """Deflections, directions to the light and gains."""
         return self.deflections, self.to_lights, self.gains
-
-    def __len__(self) -> int:
-        return len(self.gains)
 
 
 class _Frame:

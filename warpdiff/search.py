@@ -50,8 +50,8 @@ _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, the next larger one.
 _LIKELY = 0.85
 _WIDENINGS = 3
-# Functions of w that tables have at tolerances near 1e-2, of most surfaces. Kernels of more terms take long to compile.
-_LIKELY_FUNCTIONS, _MOST_GUESSED = 8, 32
+# Functions of w that tables have at these tolerances, of most surfaces. Kernels of more terms take long to compile.
+_LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 # Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
 _TRUTH = "jacobi-anger"
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
@@ -70,7 +70,14 @@ _A_WAVELENGTH, _A_TERM, _A_NEIGHBOUR, _A_FACTOR = 340.0, 16.0, 20.0, 280.0
 
 
 def begin_to_load(
-    hf: HeightField, method: str, coherence: Coherence, max_w: float, *, tabled: bool, device: wp.Device
+    hf: HeightField,
+    method: str,
+    coherence: Coherence,
+    max_w: float,
+    *,
+    footprint: bool,
+    tolerance: float,
+    device: wp.Device,
 ) -> None:
     """Begin to load what a search for a fitted basis is likely to take, before its directions are known.
 
@@ -81,14 +88,15 @@ def begin_to_load(
         method: That of plans.
         coherence: The window, source or copies.
         max_w: An estimate of the largest |w|.
-        tabled: Whether a table will be tried.
+        footprint: Whether pixels show means, which takes a table.
+        tolerance: Of the plan.
         device: Where.
     """
     terms = coefficients.series_terms(hf, Scope(0.0, 0.0, 0.0, max_w).kappas)
     if terms > _MOST_GUESSED:
         return
     needed = [each.integrate for each in _kernels(terms, method, tables.LANES, coherence)]
-    if tabled:
+    if footprint and coherence.kind == "averaged" and _AT_TOLERANCES[0] <= tolerance <= _AT_TOLERANCES[1]:
         # It takes the longest; the table's others are asked for behind those that come first.
         needed.append(colour_table.kernel_of_look_ups(_LIKELY_FUNCTIONS, coherence))
     load(needed, device)

@@ -97,14 +97,16 @@ def prepare_surface(
     """
     geometries = _geometries(mesh)
     told_by = [np.asarray(each) for geometry, transform in geometries for each in (transform, *_told_by(geometry))]
-    if tangents is not None:
-        told_by.append(checks.finite_array(tangents, "tangents"))
+    given = None if tangents is None else checks.finite_array(tangents, "tangents")
+    if given is not None:
+        told_by.append(given)
     for index, (known, surface) in enumerate(_kept):
         if len(known) == len(told_by) and all(map(np.array_equal, known, told_by)):
             _kept.append(_kept.pop(index))
             return surface
     part = _join([_part(geometry, transform) for geometry, transform in geometries])
-    surface = _build(part, _check_tangents(part, tangents))
+    _check_tangents(part, given)
+    surface = _build(part, given)
     _kept.append(([each.copy() for each in told_by], surface))
     del _kept[:-_MOST_KEPT]
     return surface
@@ -421,21 +423,18 @@ def _compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64
     return np.flatnonzero(taken), (np.cumsum(taken) - 1)[indices]
 
 
-def _check_tangents(part: _Part, tangents: ArrayLike | None) -> NDArray[np.float64] | None:
-    """The given tangents as an array; without any the part must have texture coordinates."""
-    if tangents is not None:
-        given = checks.finite_array(tangents, "tangents")
+def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
+    """There must be a tangent for each vertex; without any the part must have texture coordinates."""
+    if given is not None:
         if given.shape != (part.count, 3):
             raise ValueError(
                 f"tangents must have shape ({part.count}, 3), one vector for each of the mesh's vertices, "
                 f"got {given.shape}"
             )
-        return given
-    if part.uvs is None:
+    elif part.uvs is None:
         raise ValueError(f"mesh has neither texture coordinates nor tangents=; {HOW_TO_GET_TANGENTS}")
-    if np.any(np.isnan(part.uvs)):
+    elif np.any(np.isnan(part.uvs)):
         raise ValueError(f"mesh has a geometry without texture coordinates; {HOW_TO_GET_TANGENTS}")
-    return None
 
 
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
