@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import meshes, render
+from warpdiff import meshes
 from warpdiff.bench import errors as judged
 from warpdiff.bench import inputs, multiply_adds, numba_published
 from warpdiff.device import resolve_device, resolve_threads
+from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
 from warpdiff.surface import prepare_surface
 
@@ -56,12 +57,11 @@ class Scene:
 
     def __init__(self, hf: wd.HeightField, mesh: Any, view: wd.View, threads: int, device: Any) -> None:
         window = wd.Coherence()
-        frame = render._Frame(prepare_surface(mesh), view, smooth=True, samples=1, device=device, threads=threads)
-        light = frame.light_arguments(LIGHT, window, 1.0, pigment=0.0, shadows=True)
-        frame.light_up([light], frame.reflection(0.04, window, masking=True))
+        frame = Frame(prepare_surface(mesh), view, means=True, device=device, threads=threads)
+        frame.light_up([LIGHT], window, 1.0, normal=0.04)
         self.scope, self.lit, _ = frame.survey(hf, window)
         self.deflections, self.to_lights, self.gains = frame.directions()
-        self.frame, self.spread = frame, frame.spread(light)
+        self.frame, self.spread = frame, frame.spread(0)
         x, y = (self.spread.numpy()[:, k::2] for k in (0, 1))
         xx, yy, xy = (x * x).sum(axis=1), (y * y).sum(axis=1), (x * y).sum(axis=1)
         deviation = np.sqrt((xx + yy + np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)) / 2.0)
@@ -160,14 +160,28 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
         whole[name] = call
         shares[name] = float(call(0).mask.mean())
 
+    def drawn(name: str, tolerance: float, size: tuple[int, int] = (640, 480)) -> None:
+        plan = dataclasses.replace(plans[tolerance], footprint=True)
+        view = camera(0.25, 0.0, size)
+        renderer = wd.Renderer(still, hf, LIGHT, view, plan=plan, threads=threads, device=device)
+        whole[name] = lambda k: renderer.draw(
+            wd.DirectionalLight((0.1 + 0.02 * k, 0.9, 1.2)), camera(0.25, 0.03 * k, size)
+        )
+        shares[name] = float(renderer.image().mask.mean())
+
     for tolerance in plans:
         for distance in (0.25, 0.5, 1.0, 2.0, 4.0):
             frame(f"tolerance {tolerance:g}, distance {distance:g}", tolerance, distance)
     frame("tolerance 0.01, distance 0.25, a mesh that moves", 1e-2, 0.25, moves=True)
     if device.is_cpu:
         frame("tolerance 0.01, distance 0.25, one thread", 1e-2, 0.25, workers=1)
+    # A GPU's frames are recorded, and stay there.
+    for tolerance in plans:
+        drawn(f"tolerance {tolerance:g}, distance 0.25, a Renderer", tolerance)
     for size in ((320, 240), (1280, 960)) if device.is_cpu else ((1920, 1080), (3840, 2160)):
-        frame(f"tolerance 0.01, distance 0.25, {size[0]} × {size[1]}", 1e-2, 0.25, size)
+        name = f"tolerance 0.01, distance 0.25, {size[0]} × {size[1]}"
+        frame(name, 1e-2, 0.25, size)
+        drawn(f"{name}, a Renderer", 1e-2, size)
     print("\n| frame, 640 × 480 | share filled | ms |\n| --- | --- | --- |")
     for name, ms in median_ms(whole, rounds, device).items():
         print(f"| {name} | {shares[name]:.2f} | {ms:.0f} |", flush=True)

@@ -26,9 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import meshes, optics, planning, render
+from warpdiff import meshes, optics, planning
 from warpdiff.bench import inputs, multiply_adds, numba_published, picture_error, reference
 from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.frame import Frame as Picture
 from warpdiff.integration import Integrator
 from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
@@ -89,11 +90,8 @@ class Frame:
         self.hf, self.device, self.threads = hf, resolve_device(None), resolve_threads(threads)
         surface = prepare_surface(meshes.tube(segments_along=128, segments_around=64))
         view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=width * 3 // 4)
-        frame = render._Frame(surface, view, smooth=True, samples=1, device=self.device, threads=self.threads)
-        normal, window = optics.normal_reflectance(1.5), wd.Coherence()
-        area = hf.size_um[0] * hf.size_um[1]
-        light = frame.light_arguments(picture_error.LIGHT, window, area, pigment=0.0, shadows=True)
-        frame.light_up([light], frame.reflection(normal, window, masking=True))
+        frame, window = Picture(surface, view, device=self.device, threads=self.threads), wd.Coherence()
+        frame.light_up([picture_error.LIGHT], window, 1.0, normal=optics.normal_reflectance(1.5))
         frame.survey(hf, window)
         self.all = frame.directions()
         self._choose(pixels)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import meshes, optics, render
+from warpdiff import meshes, optics
 from warpdiff.bench import inputs
 from warpdiff.device import resolve_device, resolve_threads
+from warpdiff.frame import Frame
 from warpdiff.surface import prepare_surface
 
 if TYPE_CHECKING:
@@ -75,10 +76,8 @@ class Scene:
         """What the lit pixels of a picture see, and which pixels (n,) these are."""
         device, threads = resolve_device(None), resolve_threads(None)
         surface = prepare_surface(self.mesh)
-        frame = render._Frame(surface, self.view(width), smooth=True, samples=1, device=device, threads=threads)
-        light = frame.light_arguments(self.light, coherence, float(np.prod(self.hf.size_um)), pigment=0.0, shadows=True)
-        reflection = frame.reflection(optics.normal_reflectance(IOR), coherence, masking=True)
-        frame.light_up([light], reflection)
+        frame = Frame(surface, self.view(width), device=device, threads=threads)
+        frame.light_up([self.light], coherence, 1.0, normal=optics.normal_reflectance(IOR))
         frame.survey(self.hf, coherence)
         deflections, to_lights, gains = frame.directions()
         lit = np.flatnonzero(gains > 0.0)

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import fourier, optics, render, spectrum
+from warpdiff import fourier, optics, spectrum
 from warpdiff.bench.peers import stam_analytic
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.expansions import EXPANSIONS
+from warpdiff.frame import Frame
 from warpdiff.surface import prepare_surface
 
 if TYPE_CHECKING:
@@ -192,11 +193,8 @@ def stam_picture(
 ) -> NDArray[np.float32]:
     """XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
     window, normal = wd.Coherence(), optics.normal_reflectance(1.5)
-    frame = render._Frame(
-        prepare_surface(mesh), view, smooth=True, samples=1, device=resolve_device(None), threads=resolve_threads(None)
-    )
-    arguments = frame.light_arguments(light, window, 1.0, pigment=0.0, shadows=True)
-    frame.light_up([arguments], frame.reflection(normal, window, masking=True))
+    frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
+    frame.light_up([light], window, 1.0, normal=normal)
     frame.survey(hf, window)
     deflections, _, gains = frame.directions()
     found = light.power * stam_directions(hf, deflections, np.float64(gains), colours=colours)

@@ -6,9 +6,8 @@ And back from the colours of rays to those of pixels.
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.optics import gain, schlick
+from warpdiff.kernels.optics import Light, gain, schlick
 from warpdiff.kernels.raycast import Pixels
-from warpdiff.kernels.shadows import ShadowGrid
 
 wp.set_module_options(spectral.OPTIONS)
 
@@ -20,19 +19,6 @@ class Reflection:
     normal_reflectance: wp.float64
     masking: wp.bool
     per_light_cosine: wp.bool  # for a light of a size
-
-
-@wp.struct
-class LightArguments:
-    """One light, and what of it the pigment sends back."""
-
-    to_light: wp.vec3d
-    power: wp.float64
-    grid: ShadowGrid  # by which shadow rays find faces
-    shadows: wp.bool
-    pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
-    white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
-    rgb_to_xyz: wp.mat33d
 
 
 @wp.func
@@ -48,7 +34,8 @@ def reflected(to_light: wp.vec3d, to_view: wp.vec3d, reflection: Reflection) -> 
 def deflect_pixels(
     # In:
     pixels: Pixels,
-    light: LightArguments,
+    lights: wp.array(dtype=Light),
+    which: wp.int32,
     reflection: Reflection,
     weight: wp.float64,
     counted: wp.float64,
@@ -64,12 +51,13 @@ def deflect_pixels(
     coverage_out: wp.array(dtype=wp.float64),
     lit_out: wp.array(dtype=wp.bool),
 ):
-    """Deflection, direction to the light and gain of pixels under one light.
+    """Deflection, direction to the light and gain of pixels under one of the lights.
 
     Its pigment is added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it
     reaches are marked as lit, from nothing if the sum ``begins``; empty arrays are none of these. ``hidden`` says which
     pixels the light does not reach; empty is none.
     """
+    light = lights[which]
     sums = xyz_out.shape[0] > 0
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         deflections_out[i] = wp.vec3d()
@@ -217,7 +205,8 @@ def slope(pixels: Pixels, before: wp.int32, here: wp.vec2f, after: wp.int32, to_
 def spread_pixels(
     # In:
     pixels: Pixels,
-    to_light: wp.vec3f,
+    lights: wp.array(dtype=Light),
+    which: wp.int32,
     width: wp.int32,
     height: wp.int32,
     deviation: wp.float32,
@@ -230,6 +219,7 @@ def spread_pixels(
 
     Pixels are a picture of a width and height, or pictures one after the other.
     """
+    to_light = wp.vec3f(lights[which].to_light)
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         footprints_out[i] = wp.vec4f()
         if pixels.hit[i] == 0:
@@ -261,7 +251,7 @@ def classify(
     colours: wp.array(dtype=wp.vec3f),
     gains: wp.array(dtype=wp.float32),
     width: wp.int32,
-    floor: wp.float32,
+    floor: wp.array(dtype=wp.float32),
     bounds: wp.array(dtype=wp.float32),
     first: wp.int32,
     run: wp.int32,
@@ -296,7 +286,7 @@ def classify(
                         largest = wp.max(largest, wp.length_sq(colours[beside] - colours[i]))
                     else:
                         beside_dark = 1
-            contrast = wp.sqrt(largest) / wp.max(wp.length(colours[i]), floor)
+            contrast = wp.sqrt(largest) / wp.max(wp.length(colours[i]), floor[0])
             for k in range(bounds.shape[0]):
                 if contrast > bounds[k]:
                     result += 2
@@ -317,8 +307,10 @@ def gather(
     # Out:
     colours_out: wp.array(dtype=wp.vec3f),
 ):
-    """Set the colours of pixels to the means over the rays of their tiles that meet the mesh."""
+    """Set the colours of pixels to the means over the rays of their tiles that meet the mesh; a pixel −1 is none."""
     for tile in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if tiles[tile] < 0:
+            continue
         rays = weights.shape[0]
         total = wp.vec3f()
         weight = wp.float32(0.0)

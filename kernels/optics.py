@@ -1,4 +1,4 @@
-"""Fresnel reflectance, gain and masking of one pair of directions, in float64.
+"""Lights, and Fresnel reflectance, gain and masking of one pair of directions, in float64.
 
 Grazing directions subtract nearly equal numbers; there are only a few operations a direction, none a wavelength.
 """
@@ -8,6 +8,17 @@ import warp as wp
 from warpdiff import optics
 
 HORIZON = wp.constant(wp.float64(optics.HORIZON))
+
+
+@wp.struct
+class Light:
+    """One light, and what of it the pigment sends back."""
+
+    to_light: wp.vec3d
+    power: wp.float64
+    pigment: wp.float64  # strength over R(0); 0 leaves the pigment out
+    white_rgb: wp.vec3d  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
+    rgb_to_xyz: wp.mat33d
 
 
 @wp.func

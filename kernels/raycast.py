@@ -51,7 +51,7 @@ class Sampling:
     sample: wp.int32
     samples: wp.int32
     seed: wp.int32
-    tiles: wp.array(dtype=wp.int32)  # pixels of which each is met by a tile of rays, one after the other; empty is none
+    tiles: wp.array(dtype=wp.int32)  # pixels met by a tile of rays each, one after the other, −1 by none; empty is off
     places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
     faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first; or empty
 
@@ -262,7 +262,7 @@ def clipped(span: wp.vec2d, a: wp.vec3d, b: wp.vec3d, side: wp.float64, y: wp.fl
 @wp.kernel
 def cover(
     # In:
-    camera: Camera,
+    cameras: wp.array(dtype=Camera),
     surface: SurfaceArrays,
     pixels: Pixels,
     first: wp.int32,
@@ -273,13 +273,14 @@ def cover(
     A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
 
     Args:
-        camera: The view.
+        cameras: The view.
         surface: The mesh.
         pixels: Of these ``nearest``: the distance along the view, as the bits of a float32, and the face below them;
             the smallest is kept. All bits set is none.
         first: The first thread's face.
         run: How many a thread takes.
     """
+    camera = cameras[0]
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         i0 = surface.faces[face, 0]
         i1 = surface.faces[face, 1]
@@ -364,7 +365,7 @@ def touch(faces: wp.array2d(dtype=wp.int32), one: wp.int32, other: wp.int32) -> 
 @wp.kernel
 def cast(
     # In:
-    camera: Camera,
+    cameras: wp.array(dtype=Camera),
     surface: SurfaceArrays,
     sampling: Sampling,
     pixels: Pixels,
@@ -378,13 +379,14 @@ def cast(
     the same x direction.
 
     Args:
-        camera: The view.
+        cameras: The view, on the device, so that a recorded launch finds the next one there.
         surface: The mesh.
         sampling: Where in the pixel.
         pixels: What was and is found.
         first: The first thread's pixel, or ray of a tile.
         run: How many a thread takes.
     """
+    camera = cameras[0]
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         pixels.hit[ray] = 0
         pixels.face[ray] = -1
@@ -393,6 +395,8 @@ def cast(
         rays = sampling.places.shape[0]
         if sampling.tiles.shape[0] > 0:
             pixel = sampling.tiles[ray // rays]
+            if pixel < 0:
+                continue
             offset = sampling.places[ray % rays]
         elif rays > 0:
             offset = sampling.places[sampling.sample]

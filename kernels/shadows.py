@@ -8,6 +8,7 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.optics import Light
 from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)
@@ -163,15 +164,20 @@ def fill(
 def hide(
     # In:
     grid: ShadowGrid,
+    lights: wp.array(dtype=Light),
+    which: wp.int32,
     pixels: Pixels,
     first: wp.int32,
     run: wp.int32,
     # Out:
     hidden_out: wp.array(dtype=wp.bool),
 ):
-    """Whether the mesh is met on the way from what pixels see to the light; those that look away do not ask."""
+    """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
+
+    ``grid`` is that of the same light.
+    """
     zero = wp.float64(0.0)
-    towards = wp.vec3f(grid.towards)
+    towards = wp.vec3f(lights[which].to_light)
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         hidden = bool(False)
         if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], towards) > FACING_AWAY:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, lookup, polar, raycast, shadows, spectral
+from warpdiff.kernels import directions, lookup, polar, raycast, shadows, spectral, steep
 
 SM = 90
 # Ampere, too, for what every frame launches.
@@ -32,6 +33,7 @@ KERNELS = {
         "sum_up",
     },
     "spectral": {"integrate", "sample"},
+    "steep": {"find_floor", "go_on", "list_up", "take", "tally"},
     "lookup": {"blur", "integrate", "interpolate"},
     "polar": {"gather", "project", "project_lines", "resample"},
 }
@@ -90,7 +92,7 @@ def test_every_kernel_module_is_compiled_here():
 
 
 @pytest.mark.parametrize("arch", SMS)
-@pytest.mark.parametrize("module", [raycast, directions, shadows], ids=["raycast", "directions", "shadows"])
+@pytest.mark.parametrize("module", [raycast, directions, shadows, steep], ids=lambda each: each.__name__)
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 
@@ -160,3 +162,20 @@ def test_shade_is_that_of_the_cpu(cuda):
     floor = 1e-3 * np.percentile(expected.xyz[both][:, 1], 99.0)
     scale = np.maximum(np.linalg.norm(expected.xyz[both], axis=1), floor)
     assert np.percentile(np.linalg.norm(found.xyz[both] - expected.xyz[both], axis=1) / scale, 99.0) < 1e-2
+
+
+def test_replayed_pictures_are_those_of_shade(cuda):
+    mesh = wd.meshes.tube(segments_along=64, segments_around=32)
+    hf = wd.gratings.fingers(size_um=12.8, seed=4)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
+    light = wd.DirectionalLight((0.1, 0.9, 1.2))
+    renderer = wd.Renderer(mesh, hf, light, view, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2, device=cuda)
+    assert renderer.plan.footprint
+    for angle in (0.3, -0.2):
+        light = wd.DirectionalLight((0.1 + angle, 0.9, 1.2))
+        view = dataclasses.replace(view, eye=(3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)))
+        assert renderer.draw(light, view).device.is_cuda
+        found = renderer.image()
+        expected = wd.shade(mesh, hf, light, view, plan=renderer.plan, device=cuda)
+        np.testing.assert_array_equal(found.xyz, expected.xyz)
+        np.testing.assert_array_equal(found.lit, expected.lit)

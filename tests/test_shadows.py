@@ -8,10 +8,10 @@ import trimesh
 import warp as wp
 
 import warpdiff as wd
-from warpdiff import meshes, render, shadows
+from warpdiff import frame, meshes, shadows
 from warpdiff.bench.brute_force import intersect
 from warpdiff.device import launch
-from warpdiff.kernels import raycast
+from warpdiff.kernels import optics, raycast
 from warpdiff.kernels.shadows import hide
 from warpdiff.scene import SceneArrays
 from warpdiff.surface import prepare_surface
@@ -66,15 +66,18 @@ def points_on(surface, light, count, rng):
     return (np.einsum("kc,kcd->kd", shares, corners) + float(raycast.LIFT) * normal).astype(np.float32)
 
 
-def hidden(grid, origins, threads=1):
+def hidden(grid, light, origins, threads=1):
     """What the kernel finds of rays from origins that face the light."""
+    struct = optics.Light()
+    struct.to_light = wp.vec3d(*light)
+    lights = wp.array([struct], dtype=optics.Light, device="cpu")
     pixels = raycast.Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
-    pixels.normal = wp.full(len(origins), wp.vec3f(*grid.towards), dtype=wp.vec3f, device="cpu")
+    pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
     found = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
-    launch(hide, len(origins), [grid, pixels], [found], device=device, threads=threads, in_runs=True)
+    launch(hide, len(origins), [grid, lights, 0, pixels], [found], device=device, threads=threads, in_runs=True)
     return found.numpy()
 
 
@@ -98,8 +101,8 @@ def test_shadows_equal_brute_force(make, light, rng):
     # Rays that graze an edge may be rounded to either side of it.
     sure = margin > 1e-4
     assert np.count_nonzero(sure) > 0.99 * len(sure)
-    for grid in (grid_of(surface, scene, light), shadows.no_grid(scene, light)):
-        np.testing.assert_array_equal(hidden(grid, origins)[sure], np.isfinite(t)[sure])
+    for grid in (grid_of(surface, scene, light), shadows.no_grid(scene)):
+        np.testing.assert_array_equal(hidden(grid, light, origins)[sure], np.isfinite(t)[sure])
 
 
 def test_faces_leave_no_gap_where_they_meet(rng):
@@ -116,8 +119,8 @@ def test_faces_leave_no_gap_where_they_meet(rng):
         grid = grid_of(surface, scene, light)
         assert grid.starts.shape[0] > 0
         for places in (surface.vertices[inside], surface.vertices[edges].mean(axis=1)):
-            assert np.all(hidden(grid, places - 0.3 * light))
-            assert not np.any(hidden(grid, places + 0.3 * light))
+            assert np.all(hidden(grid, light, places - 0.3 * light))
+            assert not np.any(hidden(grid, light, places + 0.3 * light))
 
 
 def test_threads_make_the_same_grid(rng):
@@ -129,7 +132,7 @@ def test_threads_make_the_same_grid(rng):
     cells = np.repeat(np.arange(alone.columns * alone.rows), np.diff(alone.starts.numpy()))
     listed = [set(zip(cells, grid.faces.numpy(), grid.tops.numpy(), strict=True)) for grid in (alone, others)]
     assert listed[0] == listed[1]
-    np.testing.assert_array_equal(hidden(alone, origins), hidden(others, origins, threads=3))
+    np.testing.assert_array_equal(hidden(alone, light, origins), hidden(others, light, origins, threads=3))
 
 
 def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
@@ -152,11 +155,11 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     view = wd.View((0.0, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72)
     options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 3e-2, "samples_per_pixel": samples}
     made = []
-    monkeypatch.setattr(render, "grid_for", lambda *a, **k: made.append(shadows.grid_for(*a, **k)) or made[-1])
+    monkeypatch.setattr(frame, "grid_for", lambda *a, **k: made.append(shadows.grid_for(*a, **k)) or made[-1])
     found = wd.shade(mesh, hf, lights, view, **options)
     # One for each light, whatever the samples and tiles.
     assert [grid.starts.shape[0] > 0 for grid in made] == [True, True]
-    monkeypatch.setattr(render, "grid_pays", lambda *_: False)
+    monkeypatch.setattr(frame, "grid_pays", lambda *_: False)
     expected = wd.shade(mesh, hf, lights, view, **options)
     assert len(made) == 2
     np.testing.assert_array_equal(found.xyz, expected.xyz)

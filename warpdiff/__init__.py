@@ -13,8 +13,9 @@ The map of the package, in the order in which data flows:
 - ``meshes``, ``snake``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
 - ``kernels``: Warp kernels: ray casting, directions, spectral integration
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
-- ``render``: ``shade``, a picture of a mesh; ``evaluate``: the reflectance at arrays of directions; ``direct``: the
-  same by a sum that approximates nothing
+- ``render``: ``shade``, a picture of a mesh; ``renderer``: many of one mesh, recorded on a GPU; ``frame``,
+  ``survey``, ``supersample``, ``shadows``: their launches
+- ``evaluate``: the reflectance at arrays of directions; ``direct``: the same by a sum that approximates nothing
 - ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
 - ``device``, ``checks``, ``errors``: launches over threads; validation of arguments; the warning category
@@ -32,6 +33,7 @@ from warpdiff.light import DirectionalLight
 from warpdiff.orders import OrderEfficiencies, order_efficiencies
 from warpdiff.planning import Plan, plan
 from warpdiff.render import shade
+from warpdiff.renderer import Renderer
 from warpdiff.view import View
 
 __version__ = version("warpdiff")
@@ -43,6 +45,7 @@ __all__ = [
     "Image",
     "OrderEfficiencies",
     "Plan",
+    "Renderer",
     "View",
     "WarpdiffWarning",
     "brdf",

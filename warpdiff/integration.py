@@ -43,7 +43,7 @@ class Integrator:
         *,
         footprints: wp.array | None = None,
         **options: Any,
-    ) -> None:
+    ) -> list[Step]:
         """Add the XYZ of deflections (n,) to those in ``xyz``.
 
         Args:
@@ -54,13 +54,15 @@ class Integrator:
             xyz: What is added to.
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
             options: Of ``launch_in_turn``, ``least_slice`` and ``progress``.
+
+        Returns:
+            What was launched, with the arrays that it takes.
         """
         if self._plan.nodes and self._plan.coherence.kind != "source":
             options.setdefault("least_slice", _LOOK_UPS)
-        launch_in_turn(
-            self.steps(deflections, to_lights, gains, illuminant, xyz, footprints), len(gains),
-            device=self._device, threads=self._threads, **options,
-        )  # fmt: skip
+        steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints)
+        launch_in_turn(steps, len(gains), device=self._device, threads=self._threads, **options)
+        return steps
 
     def steps(
         self,

@@ -291,23 +291,10 @@ def plan(
     normal = optics.normal_reflectance(ior)
     window = coherence or Coherence()
     target, workers = resolve_device(device), resolve_threads(threads)
-    some_lights, some_views = hemisphere_pairs(CROWD, _SEED)
-    if to_light is not None and to_view is not None:
-        lights, views, _ = broadcast_directions(to_light, to_view)
-    else:
-        lights = some_lights if to_light is None else _some_of(to_light, "to_light")
-        views = some_views if to_view is None else _some_of(to_view, "to_view")
-    # A plan for directions that are not yet known is made for many.
-    count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
-    deflections, lit = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
-    scope = Scope.of(hf, window, deflections, lights, lit)
-    if to_light is None or to_view is None:
-        given = views if to_light is None else lights
-        scope = _any_direction(hf, window, scope, None if to_light is None and to_view is None else given)
-    gains = optics.gain(lights, views, normal=normal, masking=masking, per_light_cosine=window.kind == "source")
+    scope, pilots, count = directions_of(hf, to_light, to_view, coherence=window, normal=normal, masking=masking)
     result = plan_for(
-        hf, scope, Pilots.among(deflections, lights, gains), tolerance=tolerance, method=method, coherence=window,
-        strict=strict, count=count, illuminants=(illuminant,), device=target, threads=workers,
+        hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
+        illuminants=(illuminant,), device=target, threads=workers,
     )  # fmt: skip
     if result.scalar_error >= validity.UNTRUSTED:
         warnings.warn(
@@ -318,6 +305,35 @@ def plan(
             stacklevel=2,
         )
     return result
+
+
+def directions_of(
+    hf: HeightField,
+    to_light: ArrayLike | None = None,
+    to_view: ArrayLike | None = None,
+    *,
+    coherence: Coherence,
+    normal: float,
+    masking: bool,
+) -> tuple[Scope, Pilots, float]:
+    """The scope of directions, some of them, and their number; None is the whole hemisphere.
+
+    A plan for directions that are not yet known is made for many.
+    """
+    some_lights, some_views = hemisphere_pairs(CROWD, _SEED)
+    if to_light is not None and to_view is not None:
+        lights, views, _ = broadcast_directions(to_light, to_view)
+    else:
+        lights = some_lights if to_light is None else _some_of(to_light, "to_light")
+        views = some_views if to_view is None else _some_of(to_view, "to_view")
+    count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
+    deflections, lit = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
+    scope = Scope.of(hf, coherence, deflections, lights, lit)
+    if to_light is None or to_view is None:
+        given = views if to_light is None else lights
+        scope = _any_direction(hf, coherence, scope, None if to_light is None and to_view is None else given)
+    gains = optics.gain(lights, views, normal=normal, masking=masking, per_light_cosine=coherence.kind == "source")
+    return scope, Pilots.among(deflections, lights, gains), count
 
 
 def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:

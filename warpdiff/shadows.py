@@ -29,15 +29,12 @@ def grid_pays(faces: int, rays: int) -> bool:
     return faces < rays
 
 
-def no_grid(scene: SceneArrays, to_light: Sequence[float]) -> Any:
-    """The :class:`warpdiff.kernels.shadows.ShadowGrid` that has no lists and asks the hierarchy."""
-    import warp as wp
-
+def no_grid(scene: SceneArrays) -> Any:
+    """The :class:`warpdiff.kernels.shadows.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
     from warpdiff.kernels import shadows
 
     grid = shadows.ShadowGrid()
     grid.mesh_id = scene.mesh_id
-    grid.towards = wp.vec3d(*to_light)
     return grid
 
 
@@ -63,8 +60,8 @@ def grid_for(
     faces = len(surface.faces)
     # As many cells as faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
-    grid = no_grid(scene, to_light)
-    grid.across, grid.up = wp.vec3d(*across), wp.vec3d(*up)
+    grid = no_grid(scene)
+    grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
     grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
     grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
     grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)

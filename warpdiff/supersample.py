@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import launch, slices_of
+from warpdiff.device import launch, launch_in_turn, slices_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     import warp as wp
     from numpy.typing import NDArray
+
+    from warpdiff.device import Step
 
 # Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
 FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
@@ -27,8 +29,8 @@ FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(
 _ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
-# Rays at a time: worth the launches, and bounded by the memory that they take; a GPU takes as many as it can.
-_LEAST_RAYS, _MOST_RAYS = 8192, 150_000
+# Rays at a time: worth the launches, and bounded by the memory that they take, of which a GPU has more.
+_LEAST_RAYS, _MOST_RAYS, _MOST_RAYS_ALONE = 8192, 150_000, 1 << 20
 # What errors are relative to at least, as a share of the 99th percentile of luminance, and how many pixels tell it.
 _FLOOR, _GLIMPSE = 1e-3, 16_384
 # These kernels are cheap against a launch.
@@ -106,24 +108,47 @@ def rays_of(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64], float
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Pixels that take the same tile.
+class Kind:
+    """Pixels that are met in the same way.
 
     Attributes:
-        tile: Of each of them.
-        pixels: Their numbers, (n,).
+        index: Among ``KINDS``; ``classify`` numbers them from 2 on.
+        tile: The rays that each of them takes.
         shadows: Whether a shadow's edge may pass through them; otherwise all pixels beside them are lit.
     """
 
+    index: int
     tile: Tile
-    pixels: NDArray[np.int32]
     shadows: bool
 
-    def parts(self, device: wp.Device, threads: int) -> Iterator[range]:
+    @property
+    def rays(self) -> int:
+        """How many a pixel takes."""
+        return self.tile.across**2
+
+
+KINDS = tuple(Kind(2 * i + s, tile, bool(s)) for i, (_, tile) in enumerate(_TAKEN) for s in (0, 1))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pixels of one kind, by their numbers, (n,)."""
+
+    kind: Kind
+    pixels: NDArray[np.int32]
+
+    def parts(self, threads: int) -> Iterator[range]:
         """Ranges of the pixels to be met at a time."""
-        rays = self.tile.across**2
-        least = _LEAST_RAYS if device.is_cpu else _MOST_RAYS
-        return slices_of(len(self.pixels), least=least // rays, most=_MOST_RAYS // rays, threads=threads)
+        rays = self.kind.rays
+        return slices_of(len(self.pixels), least=_LEAST_RAYS // rays, most=_MOST_RAYS // rays, threads=threads)
+
+
+def _bounds(tolerance: float, device: wp.Device) -> wp.array:
+    """The contrasts from which pixels take more rays."""
+    import warp as wp
+
+    bounds = [above * tolerance / _ERROR_OF_CONTRAST for above, _ in _TAKEN]
+    return wp.array(bounds, dtype=wp.float32, device=device)
 
 
 def batches(
@@ -134,25 +159,113 @@ def batches(
 
     from warpdiff.kernels import directions
 
-    # How bright a picture is, a part of it tells; an odd step does not stay in some columns.
-    step = len(gains) // _GLIMPSE | 1
+    # How bright a picture is, a part of it tells.
+    step = _apart(len(gains))
     bright = colours[::step].numpy()[gains[::step].numpy() > 0.0, 1]
-    floor = _FLOOR * float(np.percentile(bright, 99.0)) if len(bright) else 0.0
-    bounds = wp.array([above * tolerance / _ERROR_OF_CONTRAST for above, _ in _TAKEN], dtype=wp.float32, device=device)
+    least = _FLOOR * float(np.percentile(bright, 99.0, method="higher")) if len(bright) else 0.0
+    floor = wp.array([max(least, np.finfo(np.float32).tiny)], dtype=wp.float32, device=device)
     classes = wp.empty(len(gains), dtype=wp.uint8, device=device)
-    inputs = [colours, gains, width, max(floor, np.finfo(np.float32).tiny), bounds]
+    inputs = [colours, gains, width, floor, _bounds(tolerance, device)]
     options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
     launch(directions.classify, len(gains), inputs, [classes], **options)
-    kinds = classes.numpy()
-    candidates = np.flatnonzero(kinds > 0)
-    kinds = kinds[candidates]
-    found = []
-    for index, (_, tile) in enumerate(_TAKEN):
-        for shadowed in (False, True):
-            pixels = candidates[kinds == 2 * (index + 1) + shadowed].astype(np.int32)
-            if len(pixels):
-                found.append(Batch(tile, pixels, shadowed))
-    return found
+    classed = classes.numpy()
+    candidates = np.flatnonzero(classed > 0)
+    classed = classed[candidates]
+    found = [Batch(kind, candidates[classed == kind.index + 2].astype(np.int32)) for kind in KINDS]
+    return [batch for batch in found if len(batch.pixels)]
+
+
+def _apart(pixels: int) -> int:
+    """How far those are apart that tell how bright a picture is: an odd step does not stay in some columns."""
+    return pixels // _GLIMPSE | 1
+
+
+class Queue:
+    """The same for a device that lists these pixels, and works the lists off, without the host.
+
+    Attributes:
+        most_rays: Those that are met at a time.
+    """
+
+    def __init__(self, pixels: int, lights: int, tolerance: float, *, device: wp.Device, threads: int) -> None:
+        """Room for the lists of a picture, one light after the other."""
+        import warp as wp
+
+        from warpdiff.kernels import steep
+
+        def empty(shape: Any, dtype: Any = wp.int32) -> Any:
+            return wp.empty(shape, dtype=dtype, device=device)
+
+        self._device = device
+        self._options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
+        self._bounds = _bounds(tolerance, device)
+        self._tallies, self._floor = empty(steep.GROUPS * (1 + steep.BINS)), empty(1, wp.float32)
+        self._classes = empty(pixels, wp.uint8)
+        self._lists, self._counts = empty((len(KINDS), pixels)), empty((lights, len(KINDS)))
+        self._taken, self._left = empty(len(KINDS)), empty(1)
+        self.most_rays = min(max(kind.rays for kind in KINDS) * pixels, _MOST_RAYS_ALONE)
+        self._tiles = empty(self.most_rays // min(kind.rays for kind in KINDS))
+        self._rays = [tile.on(device) for _, tile in _TAKEN]
+
+    def rays_of(self, kind: Kind) -> tuple[wp.array, wp.array]:
+        """The rays of a kind's tile."""
+        return self._rays[kind.index // 2]
+
+    @property
+    def lights(self) -> int:
+        """How many lights there is room for."""
+        return len(self._counts)
+
+    @property
+    def count(self) -> int:
+        """How many pixels were listed under all lights."""
+        return int(self._counts.numpy().sum())
+
+    def pixels_of(self, kind: Kind) -> wp.array:
+        """Room for as many pixels of a kind as are met at a time; −1 is none."""
+        return self._tiles[: self.most_rays // kind.rays]
+
+    def list_up(self, which: int, colours: wp.array, gains: wp.array, width: int) -> None:
+        """List the pixels under one light whose predicted error exceeds the tolerance."""
+        import warp as wp
+
+        from warpdiff.kernels import directions, steep
+
+        counts = self._counts[which]
+        for each in (self._tallies, counts, self._taken):
+            each.zero_()
+        pixels = len(gains)
+        apart = _apart(pixels)
+        launch(steep.tally, -(-pixels // apart), [colours, gains, apart], [self._tallies], **self._options)
+        wp.launch(steep.find_floor, dim=1, inputs=[self._tallies], outputs=[self._floor], device=self._device)
+        inputs = [colours, gains, width, self._floor, self._bounds]
+        launch(directions.classify, pixels, inputs, [self._classes], **self._options)
+        launch(steep.list_up, pixels, [self._classes], [self._lists, counts], **self._options)
+
+    def work_off(self, which: int, kind: Kind, steps: Sequence[Step], of_rays: wp.array) -> None:
+        """Launch what meets as many pixels of a kind as there is room for until none is left.
+
+        The colours of the rays are added to zeros in ``of_rays``.
+        """
+        import warp as wp
+
+        from warpdiff.kernels import steep
+
+        tiles, counts = self.pixels_of(kind), self._counts[which]
+
+        def go_on(count: int) -> None:
+            inputs, outputs = [counts, kind.index, count], [self._taken, self._left]
+            wp.launch(steep.go_on, dim=1, inputs=inputs, outputs=outputs, device=self._device)
+
+        def meet() -> None:
+            inputs = [self._lists, counts, self._taken, kind.index]
+            launch(steep.take, len(tiles), inputs, [tiles], **self._options)
+            of_rays.zero_()
+            launch_in_turn(steps, len(tiles) * kind.rays, device=self._device, threads=1)
+            go_on(len(tiles))
+
+        go_on(0)
+        wp.capture_while(self._left, meet)
 
 
 def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:

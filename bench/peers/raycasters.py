@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from warpdiff import render, scene
+from warpdiff import scene
 from warpdiff.bench import brute_force
 from warpdiff.device import launch, resolve_device
+from warpdiff.frame import Frame
 from warpdiff.kernels import raycast, spectral
 from warpdiff.surface import prepare_surface
 
@@ -156,10 +157,7 @@ def _warp_query(rays: Rays) -> Caster:
 
 
 def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
-    frame = render._Frame(rays.surface, rays.view, smooth=True, samples=1, device=resolve_device(None), threads=1)
-    frame._covers = covers
-    size = len(rays.origins) if covers else 0
-    frame._seen.pixels.nearest = wp.empty(size, dtype=wp.uint64, device=frame._device)
+    frame = Frame(rays.surface, rays.view, alone=not covers, device=resolve_device(None), threads=1)
 
     def trace(threads: int) -> None:
         frame._threads = threads

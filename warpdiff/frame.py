@@ -1,0 +1,506 @@
+"""The arrays of a picture on a device, and the launches that fill them."""
+
+from __future__ import annotations
+
+import queue
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff import optics, spectrum, supersample
+from warpdiff.device import Step, launch, launch_in_turn, load, side_by_side
+from warpdiff.evaluate import direct_colour
+from warpdiff.image import Image
+from warpdiff.scope import Pilots, Scope
+from warpdiff.shadows import grid_for, grid_pays, no_grid
+from warpdiff.survey import Survey
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    import warp as wp
+
+    from warpdiff.coherence import Coherence
+    from warpdiff.heightfield import HeightField
+    from warpdiff.integration import Integrator
+    from warpdiff.light import DirectionalLight
+    from warpdiff.planning import Plan
+    from warpdiff.surface import Surface
+    from warpdiff.view import View
+
+_SEED = 0
+_SURVEYED = 4
+# Rays and frames take a tenth of a microsecond each, colours three, faces two, and a launch as much as hundreds.
+_SLICE, _COLOURS, _FACES = 8192, 2048, 2048
+
+
+def load_kernels(device: wp.Device) -> None:
+    """Begin to load what every picture needs, while the mesh is looked at."""
+    from warpdiff.kernels import directions, raycast, shadows
+
+    load([raycast.cast, directions.deflect_pixels, shadows.hide], device)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What rays see: the mesh, and under the last light whether it is hidden, deflections, directions to it, gains."""
+
+    pixels: Any
+    hidden: wp.array
+    deflections: wp.array
+    to_lights: wp.array
+    gains: wp.array
+    footprints: wp.array
+
+    @classmethod
+    def by(cls, rays: int, *, device: wp.Device, means: bool) -> _Seen:
+        """Arrays for so many rays, with footprints if they show ``means``."""
+        import warp as wp
+
+        from warpdiff.kernels import raycast
+
+        def empty(dtype: Any, size: int = rays) -> Any:
+            return wp.empty(size, dtype=dtype, device=device)
+
+        pixels = raycast.Pixels()
+        pixels.nearest = empty(wp.uint64, 0)
+        pixels.hit, pixels.face = empty(wp.int32), empty(wp.int32)
+        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
+            setattr(pixels, name, empty(wp.vec3f))
+        footprints = empty(wp.vec4f, rays if means else 0)
+        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
+
+    @property
+    def directions(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Deflections, directions to the light and gains."""
+        return self.deflections, self.to_lights, self.gains
+
+
+class Frame:
+    """A picture of a surface: seen by a view, lit, and filled with colours; then by another view, or lit otherwise."""
+
+    def __init__(
+        self,
+        surface: Surface,
+        view: View,
+        *,
+        smooth: bool = True,
+        samples: int = 1,
+        means: bool = False,
+        alone: bool | None = None,
+        device: wp.Device,
+        threads: int,
+    ) -> None:
+        """A frame of so many samples a pixel, of which each shows a mean over its part of the pixel if ``means``.
+
+        If ``alone`` the device fills it from the view and the lights on without the host, so that its launches may be
+        recorded; None is so on a GPU. Otherwise the host has a part, which is faster on the CPU.
+        """
+        import warp as wp
+
+        from warpdiff import scene
+        from warpdiff.kernels import raycast
+
+        self._samples = samples
+        places, self._weights, self._deviation = np.zeros((0, 2)), np.full(samples, 1.0 / samples), 0.0
+        if means:
+            places, self._weights, self._deviation = supersample.rays_of(samples)
+        # One ray lies in the centre.
+        self._places = wp.array(places[: samples if samples > 1 else 0], dtype=wp.vec2d, device=device)
+        self._device = device
+        self._threads = threads
+        self._options: dict[str, Any] = {"device": device, "threads": threads}
+        self._alone = not device.is_cpu if alone is None else alone
+        self._surface = surface
+        self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
+        self._cameras = wp.empty(1, dtype=raycast.Camera, device=device)
+        self._size = size = view.width * view.height
+
+        self._seen = _Seen.by(size, device=device, means=means and samples == 1)
+        self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
+        dtypes = (wp.vec3f, wp.float64, wp.bool)
+        # XYZ, coverage, and what any light reaches.
+        self._sums = [wp.empty(size, dtype=dtype, device=device) for dtype in dtypes]
+        self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
+        # One light's, where pictures are sums.
+        self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
+        self._queue: supersample.Queue | None = None
+        self._lights: Any = None
+        self._tiled = 0
+        self.look(view)
+
+    def look(self, view: View) -> None:
+        """Set the view, of the same size as any before."""
+        import warp as wp
+
+        from warpdiff import scene
+
+        self._view = view
+        self._cameras.assign([scene.camera(view, self._surface)])
+        self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
+        # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
+        self._covers = not self._alone and self._samples == 1 and scene.lies_ahead(self._surface, view)
+        if self._covers != (len(self._seen.pixels.nearest) > 0):
+            self._seen.pixels.nearest = wp.empty(self._size * self._covers, dtype=wp.uint64, device=self._device)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was cast and deflected."""
+        self._now: tuple[int, int | None] | None = None
+        # What was launched since: who recorded it keeps it, for it uses its arrays again.
+        self.launched: list[Step] = []
+
+    def light_up(
+        self,
+        lights: Sequence[DirectionalLight],
+        window: Coherence,
+        area_um2: float,
+        *,
+        normal: float,
+        masking: bool = True,
+        pigment: float = 0.0,
+        shadows: bool = True,
+    ) -> None:
+        """Set the lights and the reflectance.
+
+        Args:
+            lights: One or several.
+            window: The coherence.
+            area_um2: Of the height field.
+            normal: R(0).
+            masking: Whether V-cavity masking is included.
+            pigment: Its strength.
+            shadows: Whether the mesh may hide the lights.
+        """
+        import warp as wp
+
+        from warpdiff.kernels import directions
+        from warpdiff.kernels import optics as kernels
+
+        self._pigmented = pigment > 0.0 and self._surface.has_base_colour
+        grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
+        structs = []
+        for each in lights:
+            white = optics.pigment_solid_angle(grid_um, window, area_um2) @ spectrum.colour_products(each.illuminant)
+            struct = kernels.Light()
+            struct.to_light = wp.vec3d(*each.to_light)
+            struct.power = each.power
+            struct.pigment = pigment / normal if self._pigmented else 0.0
+            struct.white_rgb = wp.vec3d(*spectrum.xyz_to_rgb(white))
+            struct.rgb_to_xyz = wp.mat33d(*spectrum.RGB_TO_XYZ.ravel())
+            structs.append(struct)
+        if self._lights is None or len(self._lights) != len(structs):
+            self._lights = wp.empty(len(structs), dtype=kernels.Light, device=self._device)
+        self._lights.assign(structs)
+        self._to_lights = [each.to_light for each in lights]
+        self._grids: dict[int, Any] = {}
+        self._shadows = shadows
+        self._reflection = directions.Reflection()
+        self._reflection.normal_reflectance = normal
+        self._reflection.masking = masking
+        self._reflection.per_light_cosine = window.kind == "source"
+        if self._now is not None:
+            self._now = self._now[0], None
+
+    @property
+    def launches_depend_on(self) -> tuple[Any, ...]:
+        """What of view and lights the launches themselves depend on; all else is on the device."""
+        return len(self._lights), self._shadows and self._may_be_hidden, self._pigmented
+
+    def survey(self, hf: HeightField, window: Coherence) -> tuple[Scope, int, Pilots]:
+        """The range of all lit directions, their number, and some of them.
+
+        That is a first pass over the rays, which cost a hundredth of the colours.
+        """
+        scope, count = Scope(0.0, 0.0, 0.0, 0.0), 0
+        seen = []
+        # A few rays a pixel see what all do.
+        surveyed = min(self._samples, _SURVEYED)
+        for sample in range(surveyed):
+            self.cast(sample)
+            for which in range(len(self._lights)):
+                summary = Survey(hf, window, *self._seen.directions, device=self._device)
+                self.deflect(which, summary.step)
+                found, lit, pilots = summary.found()
+                scope = scope.joined(found)
+                count += lit
+                if sample == 0:
+                    seen.append(pilots.arrays)
+        pilots = Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
+        return scope, count * self._samples // surveyed, pilots
+
+    def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
+        """Cast and deflect sample after sample, light after light.
+
+        Yields a light's index, and the pass' share of progress.
+        """
+        count = len(self._lights)
+        for sample in range(self._samples):
+            for which in range(count):
+                if self._now is None or self._now[0] != sample:
+                    self.cast(sample)
+                # The survey has left behind what a single pass needs.
+                if self._now != (sample, which):
+                    self.deflect(which)
+                yield which, _share(progress, sample * count + which, self._samples * count)
+
+    def integrate(
+        self,
+        integrator: Integrator,
+        illuminants: list[str],
+        *,
+        footprint: bool,
+        tolerance: float,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        """Add the diffraction colours of all samples and lights."""
+        if footprint and self._samples == 1:
+            self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
+            return
+        spreads: list[Any] = [None] * len(self._lights)
+        if footprint:
+            self._cast(0, 1)
+            spreads = [self.spread(which) for which in range(len(self._lights))]
+        for which, share in self._passes(progress):
+            self.launched += integrator.add(
+                *self._seen.directions, illuminants[which], self._sums[0], footprints=spreads[which], progress=share
+            )
+
+    def _integrate_means(
+        self,
+        integrator: Integrator,
+        illuminants: list[str],
+        *,
+        tolerance: float,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        """The same of means over pixels, where that takes it over several rays in each."""
+        import warp as wp
+
+        self._tiled = 0
+        # A single light's without pigments are the picture.
+        are_picture = len(self._lights) == 1 and not self._pigmented
+        if not are_picture and not len(self._colours):
+            self._colours = wp.empty(self._size, dtype=wp.vec3f, device=self._device)
+        colours = self._sums[0] if are_picture else self._colours
+        for which, share in self._passes(progress):
+            if not are_picture:
+                colours.zero_()
+            illuminant, seen, width = illuminants[which], self._seen, self._view.width
+            steps = [self._spread(which, seen, width, self._view.height, self._deviation, seen.footprints)]
+            steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints)
+            launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
+            self.launched += steps
+            if self._alone:
+                self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
+            else:
+                batches = supersample.batches(colours, seen.gains, width, tolerance, **self._options)
+                self._set_means(integrator, which, illuminant, batches, colours)
+                self._tiled += sum(len(batch.pixels) for batch in batches)
+            if not are_picture:
+                supersample.add(colours, self._sums[0], **self._options)
+
+    def _set_means(
+        self,
+        integrator: Integrator,
+        which: int,
+        illuminant: str,
+        batches: list[supersample.Batch],
+        colours: wp.array,
+    ) -> None:
+        """Set the colours of some pixels to the means over tiles of rays."""
+        import warp as wp
+
+        # What a part of the pixels of a batch takes, made here, as other threads' memory is given back each time.
+        rays = {batch.kind.index: batch.kind.tile.on(self._device) for batch in batches}
+        parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
+        most = max((len(part) * batch.kind.rays for batch, part in parts), default=0)
+        rooms: queue.SimpleQueue[tuple[_Seen, wp.array]] = queue.SimpleQueue()
+        for _ in range(min(len(parts), self._threads)):
+            seen = _Seen.by(most, device=self._device, means=True)
+            rooms.put((seen, wp.empty(most, dtype=wp.vec3f, device=self._device)))
+
+        def work(each: tuple[supersample.Batch, range]) -> None:
+            (batch, part), (seen, of_rays) = each, rooms.get()
+            of_rays.zero_()
+            tiles = wp.array(batch.pixels[part.start : part.stop], dtype=wp.int32, device=self._device)
+            steps = self._steps_of_tiles(
+                integrator, which, illuminant, batch.kind, rays[batch.kind.index], tiles, seen, of_rays, colours
+            )
+            count = len(part) * batch.kind.rays
+            launch_in_turn(steps, count, least_slice=count, device=self._device, threads=1)
+            rooms.put((seen, of_rays))
+
+        side_by_side(work, parts, threads=self._threads)
+
+    def _work_off_tiles(
+        self, integrator: Integrator, which: int, illuminant: str, tolerance: float, colours: wp.array
+    ) -> None:
+        """The same, where the device itself finds these pixels and goes on until it has met them all."""
+        import warp as wp
+
+        lights = len(self._lights)
+        if self._queue is None or self._queue.lights != lights:
+            self._queue = supersample.Queue(self._size, lights, tolerance, **self._options)
+            most = self._queue.most_rays
+            of_rays = wp.empty(most, dtype=wp.vec3f, device=self._device)
+            self._in_tiles = _Seen.by(most, device=self._device, means=True), of_rays
+        self._queue.list_up(which, colours, self._seen.gains, self._view.width)
+        seen, of_rays = self._in_tiles
+        for kind in supersample.KINDS:
+            rays, tiles = self._queue.rays_of(kind), self._queue.pixels_of(kind)
+            steps = self._steps_of_tiles(integrator, which, illuminant, kind, rays, tiles, seen, of_rays, colours)
+            self._queue.work_off(which, kind, steps, of_rays)
+            self.launched += steps
+
+    def _steps_of_tiles(
+        self,
+        integrator: Integrator,
+        which: int,
+        illuminant: str,
+        kind: supersample.Kind,
+        rays: tuple[wp.array, wp.array],
+        tiles: wp.array,
+        seen: _Seen,
+        of_rays: wp.array,
+        colours: wp.array,
+    ) -> list[Step]:
+        """What sets the colours of some pixels to the means over tiles of rays, which add to zeros in ``of_rays``."""
+        from warpdiff.kernels import directions, raycast
+
+        tile = kind.tile
+        sampling = raycast.Sampling()
+        sampling.tiles = tiles
+        sampling.places, weights = rays
+        if not kind.shadows:
+            sampling.faces = self._seen.pixels.face
+        deflections, to_lights, gains = seen.directions
+        return [
+            Step(raycast.cast, [self._cameras, self._scene.arrays, sampling, seen.pixels], [], in_runs=True),
+            # The pigment of the pixel's own ray stays.
+            *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
+            self._spread(which, seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
+            # Look-ups take whole runs of those that there are gains of.
+            *integrator.steps(
+                deflections, to_lights, gains[: len(tiles) * kind.rays], illuminant, of_rays, seen.footprints
+            ),
+            Step(
+                directions.gather, [of_rays, seen.pixels.hit, tiles, weights], [colours],
+                in_runs=True, block=kind.rays,
+            ),
+        ]  # fmt: skip
+
+    def sum_directly(
+        self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
+    ) -> None:
+        """The same by the direct sum."""
+        for which, share in self._passes(progress):
+            deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
+            added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[which], progress=share)
+            self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
+
+    def cast(self, sample: int) -> None:
+        """Send one ray through every pixel."""
+        self._cast(sample, self._samples)
+        self._now = sample, None
+
+    def _cast(self, sample: int, samples: int) -> None:
+
+        from warpdiff.kernels import raycast
+
+        self._now = None
+        sampling = raycast.Sampling()
+        sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
+        if samples > 1:
+            sampling.places = self._places
+        pixels = self._seen.pixels
+        if self._covers:
+            pixels.nearest.fill_(raycast.UNSEEN)
+            faces = self._scene.face_count
+            inputs = [self._cameras, self._scene.arrays, pixels]
+            launch(raycast.cover, faces, inputs, [], least_slice=_FACES, in_runs=True, **self._options)
+        inputs = [self._cameras, self._scene.arrays, sampling, pixels]
+        launch(raycast.cast, self._size, inputs, [], least_slice=_SLICE, in_runs=True, **self._options)
+
+    def _grid_of(self, which: int) -> Any:
+        """A grid of faces for shadow rays where it is worth it, once rays are cast."""
+        if which not in self._grids:
+            rays = 0 if self._alone else self._samples * int(np.count_nonzero(self._seen.pixels.hit.numpy()))
+            self._grids[which] = (
+                grid_for(self._surface, self._scene, self._to_lights[which], **self._options)
+                if grid_pays(self._scene.face_count, rays)
+                else no_grid(self._scene)
+            )
+        return self._grids[which]
+
+    def deflect(self, which: int, *after: Step) -> None:
+        """Compute the deflections and gains under one light, add its pigment, and what comes after."""
+        sample = self._now[0] if self._now is not None else 0
+        steps = self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
+        launch_in_turn([*steps, *after], self._size, least_slice=_SLICE, **self._options)
+        self._now = sample, which
+
+    def _deflect(
+        self, which: int, seen: _Seen, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
+    ) -> list[Step]:
+        from warpdiff.kernels import directions
+        from warpdiff.kernels.shadows import hide
+
+        shadows = shadows and self._shadows and self._may_be_hidden
+        hidden = seen.hidden if shadows else self._none_hidden
+        # What is covered counts once.
+        counted, begins = weight if which == 0 else 0.0, which == 0 and sample == 0
+        inputs = [seen.pixels, self._lights, which, self._reflection, weight, counted, begins, hidden]
+        steps = [Step(directions.deflect_pixels, inputs, [*seen.directions, *sums], in_runs=True)]
+        if shadows:
+            inputs = [self._grid_of(which), self._lights, which, seen.pixels]
+            steps.insert(0, Step(hide, inputs, [hidden], in_runs=True))
+        return steps
+
+    def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The last deflections, directions to the light and gains."""
+        deflections, to_lights, gains = (each.numpy() for each in self._seen.directions)
+        return deflections, to_lights, gains
+
+    def spread(self, which: int) -> wp.array:
+        """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
+        import warp as wp
+
+        result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
+        step = self._spread(which, self._seen, self._view.width, self._view.height, self._deviation, result)
+        launch_in_turn([step], self._size, least_slice=_SLICE, **self._options)
+        return result
+
+    def _spread(self, which: int, seen: _Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
+        from warpdiff.kernels import directions
+
+        inputs = [seen.pixels, self._lights, which, width, height, deviation]
+        return Step(directions.spread_pixels, inputs, [result], in_runs=True)
+
+    @property
+    def xyz(self) -> wp.array:
+        """The colours, (height, width), where they are."""
+        return self._sums[0].reshape((self._view.height, self._view.width))
+
+    def image(self, plan: Plan) -> Image:
+        """The finished picture."""
+        shape = (self._view.height, self._view.width)
+        xyz, coverage, lit = (sums.numpy() for sums in self._sums)
+        coverage = coverage.astype(np.float32).reshape(shape)
+        tiled = self._tiled if self._queue is None else self._queue.count
+        share = tiled / max(int(np.count_nonzero(lit)) * len(self._to_lights), 1)
+        return Image(
+            xyz=xyz.reshape(*shape, 3),
+            mask=coverage > 0.0,
+            lit=lit.reshape(shape),
+            coverage=coverage,
+            plan=replace(plan, supersampled=share),
+        )
+
+
+def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:
+    """The progress of one of several passes as a share of all."""
+    if progress is None:
+        return None
+    return lambda done: progress((index + done) / count)

@@ -1,0 +1,160 @@
+"""``Renderer``: pictures of one surface, one after the other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpdiff import checks
+from warpdiff.frame import load_kernels
+from warpdiff.integration import Integrator
+from warpdiff.planning import directions_of
+from warpdiff.render import Wanted, check_lights
+from warpdiff.surface import prepare_surface
+from warpdiff.view import View
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import warp as wp
+    from numpy.typing import ArrayLike
+
+    from warpdiff.coherence import Coherence
+    from warpdiff.device import Step
+    from warpdiff.heightfield import HeightField
+    from warpdiff.image import Image
+    from warpdiff.light import DirectionalLight
+    from warpdiff.planning import Plan
+
+
+class Renderer:
+    """Pictures of a mesh whose surface carries a height field, under lights and views that change.
+
+    Each is that of :func:`warpdiff.shade` with ``plan=renderer.plan``. What does not change is done once: the plan,
+    which is for any light and view, the mesh and the arrays. On a GPU the launches of a picture are recorded, too, as a
+    CUDA graph (with drivers from CUDA 12.4 on), which the next one replays without the host; the colours stay where
+    they are until they are asked for::
+
+        renderer = warpdiff.Renderer(mesh, hf, light, view, device="cuda")
+        while True:
+            show(renderer.draw(view=next_view()))
+
+    Attributes:
+        plan: What is computed and why.
+    """
+
+    def __init__(
+        self,
+        mesh: Any,
+        hf: HeightField,
+        light: DirectionalLight | Sequence[DirectionalLight],
+        view: View,
+        *,
+        tolerance: float = 1e-2,
+        method: str = "auto",
+        coherence: Coherence | None = None,
+        ior: float = 1.5,
+        masking: bool = True,
+        pigment: float = 1.0,
+        shadows: bool = True,
+        smooth: bool = True,
+        tangents: ArrayLike | None = None,
+        footprint: bool | None = None,
+        samples_per_pixel: int = 1,
+        plan: Plan | None = None,
+        strict: bool = True,
+        device: Any = None,
+        threads: int | None = None,
+    ) -> None:
+        """Prepare pictures; the arguments are those of :func:`warpdiff.shade`.
+
+        The tolerance is met for directions all over the hemisphere, as those of the pictures are not known. The method
+        ``"direct"`` is for single pictures.
+        """
+        wanted = Wanted.checked(
+            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+            pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
+            plan=plan, strict=strict, device=device, threads=threads,
+        )  # fmt: skip
+        if "direct" in (method, plan and plan.method):
+            raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
+        load_kernels(wanted.device)
+        self._hf, self._wanted = hf, wanted
+        self._lights, self._view = wanted.lights, view
+        surface = prepare_surface(mesh, tangents=tangents)
+        scope, pilots, count = directions_of(
+            hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking
+        )  # fmt: skip
+        self.plan = wanted.plan or wanted.plan_for(hf, scope, pilots, count)
+        self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
+        self._recorded = records(wanted.device)
+        self._frame = wanted.frame(surface, view, alone=self._recorded or None)
+        # A picture's launches as they were recorded, the arrays that they take, and what they depend on.
+        self._graph: tuple[Any, list[Step]] | None = None
+        self._graph_is_for: tuple[Any, ...] = ()
+        self.draw()
+
+    def draw(
+        self,
+        light: DirectionalLight | Sequence[DirectionalLight] | None = None,
+        view: View | None = None,
+    ) -> wp.array:
+        """Draw the next picture.
+
+        Args:
+            light: The lights from now on; None leaves them as they are.
+            view: The view from now on, with as many pixels; None leaves it as it is.
+
+        Returns:
+            XYZ on the device, shape (height, width) of ``wp.vec3f``, which the next picture overwrites. A GPU may still
+            be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
+        """
+        lights = self._lights if light is None else check_lights(light)
+        if view is not None:
+            checks.instance(view, View, "view")
+            if (view.width, view.height) != (self._view.width, self._view.height):
+                raise ValueError(
+                    f"view must have {self._view.width} × {self._view.height} pixels as before, got "
+                    f"{view.width} × {view.height}; another size takes another Renderer"
+                )
+            self._view = view
+        self._lights = lights
+        self._frame.look(self._view)
+        self._wanted.light_up(self._frame, self._hf, lights)
+        if self._recorded:
+            self._replay()
+        else:
+            self._launch()
+        return self._frame.xyz
+
+    def image(self) -> Image:
+        """The last picture, with what it covers, on the host."""
+        return self._frame.image(self.plan)
+
+    def _launch(self) -> None:
+        """Launch what a picture takes."""
+        names = [each.illuminant for each in self._lights]
+        self._frame.begin()
+        self._frame.integrate(
+            self._integrator, names, footprint=self.plan.footprint, tolerance=self.plan.tolerance
+        )  # fmt: skip
+
+    def _replay(self) -> None:
+        """Launch it as it was recorded, where the same launches will do."""
+        import warp as wp
+
+        needed = (*self._frame.launches_depend_on, *(each.illuminant for each in self._lights))
+        if self._graph is not None and self._graph_is_for == needed:
+            wp.capture_launch(self._graph[0])
+            return
+        # What ran once finds its kernels loaded and its tables made.
+        self._launch()
+        with wp.ScopedCapture(device=self._wanted.device, force_module_load=False) as capture:
+            self._launch()
+        self._graph, self._graph_is_for = (capture.graph, self._frame.launched), needed
+
+
+def records(device: wp.Device) -> bool:
+    """Whether a device can record and replay a picture, whose loops end when no steep pixel is left."""
+    import warp as wp
+
+    return bool(device.is_cuda and wp.is_conditional_graph_supported())
