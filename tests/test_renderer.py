@@ -194,6 +194,12 @@ def test_its_plan_is_for_any_light_and_view(tube):
     assert drawn.plan.error <= 5e-2
 
 
+def test_a_plan_for_less_is_warned_of(tube, fingers, plans):
+    narrow = dataclasses.replace(plans["points"], max_uv=0.5)
+    with pytest.warns(wd.WarpdiffWarning, match=r"\|\(u, v\)\| up to 2, planned 0\.5"):
+        wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=narrow)
+
+
 def test_bad_input_is_refused(tube, fingers, plans):
     with pytest.raises(ValueError, match=r"use warpdiff\.shade"):
         wd.Renderer(tube, fingers, LIGHTS[0], view(), method="direct")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from warpdiff import checks
 from warpdiff.frame import load_kernels
 from warpdiff.integration import Integrator
-from warpdiff.planning import directions_of
+from warpdiff.planning import directions_of, warn_outside
 from warpdiff.render import Wanted, check_lights
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
@@ -84,6 +84,8 @@ class Renderer:
         scope, pilots, count = directions_of(
             hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking
         )  # fmt: skip
+        if wanted.plan is not None:
+            warn_outside(wanted.plan, hf, scope)
         self.plan = wanted.plan or wanted.plan_for(hf, scope, pilots, count)
         self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
         self._recorded = records(wanted.device)
