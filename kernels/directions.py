@@ -53,9 +53,10 @@ def deflect_pixels(
 ):
     """Deflection, direction to the light and gain of pixels under one of the lights.
 
-    Its pigment is added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it
-    reaches are marked as lit, from nothing if the sum ``begins``; empty arrays are none of these. ``hidden`` says which
-    pixels the light does not reach; empty is none.
+    All that meet the mesh have a deflection, and where the light does not come their gain is 0. Its pigment is added to
+    ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked as lit,
+    from nothing if the sum ``begins``; empty arrays are none of these. ``hidden`` says which pixels the light does not
+    reach; empty is none.
     """
     light = lights[which]
     sums = xyz_out.shape[0] > 0
@@ -82,13 +83,14 @@ def deflect_pixels(
             wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n))
         )
         to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
+        # Whether it is lit or not: those beside it ask how (u, v) changes.
+        deflections_out[i] = -to_light - to_view
         if to_light[2] <= zero or to_view[2] <= zero:
             continue
         if hidden.shape[0] > 0 and hidden[i]:
             continue
         scale = weight * light.power
         normal = reflection.normal_reflectance
-        deflections_out[i] = -to_light - to_view
         to_lights_out[i] = wp.vec3f(to_light)
         gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
         if sums and gains_out[i] > 0.0:
@@ -174,24 +176,23 @@ def pick(
 
 
 @wp.func
-def lateral(pixels: Pixels, i: wp.int32, to_light: wp.vec3f) -> wp.vec2f:
-    """(u, v) at a pixel."""
-    both = to_light + pixels.to_view[i]
-    return -wp.vec2f(wp.dot(both, pixels.tangent[i]), wp.dot(both, pixels.bitangent[i]))
-
-
-@wp.func
-def slope(pixels: Pixels, before: wp.int32, here: wp.vec2f, after: wp.int32, to_light: wp.vec3f) -> wp.vec2f:
+def slope(
+    deflections: wp.array(dtype=wp.vec3d),
+    hit: wp.array(dtype=wp.int32),
+    before: wp.int32,
+    here: wp.int32,
+    after: wp.int32,
+) -> wp.vec2f:
     """Change of (u, v) from one pixel to the next, from both neighbours, of which an index < 0 is none.
 
     Where the two disagree, an edge of the body or of a texture's chart lies between: the smaller change is the surface.
     """
     result = wp.vec2f()
-    if after >= 0 and pixels.hit[after] != 0:
-        result = lateral(pixels, after, to_light) - here
-    if before >= 0 and pixels.hit[before] != 0:
-        other = here - lateral(pixels, before, to_light)
-        if after >= 0 and pixels.hit[after] != 0:
+    if after >= 0 and hit[after] != 0:
+        result = between(deflections[here], deflections[after])
+    if before >= 0 and hit[before] != 0:
+        other = between(deflections[before], deflections[here])
+        if after >= 0 and hit[after] != 0:
             if wp.length(result - other) < wp.min(wp.length(result), wp.length(other)):
                 result = 0.5 * (result + other)
             elif wp.length(other) < wp.length(result):
@@ -201,12 +202,17 @@ def slope(pixels: Pixels, before: wp.int32, here: wp.vec2f, after: wp.int32, to_
     return result
 
 
+@wp.func
+def between(one: wp.vec3d, other: wp.vec3d) -> wp.vec2f:
+    """The change of (u, v)."""
+    return wp.vec2f(wp.float32(other[0] - one[0]), wp.float32(other[1] - one[1]))
+
+
 @wp.kernel
 def spread_pixels(
     # In:
-    pixels: Pixels,
-    lights: wp.array(dtype=Light),
-    which: wp.int32,
+    deflections: wp.array(dtype=wp.vec3d),
+    hit: wp.array(dtype=wp.int32),
     width: wp.int32,
     height: wp.int32,
     deviation: wp.float32,
@@ -219,10 +225,9 @@ def spread_pixels(
 
     Pixels are a picture of a width and height, or pictures one after the other.
     """
-    to_light = wp.vec3f(lights[which].to_light)
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         footprints_out[i] = wp.vec4f()
-        if pixels.hit[i] == 0:
+        if hit[i] == 0:
             continue
         row = i // width
         column = i - row * width
@@ -239,9 +244,8 @@ def spread_pixels(
             above = -1
         if row == height - 1:
             below = -1
-        here = lateral(pixels, i, to_light)
-        along_x = deviation * slope(pixels, left, here, right, to_light)
-        along_y = deviation * slope(pixels, above, here, below, to_light)
+        along_x = deviation * slope(deflections, hit, left, i, right)
+        along_y = deviation * slope(deflections, hit, above, i, below)
         footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
 
 

@@ -85,7 +85,7 @@ class Pixels:
     normal: wp.array(dtype=wp.vec3f)  # the shading normal n, unit, n·ωr >= 0.01
     to_view: wp.array(dtype=wp.vec3f)  # ωr, unit
     shadow_origin: wp.array(dtype=wp.vec3f)  # where shadow rays start
-    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB
+    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB; empty is not asked for
 
 
 @wp.func
@@ -515,15 +515,20 @@ def cast(
         else:
             tangent = perpendicular(normal)
 
-        colour = wp.vec3f(-1.0, -1.0, -1.0)
-        if surface.has_vertex_colours:
-            colour = b0 * surface.vertex_colours[i0] + b1 * surface.vertex_colours[i1] + b2 * surface.vertex_colours[i2]
-        if colour[0] < 0.0:
-            # A plain colour is a texture of one texel.
-            colour = surface.texture[0, 0]
-            if surface.texture.shape[0] * surface.texture.shape[1] > 1:
-                uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
-                colour = sample_texture(surface.texture, uv)
+        if pixels.base_colour.shape[0] > 0:
+            colour = wp.vec3f(-1.0, -1.0, -1.0)
+            if surface.has_vertex_colours:
+                c0 = surface.vertex_colours[i0]
+                c1 = surface.vertex_colours[i1]
+                c2 = surface.vertex_colours[i2]
+                colour = b0 * c0 + b1 * c1 + b2 * c2
+            if colour[0] < 0.0:
+                # A plain colour is a texture of one texel.
+                colour = surface.texture[0, 0]
+                if surface.texture.shape[0] * surface.texture.shape[1] > 1:
+                    uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
+                    colour = sample_texture(surface.texture, uv)
+            pixels.base_colour[ray] = colour
 
         pixels.hit[ray] = 1
         pixels.face[ray] = face
@@ -532,4 +537,3 @@ def cast(
         pixels.normal[ray] = normal
         pixels.to_view[ray] = to_view
         pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
-        pixels.base_colour[ray] = colour

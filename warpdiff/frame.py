@@ -54,8 +54,8 @@ class _Seen:
     footprints: wp.array
 
     @classmethod
-    def by(cls, rays: int, *, device: wp.Device, means: bool) -> _Seen:
-        """Arrays for so many rays, with footprints if they show ``means``."""
+    def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> _Seen:
+        """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
         import warp as wp
 
         from warpdiff.kernels import raycast
@@ -66,8 +66,9 @@ class _Seen:
         pixels = raycast.Pixels()
         pixels.nearest = empty(wp.uint64, 0)
         pixels.hit, pixels.face = empty(wp.int32), empty(wp.int32)
-        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour"):
+        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
             setattr(pixels, name, empty(wp.vec3f))
+        pixels.base_colour = empty(wp.vec3f, rays * coloured)
         footprints = empty(wp.vec4f, rays if means else 0)
         return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
 
@@ -117,7 +118,8 @@ class Frame:
         self._cameras = wp.empty(1, dtype=raycast.Camera, device=device)
         self._size = size = view.width * view.height
 
-        self._seen = _Seen.by(size, device=device, means=means and samples == 1)
+        blurred = means and samples == 1
+        self._seen = _Seen.by(size, device=device, means=blurred, coloured=surface.has_base_colour)
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         dtypes = (wp.vec3f, wp.float64, wp.bool)
         # XYZ, coverage, and what any light reaches.
@@ -288,7 +290,7 @@ class Frame:
             if not are_picture:
                 colours.zero_()
             illuminant, seen, width = illuminants[which], self._seen, self._view.width
-            steps = [self._spread(which, seen, width, self._view.height, self._deviation, seen.footprints)]
+            steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
             steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints)
             launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
             self.launched += steps
@@ -380,7 +382,7 @@ class Frame:
             Step(raycast.cast, [self._cameras, self._scene.arrays, sampling, seen.pixels], [], in_runs=True),
             # The pigment of the pixel's own ray stays.
             *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
-            self._spread(which, seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
+            self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
             # Look-ups take whole runs of those that there are gains of.
             *integrator.steps(
                 deflections, to_lights, gains[: len(tiles) * kind.rays], illuminant, of_rays, seen.footprints
@@ -468,14 +470,19 @@ class Frame:
         import warp as wp
 
         result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
-        step = self._spread(which, self._seen, self._view.width, self._view.height, self._deviation, result)
+        steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0)
+        launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
+        # A pixel's neighbours lie in other slices.
+        step = self._spread(self._seen, self._view.width, self._view.height, self._deviation, result)
         launch_in_turn([step], self._size, least_slice=_SLICE, **self._options)
         return result
 
-    def _spread(self, which: int, seen: _Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
+    @staticmethod
+    def _spread(seen: _Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
+        """How (u, v), which is known, changes."""
         from warpdiff.kernels import directions
 
-        inputs = [seen.pixels, self._lights, which, width, height, deviation]
+        inputs = [seen.deflections, seen.pixels.hit, width, height, deviation]
         return Step(directions.spread_pixels, inputs, [result], in_runs=True)
 
     @property
