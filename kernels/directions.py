@@ -5,8 +5,9 @@ And back from the colours of rays to those of pixels.
 
 import warp as wp
 
+from warpdiff import optics
 from warpdiff.kernels import spectral
-from warpdiff.kernels.optics import Light, gain, schlick
+from warpdiff.kernels.lights import Light
 from warpdiff.kernels.raycast import Pixels
 
 wp.set_module_options(spectral.OPTIONS)
@@ -21,13 +22,114 @@ class Reflection:
     per_light_cosine: wp.bool  # for a light of a size
 
 
+# Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time.
+_DEFLECT = """
+#if defined(__CUDA_ARCH__)
+    constexpr int ABREAST = 1;
+#else
+    constexpr int ABREAST = 32;
+#endif
+    const int* const hit = (const int*)pixels.hit.data;
+    const float* const frames[3] = {(const float*)pixels.tangent.data, (const float*)pixels.bitangent.data,
+        (const float*)pixels.normal.data};
+    const float* const aways = (const float*)pixels.to_view.data;
+    const bool* const is_hidden = hidden.shape[0] > 0 ? (const bool*)hidden.data : nullptr;
+    double* const deflections = (double*)deflections_out.data;
+    float* const to_lights = (float*)to_lights_out.data;
+    float* const gains = (float*)gains_out.data;
+    const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
+    const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
+    for (int from = begin; from < end; from += ABREAST) {
+        const int count = wp::min(end - from, ABREAST);
+        int hits = 0;
+        for (int i = 0; i < count; ++i) hits |= hit[from + i];
+        if (hits == 0) {
+            memset(deflections + 3LL * from, 0, 3 * count * sizeof(double));
+            memset(to_lights + 3LL * from, 0, 3 * count * sizeof(float));
+            memset(gains + from, 0, count * sizeof(float));
+            continue;
+        }
+        // Of pixels that meet nothing, and behind the last one, whatever is there.
+        float frame[3][3][ABREAST], away[3][ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            const long long at = 3LL * (from + (i < count ? i : 0));
+            for (int c = 0; c < 3; ++c) {
+                for (int axis = 0; axis < 3; ++axis) frame[axis][c][i] = frames[axis][at + c];
+                away[c][i] = aways[at + c];
+            }
+        }
+        double light_x[ABREAST], light_y[ABREAST], light_z[ABREAST], u[ABREAST], v[ABREAST], w[ABREAST];
+        float gain[ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            // The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
+            const double away_x = away[0][i], away_y = away[1][i], away_z = away[2][i];
+            double to_light[3], to_view[3];
+            for (int axis = 0; axis < 3; ++axis) {
+                const double x = frame[axis][0][i], y = frame[axis][1][i], z = frame[axis][2][i];
+                to_light[axis] = light.to_light[0] * x + light.to_light[1] * y + light.to_light[2] * z;
+                to_view[axis] = away_x * x + away_y * y + away_z * z;
+            }
+            const double per_light = 1.0 / wp::sqrt(to_light[0] * to_light[0] + to_light[1] * to_light[1]
+                + to_light[2] * to_light[2]);
+            const double per_view = 1.0 / wp::sqrt(to_view[0] * to_view[0] + to_view[1] * to_view[1]
+                + to_view[2] * to_view[2]);
+            light_x[i] = to_light[0] * per_light;
+            light_y[i] = to_light[1] * per_light;
+            light_z[i] = to_light[2] * per_light;
+            u[i] = light_x[i] + to_view[0] * per_view;
+            v[i] = light_y[i] + to_view[1] * per_view;
+            w[i] = light_z[i] + to_view[2] * per_view;
+            // C·M, the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), with Schlick's reflectance and 1 + ωi·ωr
+            // without cancellation.
+            const double cos_i = light_z[i], cos_r = to_view[2] * per_view, total = w[i];
+            const double overlap = 0.5 * (u[i] * u[i] + v[i] * v[i] + total * total);
+            const double cos_d = wp::sqrt(0.5 * overlap), m = 1.0 - (cos_d < 1.0 ? cos_d : 1.0);
+            const double least = cos_i < cos_r ? cos_i : cos_r;
+            const double mask = masking ? least * total * wp::sqrt(2.0 / overlap) / cos_d : 1.0;
+            const double schlick = 1.0 + beyond_normal * m * m * m * m * m;
+            const double result = schlick * overlap * overlap * (mask < 1.0 ? mask : 1.0)
+                / (total * total * cos_r * (per_cosine ? cos_i : 1.0));
+            gain[i] = least > HORIZON ? (float)(scale * result) : 0.0f;
+        }
+        for (int i = 0; i < count; ++i) {
+            const long long k = from + i, at = 3 * k;
+            const bool is_hit = hit[k] != 0;
+            const bool is_lit = is_hit && gain[i] > 0.0f && !(is_hidden && is_hidden[k]);
+            // Whether it is lit or not: those beside it ask how (u, v) changes.
+            deflections[at] = is_hit ? -u[i] : 0.0;
+            deflections[at + 1] = is_hit ? -v[i] : 0.0;
+            deflections[at + 2] = is_hit ? -w[i] : 0.0;
+            to_lights[at] = is_lit ? (float)light_x[i] : 0.0f;
+            to_lights[at + 1] = is_lit ? (float)light_y[i] : 0.0f;
+            to_lights[at + 2] = is_lit ? (float)light_z[i] : 0.0f;
+            gains[k] = is_lit ? gain[i] : 0.0f;
+        }
+    }
+"""
+
+
+@wp.func_native(_DEFLECT.replace("HORIZON", str(optics.HORIZON)))
+def deflect(
+    pixels: Pixels,
+    light: Light,
+    reflection: Reflection,
+    scale: wp.float64,
+    hidden: wp.array(dtype=wp.bool),
+    begin: wp.int32,
+    end: wp.int32,
+    deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """Deflections, directions to the light and gains of pixels one after the other."""
+
+
 @wp.func
-def reflected(to_light: wp.vec3d, to_view: wp.vec3d, reflection: Reflection) -> wp.float64:
-    """The gain of one pair of directions."""
-    result = gain(to_light, to_view, reflection.normal_reflectance, reflection.masking)
-    if reflection.per_light_cosine and result > wp.float64(0.0):
-        result = result / to_light[2]
-    return result
+def schlick(cosine: wp.float64, normal: wp.float64) -> wp.float64:
+    """Schlick's power reflectance; ``normal`` is R(0)."""
+    one = wp.float64(1.0)
+    m = one - wp.min(cosine, one)
+    return normal + (one - normal) * m * m * m * m * m
 
 
 @wp.kernel
@@ -59,47 +161,31 @@ def deflect_pixels(
     reach; empty is none.
     """
     light = lights[which]
-    sums = xyz_out.shape[0] > 0
-    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        deflections_out[i] = wp.vec3d()
-        to_lights_out[i] = wp.vec3f()
-        gains_out[i] = wp.float32(0.0)
-        if sums and begins:
+    scale = weight * light.power
+    begin = first + wp.tid() * run
+    deflect(
+        pixels, light, reflection, scale, hidden, begin, begin + run, deflections_out, to_lights_out, gains_out
+    )  # fmt: skip
+    if xyz_out.shape[0] == 0:
+        return
+    for i in range(begin, begin + run):
+        if begins:
             xyz_out[i] = wp.vec3f()
             coverage_out[i] = wp.float64(0.0)
             lit_out[i] = False
-        if pixels.hit[i] == 0:
-            continue
-        if sums:
+        if pixels.hit[i] != 0:
             coverage_out[i] += counted
-        zero = wp.float64(0.0)
-        one = wp.float64(1.0)
-        t = wp.vec3d(pixels.tangent[i])
-        b = wp.vec3d(pixels.bitangent[i])
-        n = wp.vec3d(pixels.normal[i])
-        away = wp.vec3d(pixels.to_view[i])
-        # The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
-        to_light = wp.normalize(
-            wp.vec3d(wp.dot(light.to_light, t), wp.dot(light.to_light, b), wp.dot(light.to_light, n))
-        )
-        to_view = wp.normalize(wp.vec3d(wp.dot(away, t), wp.dot(away, b), wp.dot(away, n)))
-        # Whether it is lit or not: those beside it ask how (u, v) changes.
-        deflections_out[i] = -to_light - to_view
-        if to_light[2] <= zero or to_view[2] <= zero:
-            continue
-        if hidden.shape[0] > 0 and hidden[i]:
-            continue
-        scale = weight * light.power
-        normal = reflection.normal_reflectance
-        to_lights_out[i] = wp.vec3f(to_light)
-        gains_out[i] = wp.float32(scale * reflected(to_light, to_view, reflection))
-        if sums and gains_out[i] > 0.0:
+        if gains_out[i] > 0.0:
             lit_out[i] = True
-        if sums and light.pigment > zero:
-            under = (one - schlick(to_light[2], normal)) * (one - schlick(to_view[2], normal)) * to_light[2]
-            base = wp.vec3d(pixels.base_colour[i])
-            colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
-            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
+            if light.pigment > wp.float64(0.0):
+                to_light = wp.vec3d(to_lights_out[i])
+                normal = reflection.normal_reflectance
+                one = wp.float64(1.0)
+                cos_r = -deflections_out[i][2] - to_light[2]
+                under = (one - schlick(to_light[2], normal)) * (one - schlick(cos_r, normal)) * to_light[2]
+                base = wp.vec3d(pixels.base_colour[i])
+                colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
+                xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
 
 
 @wp.kernel

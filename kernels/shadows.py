@@ -8,7 +8,7 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.optics import Light
+from warpdiff.kernels.lights import Light
 from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)

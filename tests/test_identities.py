@@ -11,7 +11,8 @@ from conftest import at_angle, hemisphere
 
 import warpdiff as wd
 from warpdiff import optics
-from warpdiff.kernels import directions
+from warpdiff.kernels import directions, raycast
+from warpdiff.kernels.lights import Light
 
 KINDS = ["averaged", "centred", "source", "replicas"]
 
@@ -48,25 +49,32 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
     np.testing.assert_allclose(there, back, rtol=1e-12)
 
 
-@wp.kernel
-def reflect(
-    to_lights: wp.array(dtype=wp.vec3d),
-    to_views: wp.array(dtype=wp.vec3d),
-    reflection: directions.Reflection,
-    gains_out: wp.array(dtype=wp.float32),
-):
-    i = wp.tid()
-    gains_out[i] = wp.float32(directions.reflected(to_lights[i], to_views[i], reflection))
-
-
 def kernel_gain(lights, views, normal, masking, device):
-    """C·M as kernels compute it."""
+    """C·M as the kernel of pixels computes it, each under a light of its own."""
     reflection = directions.Reflection()
     reflection.normal_reflectance, reflection.masking = normal, masking
-    gains = wp.empty(len(lights), dtype=wp.float32, device=device)
-    inputs = [wp.array(array, dtype=wp.vec3d, device=device) for array in (lights, views)]
-    wp.launch(reflect, dim=len(lights), inputs=[*inputs, reflection], outputs=[gains], device=device)
-    return gains.numpy()
+    structs = [Light() for _ in lights]
+    for struct, to_light in zip(structs, lights, strict=True):
+        struct.to_light, struct.power = wp.vec3d(*to_light), 1.0
+    on_device = wp.array(structs, dtype=Light, device=device)
+    count = len(lights)
+
+    def array(values, dtype=wp.vec3f):
+        return wp.array(values, dtype=dtype, device=device)
+
+    pixels = raycast.Pixels()
+    pixels.hit = array(np.ones(count), wp.int32)
+    for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):
+        setattr(pixels, name, array(np.tile(axis, (count, 1))))
+    pixels.to_view = array(views)
+    found = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
+    none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
+    for i in range(count):
+        inputs = [pixels, on_device, i, reflection, 1.0, 0.0, False, array([], wp.bool), i, 1]
+        wp.launch(directions.deflect_pixels, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
+    unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
+    np.testing.assert_allclose(found[0].numpy(), -lights - unit_views, atol=1e-12)
+    return found[2].numpy()
 
 
 def power_width(coherence):
@@ -83,9 +91,11 @@ def test_gain_of_the_kernel_is_that_of_the_formula(masking, ior, rng, device):
     views[50:100] = lights[50:100]  # retro-reflection
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
+    # Pixels have theirs in float32.
+    views = views.astype(np.float32).astype(np.float64)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
-    found = kernel_gain(unit_lights, unit_views, optics.normal_reflectance(ior), masking, device)
+    found = kernel_gain(unit_lights, views, optics.normal_reflectance(ior), masking, device)
     np.testing.assert_allclose(
         found, optics.gain(unit_lights, unit_views, normal=optics.normal_reflectance(ior), masking=masking), rtol=1e-6
     )

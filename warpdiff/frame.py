@@ -178,7 +178,7 @@ class Frame:
         import warp as wp
 
         from warpdiff.kernels import directions
-        from warpdiff.kernels import optics as kernels
+        from warpdiff.kernels import lights as kernels
 
         self._pigmented = pigment > 0.0 and self._surface.has_base_colour
         grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
