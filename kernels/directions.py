@@ -7,10 +7,19 @@ import warp as wp
 
 from warpdiff import optics
 from warpdiff.kernels import spectral
-from warpdiff.kernels.lights import Light
 from warpdiff.kernels.raycast import Pixels
 
 wp.set_module_options(spectral.OPTIONS)
+
+
+@wp.struct
+class Lights:
+    """Lights, and what of them the pigment sends back: in arrays, so that a recorded picture finds the next ones."""
+
+    to_lights: wp.array(dtype=wp.vec3d)
+    strengths: wp.array(dtype=wp.vec2d)  # power, and the pigment's strength over R(0); 0 leaves the pigment out
+    white_rgb: wp.array(dtype=wp.vec3d)  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
+    rgb_to_xyz: wp.mat33d
 
 
 @wp.struct
@@ -66,7 +75,7 @@ _DEFLECT = """
             double to_light[3], to_view[3];
             for (int axis = 0; axis < 3; ++axis) {
                 const double x = frame[axis][0][i], y = frame[axis][1][i], z = frame[axis][2][i];
-                to_light[axis] = light.to_light[0] * x + light.to_light[1] * y + light.to_light[2] * z;
+                to_light[axis] = sun[0] * x + sun[1] * y + sun[2] * z;
                 to_view[axis] = away_x * x + away_y * y + away_z * z;
             }
             const double per_light = 1.0 / wp::sqrt(to_light[0] * to_light[0] + to_light[1] * to_light[1]
@@ -111,7 +120,7 @@ _DEFLECT = """
 @wp.func_native(_DEFLECT.replace("HORIZON", str(optics.HORIZON)))
 def deflect(
     pixels: Pixels,
-    light: Light,
+    sun: wp.vec3d,
     reflection: Reflection,
     scale: wp.float64,
     hidden: wp.array(dtype=wp.bool),
@@ -136,7 +145,7 @@ def schlick(cosine: wp.float64, normal: wp.float64) -> wp.float64:
 def deflect_pixels(
     # In:
     pixels: Pixels,
-    lights: wp.array(dtype=Light),
+    lights: Lights,
     which: wp.int32,
     reflection: Reflection,
     weight: wp.float64,
@@ -160,11 +169,12 @@ def deflect_pixels(
     from nothing if the sum ``begins``; empty arrays are none of these. ``hidden`` says which pixels the light does not
     reach; empty is none.
     """
-    light = lights[which]
-    scale = weight * light.power
+    to_light = lights.to_lights[which]
+    strength = lights.strengths[which]
+    scale = weight * strength[0]
     begin = first + wp.tid() * run
     deflect(
-        pixels, light, reflection, scale, hidden, begin, begin + run, deflections_out, to_lights_out, gains_out
+        pixels, to_light, reflection, scale, hidden, begin, begin + run, deflections_out, to_lights_out, gains_out
     )  # fmt: skip
     if xyz_out.shape[0] == 0:
         return
@@ -177,15 +187,15 @@ def deflect_pixels(
             coverage_out[i] += counted
         if gains_out[i] > 0.0:
             lit_out[i] = True
-            if light.pigment > wp.float64(0.0):
-                to_light = wp.vec3d(to_lights_out[i])
+            if strength[1] > wp.float64(0.0):
+                cos_i = wp.float64(to_lights_out[i][2])
                 normal = reflection.normal_reflectance
                 one = wp.float64(1.0)
-                cos_r = -deflections_out[i][2] - to_light[2]
-                under = (one - schlick(to_light[2], normal)) * (one - schlick(cos_r, normal)) * to_light[2]
+                cos_r = -deflections_out[i][2] - cos_i
+                under = (one - schlick(cos_i, normal)) * (one - schlick(cos_r, normal)) * cos_i
                 base = wp.vec3d(pixels.base_colour[i])
-                colour = light.rgb_to_xyz * wp.cw_mul(base, light.white_rgb)
-                xyz_out[i] = xyz_out[i] + wp.vec3f(scale * light.pigment * under * colour)
+                colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[which])
+                xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * under * colour)
 
 
 @wp.kernel

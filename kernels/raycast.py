@@ -33,12 +33,9 @@ R2_Y = wp.constant(wp.uint32(2447445414))
 class Camera:
     """A view. The fields are those of ``warpdiff.view.ViewFrame``, in the surface's units."""
 
-    origin: wp.vec3d
-    right: wp.vec3d
-    up: wp.vec3d
-    back: wp.vec3d
-    half_width: wp.float64
-    half_height: wp.float64
+    # Origin, right, up, back, half the width and height: in an array, so that a recorded picture finds the next ones.
+    # An array of structs would take half a second longer to compile.
+    axes: wp.array(dtype=wp.vec3d)
     orthographic: wp.bool
     width: wp.int32
     height: wp.int32
@@ -226,13 +223,13 @@ def keep_nearest(values: wp.array(dtype=wp.uint64), index: wp.int32, distance: w
 @wp.func
 def in_picture(camera: Camera, position: wp.vec3f) -> wp.vec3d:
     """Column and row of a point, in pixels, and its distance along the view."""
-    away = wp.vec3d(position) - camera.origin
-    depth = -wp.dot(away, camera.back)
+    away = wp.vec3d(position) - camera.axes[0]
+    depth = -wp.dot(away, camera.axes[3])
     scale = wp.float64(1.0)
     if not camera.orthographic:
         scale = wp.float64(1.0) / depth
-    x = wp.dot(away, camera.right) * scale / camera.half_width
-    y = wp.dot(away, camera.up) * scale / camera.half_height
+    x = wp.dot(away, camera.axes[1]) * scale / camera.axes[4][0]
+    y = wp.dot(away, camera.axes[2]) * scale / camera.axes[4][1]
     half = wp.float64(0.5)
     one = wp.float64(1.0)
     return wp.vec3d(half * (one + x) * wp.float64(camera.width), half * (one - y) * wp.float64(camera.height), depth)
@@ -262,7 +259,7 @@ def clipped(span: wp.vec2d, a: wp.vec3d, b: wp.vec3d, side: wp.float64, y: wp.fl
 @wp.kernel
 def cover(
     # In:
-    cameras: wp.array(dtype=Camera),
+    camera: Camera,
     surface: SurfaceArrays,
     pixels: Pixels,
     first: wp.int32,
@@ -273,14 +270,13 @@ def cover(
     A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
 
     Args:
-        cameras: The view.
+        camera: The view.
         surface: The mesh.
         pixels: Of these ``nearest``: the distance along the view, as the bits of a float32, and the face below them;
             the smallest is kept. All bits set is none.
         first: The first thread's face.
         run: How many a thread takes.
     """
-    camera = cameras[0]
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         i0 = surface.faces[face, 0]
         i1 = surface.faces[face, 1]
@@ -294,7 +290,7 @@ def cover(
         if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
             side = wp.float64(-1.0)
         # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
-        nearest = wp.max(wp.dot(camera.origin, camera.back) - wp.float64(1.0), zero)
+        nearest = wp.max(wp.dot(camera.axes[0], camera.axes[3]) - wp.float64(1.0), zero)
         low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
         high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
         least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
@@ -365,7 +361,7 @@ def touch(faces: wp.array2d(dtype=wp.int32), one: wp.int32, other: wp.int32) -> 
 @wp.kernel
 def cast(
     # In:
-    cameras: wp.array(dtype=Camera),
+    camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,
     pixels: Pixels,
@@ -379,14 +375,13 @@ def cast(
     the same x direction.
 
     Args:
-        cameras: The view, on the device, so that a recorded launch finds the next one there.
+        camera: The view.
         surface: The mesh.
         sampling: Where in the pixel.
         pixels: What was and is found.
         first: The first thread's pixel, or ray of a tile.
         run: How many a thread takes.
     """
-    camera = cameras[0]
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         pixels.hit[ray] = 0
         pixels.face[ray] = -1
@@ -412,14 +407,14 @@ def cast(
         half = wp.float64(0.5)
         column = wp.float64(pixel % camera.width) + half + offset[0]
         row = wp.float64(pixel // camera.width) + half + offset[1]
-        x = camera.half_width * (two * column / wp.float64(camera.width) - one)
-        y = camera.half_height * (one - two * row / wp.float64(camera.height))
-        across = x * camera.right + y * camera.up
-        origin = camera.origin
-        along = across - camera.back
+        x = camera.axes[4][0] * (two * column / wp.float64(camera.width) - one)
+        y = camera.axes[4][1] * (one - two * row / wp.float64(camera.height))
+        across = x * camera.axes[1] + y * camera.axes[2]
+        origin = camera.axes[0]
+        along = across - camera.axes[3]
         if camera.orthographic:
-            origin = camera.origin + across
-            along = -camera.back
+            origin = camera.axes[0] + across
+            along = -camera.axes[3]
         along = wp.normalize(along)
         direction = wp.vec3f(along)
         place = wp.vec3d()

@@ -8,7 +8,6 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.lights import Light
 from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)
@@ -164,7 +163,7 @@ def fill(
 def hide(
     # In:
     grid: ShadowGrid,
-    lights: wp.array(dtype=Light),
+    to_lights: wp.array(dtype=wp.vec3d),
     which: wp.int32,
     pixels: Pixels,
     first: wp.int32,
@@ -177,7 +176,7 @@ def hide(
     ``grid`` is that of the same light.
     """
     zero = wp.float64(0.0)
-    towards = wp.vec3f(lights[which].to_light)
+    towards = wp.vec3f(to_lights[which])
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         hidden = bool(False)
         if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], towards) > FACING_AWAY:

@@ -12,7 +12,6 @@ from conftest import at_angle, hemisphere
 import warpdiff as wd
 from warpdiff import optics
 from warpdiff.kernels import directions, raycast
-from warpdiff.kernels.lights import Light
 
 KINDS = ["averaged", "centred", "source", "replicas"]
 
@@ -53,15 +52,13 @@ def kernel_gain(lights, views, normal, masking, device):
     """C·M as the kernel of pixels computes it, each under a light of its own."""
     reflection = directions.Reflection()
     reflection.normal_reflectance, reflection.masking = normal, masking
-    structs = [Light() for _ in lights]
-    for struct, to_light in zip(structs, lights, strict=True):
-        struct.to_light, struct.power = wp.vec3d(*to_light), 1.0
-    on_device = wp.array(structs, dtype=Light, device=device)
     count = len(lights)
 
     def array(values, dtype=wp.vec3f):
         return wp.array(values, dtype=dtype, device=device)
 
+    given = directions.Lights()
+    given.to_lights, given.strengths = array(lights, wp.vec3d), array(np.tile([1.0, 0.0], (count, 1)), wp.vec2d)
     pixels = raycast.Pixels()
     pixels.hit = array(np.ones(count), wp.int32)
     for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):
@@ -70,7 +67,7 @@ def kernel_gain(lights, views, normal, masking, device):
     found = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
     none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
     for i in range(count):
-        inputs = [pixels, on_device, i, reflection, 1.0, 0.0, False, array([], wp.bool), i, 1]
+        inputs = [pixels, given, i, reflection, 1.0, 0.0, False, array([], wp.bool), i, 1]
         wp.launch(directions.deflect_pixels, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     np.testing.assert_allclose(found[0].numpy(), -lights - unit_views, atol=1e-12)

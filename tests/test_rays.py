@@ -34,7 +34,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
         setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
     pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
-    inputs = [camera_array(view, surface), scene.arrays]
+    inputs = [camera_of(view, surface), scene.arrays]
     launches = [(raycast.cast, count, [*inputs, sampling, pixels])]
     if covers:
         assert lies_ahead(surface, view)
@@ -45,8 +45,8 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
 
 
-def camera_array(view, surface):
-    return wp.array([camera(view, surface)], dtype=raycast.Camera, device="cpu")
+def camera_of(view, surface):
+    return camera(view, surface, axes=wp.empty(5, dtype=wp.vec3d, device="cpu"))
 
 
 def world(surface):
@@ -219,7 +219,7 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
         for name in OUTPUTS:
             dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
             setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
-        inputs = [camera_array(view, surface), scene.arrays, sampling, pixels, 0, count]
+        inputs = [camera_of(view, surface), scene.arrays, sampling, pixels, 0, count]
         wp.launch(raycast.cast, dim=1, inputs=inputs, device="cpu")
         found.append(pixels.face.numpy())
     alone = np.repeat(face[tiles], len(places))

@@ -11,7 +11,7 @@ import warpdiff as wd
 from warpdiff import frame, meshes, shadows
 from warpdiff.bench.brute_force import intersect
 from warpdiff.device import launch
-from warpdiff.kernels import lights, raycast
+from warpdiff.kernels import raycast
 from warpdiff.kernels.shadows import hide
 from warpdiff.scene import SceneArrays
 from warpdiff.surface import prepare_surface
@@ -68,16 +68,14 @@ def points_on(surface, light, count, rng):
 
 def hidden(grid, light, origins, threads=1):
     """What the kernel finds of rays from origins that face the light."""
-    struct = lights.Light()
-    struct.to_light = wp.vec3d(*light)
-    all_lights = wp.array([struct], dtype=lights.Light, device="cpu")
+    to_lights = wp.array([light], dtype=wp.vec3d, device="cpu")
     pixels = raycast.Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
     pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
     found = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
-    launch(hide, len(origins), [grid, all_lights, 0, pixels], [found], device=device, threads=threads, in_runs=True)
+    launch(hide, len(origins), [grid, to_lights, 0, pixels], [found], device=device, threads=threads, in_runs=True)
     return found.numpy()
 
 

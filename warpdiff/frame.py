@@ -101,7 +101,6 @@ class Frame:
         import warp as wp
 
         from warpdiff import scene
-        from warpdiff.kernels import raycast
 
         self._samples = samples
         places, self._weights, self._deviation = np.zeros((0, 2)), np.full(samples, 1.0 / samples), 0.0
@@ -115,7 +114,7 @@ class Frame:
         self._alone = not device.is_cpu if alone is None else alone
         self._surface = surface
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
-        self._cameras = wp.empty(1, dtype=raycast.Camera, device=device)
+        self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self._size = size = view.width * view.height
 
         blurred = means and samples == 1
@@ -129,6 +128,7 @@ class Frame:
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._queue: supersample.Queue | None = None
         self._lights: Any = None
+        self._to_lights: list[tuple[float, float, float]] = []
         self._tiled = 0
         self.look(view)
 
@@ -139,7 +139,7 @@ class Frame:
         from warpdiff import scene
 
         self._view = view
-        self._cameras.assign([scene.camera(view, self._surface)])
+        self._camera = scene.camera(view, self._surface, axes=self._axes)
         self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
         self._covers = not self._alone and self._samples == 1 and scene.lies_ahead(self._surface, view)
@@ -178,23 +178,23 @@ class Frame:
         import warp as wp
 
         from warpdiff.kernels import directions
-        from warpdiff.kernels import lights as kernels
 
         self._pigmented = pigment > 0.0 and self._surface.has_base_colour
         grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
-        structs = []
-        for each in lights:
-            white = optics.pigment_solid_angle(grid_um, window, area_um2) @ spectrum.colour_products(each.illuminant)
-            struct = kernels.Light()
-            struct.to_light = wp.vec3d(*each.to_light)
-            struct.power = each.power
-            struct.pigment = pigment / normal if self._pigmented else 0.0
-            struct.white_rgb = wp.vec3d(*spectrum.xyz_to_rgb(white))
-            struct.rgb_to_xyz = wp.mat33d(*spectrum.RGB_TO_XYZ.ravel())
-            structs.append(struct)
-        if self._lights is None or len(self._lights) != len(structs):
-            self._lights = wp.empty(len(structs), dtype=kernels.Light, device=self._device)
-        self._lights.assign(structs)
+        solid_angle = optics.pigment_solid_angle(grid_um, window, area_um2)
+        whites = [
+            spectrum.xyz_to_rgb(solid_angle @ spectrum.colour_products(name))
+            for name in (each.illuminant for each in lights)
+        ]
+        if self._lights is None or len(self._to_lights) != len(lights):
+            self._lights = directions.Lights()
+            for name, dtype in (("to_lights", wp.vec3d), ("strengths", wp.vec2d), ("white_rgb", wp.vec3d)):
+                setattr(self._lights, name, wp.empty(len(lights), dtype=dtype, device=self._device))
+            self._lights.rgb_to_xyz = wp.mat33d(*spectrum.RGB_TO_XYZ.ravel())
+        of_pigment = pigment / normal if self._pigmented else 0.0
+        self._lights.to_lights.assign(np.array([each.to_light for each in lights]))
+        self._lights.strengths.assign(np.array([(each.power, of_pigment) for each in lights]))
+        self._lights.white_rgb.assign(np.array(whites))
         self._to_lights = [each.to_light for each in lights]
         self._grids: dict[int, Any] = {}
         self._shadows = shadows
@@ -208,7 +208,8 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """What of view and lights the launches themselves depend on; all else is on the device."""
-        return len(self._lights), self._shadows and self._may_be_hidden, self._pigmented
+        shadows = self._shadows and self._may_be_hidden
+        return len(self._to_lights), self._view.extent_y is None, shadows, self._pigmented
 
     def survey(self, hf: HeightField, window: Coherence) -> tuple[Scope, int, Pilots]:
         """The range of all lit directions, their number, and some of them.
@@ -221,7 +222,7 @@ class Frame:
         surveyed = min(self._samples, _SURVEYED)
         for sample in range(surveyed):
             self.cast(sample)
-            for which in range(len(self._lights)):
+            for which in range(len(self._to_lights)):
                 summary = Survey(hf, window, *self._seen.directions, device=self._device)
                 self.deflect(which, summary.step)
                 found, lit, pilots = summary.found()
@@ -237,7 +238,7 @@ class Frame:
 
         Yields a light's index, and the pass' share of progress.
         """
-        count = len(self._lights)
+        count = len(self._to_lights)
         for sample in range(self._samples):
             for which in range(count):
                 if self._now is None or self._now[0] != sample:
@@ -260,10 +261,10 @@ class Frame:
         if footprint and self._samples == 1:
             self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
             return
-        spreads: list[Any] = [None] * len(self._lights)
+        spreads: list[Any] = [None] * len(self._to_lights)
         if footprint:
             self._cast(0, 1)
-            spreads = [self.spread(which) for which in range(len(self._lights))]
+            spreads = [self.spread(which) for which in range(len(self._to_lights))]
         for which, share in self._passes(progress):
             self.launched += integrator.add(
                 *self._seen.directions, illuminants[which], self._sums[0], footprints=spreads[which], progress=share
@@ -282,7 +283,7 @@ class Frame:
 
         self._tiled = 0
         # A single light's without pigments are the picture.
-        are_picture = len(self._lights) == 1 and not self._pigmented
+        are_picture = len(self._to_lights) == 1 and not self._pigmented
         if not are_picture and not len(self._colours):
             self._colours = wp.empty(self._size, dtype=wp.vec3f, device=self._device)
         colours = self._sums[0] if are_picture else self._colours
@@ -342,7 +343,7 @@ class Frame:
         """The same, where the device itself finds these pixels and goes on until it has met them all."""
         import warp as wp
 
-        lights = len(self._lights)
+        lights = len(self._to_lights)
         if self._queue is None or self._queue.lights != lights:
             self._queue = supersample.Queue(self._size, lights, tolerance, **self._options)
             most = self._queue.most_rays
@@ -379,7 +380,7 @@ class Frame:
             sampling.faces = self._seen.pixels.face
         deflections, to_lights, gains = seen.directions
         return [
-            Step(raycast.cast, [self._cameras, self._scene.arrays, sampling, seen.pixels], [], in_runs=True),
+            Step(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], in_runs=True),
             # The pigment of the pixel's own ray stays.
             *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
             self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
@@ -420,9 +421,9 @@ class Frame:
         if self._covers:
             pixels.nearest.fill_(raycast.UNSEEN)
             faces = self._scene.face_count
-            inputs = [self._cameras, self._scene.arrays, pixels]
+            inputs = [self._camera, self._scene.arrays, pixels]
             launch(raycast.cover, faces, inputs, [], least_slice=_FACES, in_runs=True, **self._options)
-        inputs = [self._cameras, self._scene.arrays, sampling, pixels]
+        inputs = [self._camera, self._scene.arrays, sampling, pixels]
         launch(raycast.cast, self._size, inputs, [], least_slice=_SLICE, in_runs=True, **self._options)
 
     def _grid_of(self, which: int) -> Any:
@@ -456,7 +457,7 @@ class Frame:
         inputs = [seen.pixels, self._lights, which, self._reflection, weight, counted, begins, hidden]
         steps = [Step(directions.deflect_pixels, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
-            inputs = [self._grid_of(which), self._lights, which, seen.pixels]
+            inputs = [self._grid_of(which), self._lights.to_lights, which, seen.pixels]
             steps.insert(0, Step(hide, inputs, [hidden], in_runs=True))
         return steps
 

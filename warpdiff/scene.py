@@ -67,17 +67,18 @@ def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
     return kept[key]
 
 
-def camera(view: View, surface: Surface) -> Any:
-    """The :class:`warpdiff.kernels.raycast.Camera` of a view, in the units of the surface."""
+def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
+    """The :class:`warpdiff.kernels.raycast.Camera` of a view, in the units of the surface.
+
+    Its ``axes``, (5,) of ``wp.vec3d``, are set.
+    """
     frame = view.frame()
     result = raycast.Camera()
-    result.origin = wp.vec3d(*((frame.origin - surface.centre) / surface.radius))
-    result.right = wp.vec3d(*frame.right)
-    result.up = wp.vec3d(*frame.up)
-    result.back = wp.vec3d(*frame.back)
     scale = surface.radius if frame.orthographic else 1.0
-    result.half_width = frame.half_width / scale
-    result.half_height = frame.half_height / scale
+    halves = (frame.half_width / scale, frame.half_height / scale, 0.0)
+    origin = (frame.origin - surface.centre) / surface.radius
+    axes.assign(np.array([origin, frame.right, frame.up, frame.back, halves]))
+    result.axes = axes
     result.orthographic = frame.orthographic
     result.width = view.width
     result.height = view.height
