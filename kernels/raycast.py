@@ -4,6 +4,8 @@ Positions are in the units of ``SurfaceArrays``, in which the mesh fills the uni
 float32 is as fine for a mesh of a nanometre as for one of a kilometre, wherever either lies.
 """
 
+import re
+
 import warp as wp
 
 from warpdiff.kernels import spectral
@@ -19,6 +21,10 @@ LIFT = wp.constant(wp.float32(1.0e-5))
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 # The least cosine between the shading normal and the view.
 LEAST_COSINE = wp.constant(wp.float32(0.01))
+# The least square of a tangent's part at right angles to the normal.
+LEAST_TANGENT = wp.constant(wp.float32(1.0e-10))
+# Of a pixel that ``stand`` takes by itself.
+SPECIAL = wp.constant(2)
 
 # Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),
 # the last three as shares of 2^32.
@@ -75,8 +81,9 @@ class Pixels:
     """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
 
     nearest: wp.array(dtype=wp.uint64)  # what :func:`cover` found; empty asks the hierarchy
-    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; the vectors are then left as they are
+    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face are then left as they are
     face: wp.array(dtype=wp.int32)  # the face that is met, or −1
+    place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner
     tangent: wp.array(dtype=wp.vec3f)  # t, unit
     bitangent: wp.array(dtype=wp.vec3f)  # b, unit
     normal: wp.array(dtype=wp.vec3f)  # the shading normal n, unit, n·ωr >= 0.01
@@ -191,12 +198,6 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     top = (1.0 - fx) * texture[y0, x0] + fx * texture[y0, x1]
     bottom = (1.0 - fx) * texture[y1, x0] + fx * texture[y1, x1]
     return (1.0 - fy) * top + fy * bottom
-
-
-@wp.func
-def above_tangent_plane(point: wp.vec3f, vertex: wp.vec3f, normal: wp.vec3f) -> wp.vec3f:
-    """``point``, lifted to the tangent plane of a vertex where it lies below: where the surface is convex."""
-    return point - wp.min(wp.float32(0.0), wp.dot(point - vertex, normal)) * normal
 
 
 # Atomic, as slices of a launch run on several threads.
@@ -370,10 +371,6 @@ def cast(
 ):
     """One ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
 
-    The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
-    b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
-    the same x direction.
-
     Args:
         camera: The view.
         surface: The mesh.
@@ -475,42 +472,12 @@ def cast(
             share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
             b0 = wp.float32(one - share1 - share2)
             b1 = wp.float32(share1)
-        b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
-        to_view = -direction
-
-        geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
-        side = wp.float32(1.0)
-        if wp.dot(geometric, to_view) < 0.0:
-            side = wp.float32(-1.0)
-        geometric = side * geometric
-        point = b0 * p0 + b1 * p1 + b2 * p2
-        normal = geometric
-        shadow_origin = point
-        if surface.smooth:
-            n0 = side * surface.normals[i0]
-            n1 = side * surface.normals[i1]
-            n2 = side * surface.normals[i2]
-            blend = b0 * n0 + b1 * n1 + b2 * n2
-            if wp.length_sq(blend) > 1.0e-8:
-                normal = wp.normalize(blend)
-            # Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for, or
-            # the facets would shadow each other where the light grazes it.
-            shadow_origin = (
-                b0 * above_tangent_plane(point, p0, n0)
-                + b1 * above_tangent_plane(point, p1, n1)
-                + b2 * above_tangent_plane(point, p2, n2)
-            )
-        normal = face_the_viewer(normal, geometric, to_view)
-
-        tangent = b0 * surface.tangents[i0] + b1 * surface.tangents[i1] + b2 * surface.tangents[i2]
-        tangent = tangent - wp.dot(tangent, normal) * normal
-        if wp.length_sq(tangent) > 1.0e-10:
-            # Projected twice, as in face_the_viewer.
-            tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
-        else:
-            tangent = perpendicular(normal)
-
+        pixels.hit[ray] = 1
+        pixels.face[ray] = face
+        pixels.place[ray] = wp.vec2f(b0, b1)
+        pixels.to_view[ray] = -direction
         if pixels.base_colour.shape[0] > 0:
+            b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
             colour = wp.vec3f(-1.0, -1.0, -1.0)
             if surface.has_vertex_colours:
                 c0 = surface.vertex_colours[i0]
@@ -525,10 +492,177 @@ def cast(
                     colour = sample_texture(surface.texture, uv)
             pixels.base_colour[ray] = colour
 
-        pixels.hit[ray] = 1
-        pixels.face[ray] = face
-        pixels.tangent[ray] = tangent
-        pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
-        pixels.normal[ray] = normal
-        pixels.to_view[ray] = to_view
-        pixels.shadow_origin[ray] = shadow_origin + LIFT * geometric
+
+# Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time. Those
+# whose normal has to be turned, or whose tangent vanishes, are marked.
+_STAND = """
+#if defined(__CUDA_ARCH__)
+    constexpr int ABREAST = 1;
+#else
+    constexpr int ABREAST = 32;
+#endif
+    int* const hit = (int*)pixels.hit.data;
+    const int* const faces = (const int*)surface.faces.data;
+    const float* const of_corners[3] = {(const float*)surface.positions.data, (const float*)surface.normals.data,
+        (const float*)surface.tangents.data};
+    const float* const places = (const float*)pixels.place.data;
+    const float* const views = (const float*)pixels.to_view.data;
+    float* const outs[4] = {(float*)pixels.tangent.data, (float*)pixels.bitangent.data, (float*)pixels.normal.data,
+        (float*)pixels.shadow_origin.data};
+    const bool smooth = surface.smooth;
+    for (int from = begin; from < end; from += ABREAST) {
+        const int count = wp::min(end - from, ABREAST);
+        int hits = 0;
+        for (int i = 0; i < count; ++i) hits |= hit[from + i];
+        if (hits == 0) continue;
+        // What each corner has, and the pixel; where nothing is met, that of any face.
+        float corner[3][3][3][ABREAST], view[3][ABREAST], b0[ABREAST], b1[ABREAST], handed[ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            const int k = from + (i < count ? i : 0);
+            const bool met = hit[k] != 0;
+            const int* const corners = faces + 3LL * (met ? ((const int*)pixels.face.data)[k] : 0);
+            for (int which = 0; which < 3; ++which) {
+                const long long at = 3LL * corners[which];
+                for (int what = 0; what < 3; ++what)
+                    for (int c = 0; c < 3; ++c) corner[what][which][c][i] = of_corners[what][at + c];
+            }
+            for (int c = 0; c < 3; ++c) view[c][i] = met ? views[3LL * k + c] : 0.0f;
+            b0[i] = met ? places[2LL * k] : 0.0f;
+            b1[i] = met ? places[2LL * k + 1] : 0.0f;
+            handed[i] = ((const float*)surface.handedness.data)[corners[0]];
+        }
+        float out[4][3][ABREAST];
+        bool special[ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            const float b2 = 1.0f - b0[i] - b1[i], share[3] = {b0[i], b1[i], b2 > 0.0f ? b2 : 0.0f};
+            float position[3][3], edge1[3], edge2[3], across[3], point[3], normal[3], origin[3], blend[3], tangent[3];
+            for (int c = 0; c < 3; ++c) {
+                for (int which = 0; which < 3; ++which) position[which][c] = corner[0][which][c][i];
+                edge1[c] = position[1][c] - position[0][c];
+                edge2[c] = position[2][c] - position[0][c];
+                point[c] = share[0] * position[0][c] + share[1] * position[1][c] + share[2] * position[2][c];
+            }
+            across[0] = edge1[1] * edge2[2] - edge1[2] * edge2[1];
+            across[1] = edge1[2] * edge2[0] - edge1[0] * edge2[2];
+            across[2] = edge1[0] * edge2[1] - edge1[1] * edge2[0];
+            const float facing = across[0] * view[0][i] + across[1] * view[1][i] + across[2] * view[2][i];
+            const float side = facing < 0.0f ? -1.0f : 1.0f;
+            const float per_across = side / wp::sqrt(across[0] * across[0] + across[1] * across[1]
+                + across[2] * across[2]);
+            for (int c = 0; c < 3; ++c) {
+                across[c] *= per_across;
+                blend[c] = 0.0f;
+                for (int which = 0; which < 3; ++which) blend[c] += share[which] * side * corner[1][which][c][i];
+            }
+            const float size2 = blend[0] * blend[0] + blend[1] * blend[1] + blend[2] * blend[2];
+            const bool blends = smooth && size2 > 1.0e-8f;
+            const float per_size = 1.0f / wp::sqrt(size2);
+            for (int c = 0; c < 3; ++c) {
+                normal[c] = blends ? per_size * blend[c] : across[c];
+                origin[c] = smooth ? 0.0f : point[c];
+            }
+            // Hanika 2021, "Hacking the shadow terminator": start from the smooth surface that the normals stand for,
+            // or the facets would shadow each other where the light grazes it: from what is lifted to the tangent
+            // planes of the corners where it lies below, which is where the surface is convex.
+            for (int which = 0; which < 3; ++which) {
+                float above = 0.0f;
+                for (int c = 0; c < 3; ++c) above += side * corner[1][which][c][i] * (point[c] - position[which][c]);
+                const float lift = above < 0.0f ? above * side : 0.0f;
+                for (int c = 0; c < 3; ++c)
+                    origin[c] += smooth ? share[which] * (point[c] - lift * corner[1][which][c][i]) : 0.0f;
+            }
+            float along = 0.0f, cosine = 0.0f;
+            for (int c = 0; c < 3; ++c) {
+                tangent[c] = share[0] * corner[2][0][c][i] + share[1] * corner[2][1][c][i]
+                    + share[2] * corner[2][2][c][i];
+                along += tangent[c] * normal[c];
+                cosine += normal[c] * view[c][i];
+            }
+            for (int c = 0; c < 3; ++c) tangent[c] -= along * normal[c];
+            const float left2 = tangent[0] * tangent[0] + tangent[1] * tangent[1] + tangent[2] * tangent[2];
+            special[i] = cosine < LEAST_COSINE || !(left2 > LEAST_TANGENT);
+            // Projected twice: a short remainder of two nearly parallel vectors carries their rounding.
+            float again = 0.0f, tangent2 = 0.0f;
+            for (int c = 0; c < 3; ++c) again += tangent[c] * normal[c];
+            for (int c = 0; c < 3; ++c) {
+                tangent[c] -= again * normal[c];
+                tangent2 += tangent[c] * tangent[c];
+            }
+            const float per_tangent = 1.0f / wp::sqrt(tangent2);
+            for (int c = 0; c < 3; ++c) {
+                tangent[c] *= per_tangent;
+                out[0][c][i] = tangent[c];
+                out[2][c][i] = normal[c];
+                out[3][c][i] = origin[c] + LIFT * across[c];
+            }
+            out[1][0][i] = handed[i] * (normal[1] * tangent[2] - normal[2] * tangent[1]);
+            out[1][1][i] = handed[i] * (normal[2] * tangent[0] - normal[0] * tangent[2]);
+            out[1][2][i] = handed[i] * (normal[0] * tangent[1] - normal[1] * tangent[0]);
+        }
+        for (int i = 0; i < count; ++i) {
+            if (hit[from + i] == 0) continue;
+            hit[from + i] = special[i] ? SPECIAL : 1;
+            for (int what = 0; what < 4; ++what)
+                for (int c = 0; c < 3; ++c) outs[what][3LL * (from + i) + c] = out[what][c][i];
+        }
+    }
+"""
+_NUMBERS = {
+    "LEAST_COSINE": f"{float(LEAST_COSINE)}f",
+    "LEAST_TANGENT": f"{float(LEAST_TANGENT)}f",
+    "SPECIAL": str(int(SPECIAL)),
+    "LIFT": f"{float(LIFT)}f",
+}
+
+
+@wp.func_native(re.sub("|".join(_NUMBERS), lambda found: _NUMBERS[found[0]], _STAND))
+def stand_abreast(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32):
+    """Shading frames of pixels one after the other, and where their shadow rays start."""
+
+
+@wp.kernel
+def stand(
+    # In:
+    surface: SurfaceArrays,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+):
+    """The shading frames at what was met, and where shadow rays start.
+
+    The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
+    b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
+    the same x direction.
+
+    Args:
+        surface: The mesh.
+        pixels: What was and is found.
+        first: The first thread's pixel.
+        run: How many a thread takes.
+    """
+    begin = first + wp.tid() * run
+    stand_abreast(surface, pixels, begin, begin + run)
+    for ray in range(begin, begin + run):
+        if pixels.hit[ray] == SPECIAL:
+            pixels.hit[ray] = 1
+            i0 = surface.faces[pixels.face[ray], 0]
+            i1 = surface.faces[pixels.face[ray], 1]
+            i2 = surface.faces[pixels.face[ray], 2]
+            p0 = surface.positions[i0]
+            geometric = wp.normalize(wp.cross(surface.positions[i1] - p0, surface.positions[i2] - p0))
+            to_view = pixels.to_view[ray]
+            if wp.dot(geometric, to_view) < 0.0:
+                geometric = -geometric
+            normal = face_the_viewer(pixels.normal[ray], geometric, to_view)
+            place = pixels.place[ray]
+            share = wp.max(wp.float32(0.0), 1.0 - place[0] - place[1])
+            tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
+            tangent = tangent - wp.dot(tangent, normal) * normal
+            if wp.length_sq(tangent) > LEAST_TANGENT:
+                # Projected twice, as in face_the_viewer.
+                tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
+            else:
+                tangent = perpendicular(normal)
+            pixels.normal[ray] = normal
+            pixels.tangent[ray] = tangent
+            pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)

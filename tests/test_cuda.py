@@ -19,7 +19,7 @@ SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 KERNELS = {
-    "raycast": {"cast", "cover"},
+    "raycast": {"cast", "cover", "stand"},
     "shadows": {"count", "fill", "hide", "project"},
     "directions": {
         "accumulate",

@@ -33,9 +33,13 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     for name in OUTPUTS:
         dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
         setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
+    pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
     pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
     inputs = [camera_of(view, surface), scene.arrays]
-    launches = [(raycast.cast, count, [*inputs, sampling, pixels])]
+    launches = [
+        (raycast.cast, count, [*inputs, sampling, pixels]),
+        (raycast.stand, count, [scene.arrays, pixels]),
+    ]
     if covers:
         assert lies_ahead(surface, view)
         launches.insert(0, (raycast.cover, scene.face_count, [*inputs, pixels]))
@@ -219,6 +223,7 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
         for name in OUTPUTS:
             dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
             setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
+        pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
         inputs = [camera_of(view, surface), scene.arrays, sampling, pixels, 0, count]
         wp.launch(raycast.cast, dim=1, inputs=inputs, device="cpu")
         found.append(pixels.face.numpy())

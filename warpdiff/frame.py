@@ -65,7 +65,7 @@ class _Seen:
 
         pixels = raycast.Pixels()
         pixels.nearest = empty(wp.uint64, 0)
-        pixels.hit, pixels.face = empty(wp.int32), empty(wp.int32)
+        pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
             setattr(pixels, name, empty(wp.vec3f))
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
@@ -380,7 +380,7 @@ class Frame:
             sampling.faces = self._seen.pixels.face
         deflections, to_lights, gains = seen.directions
         return [
-            Step(raycast.cast, [self._camera, self._scene.arrays, sampling, seen.pixels], [], in_runs=True),
+            *self._steps_of_rays(sampling, seen.pixels),
             # The pigment of the pixel's own ray stays.
             *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
             self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
@@ -423,8 +423,16 @@ class Frame:
             faces = self._scene.face_count
             inputs = [self._camera, self._scene.arrays, pixels]
             launch(raycast.cover, faces, inputs, [], least_slice=_FACES, in_runs=True, **self._options)
-        inputs = [self._camera, self._scene.arrays, sampling, pixels]
-        launch(raycast.cast, self._size, inputs, [], least_slice=_SLICE, in_runs=True, **self._options)
+        launch_in_turn(self._steps_of_rays(sampling, pixels), self._size, least_slice=_SLICE, **self._options)
+
+    def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
+        """What finds where rays meet the mesh, and how it lies there."""
+        from warpdiff.kernels import raycast
+
+        return [
+            Step(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], in_runs=True),
+            Step(raycast.stand, [self._scene.arrays, pixels], [], in_runs=True),
+        ]
 
     def _grid_of(self, which: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
