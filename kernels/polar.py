@@ -7,6 +7,7 @@ ratios: ``lookup`` has the rest.
 
 import functools
 import math
+import re
 import types
 from typing import Any
 
@@ -17,6 +18,129 @@ from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, OPTIONS, cyclic, lookup
 
 # Samples halfway between others: Lagrange's polynomial through four on either side.
 _HALFWAY = wp.constant(wp.vec4f(1225.0 / 2048.0, -245.0 / 2048.0, 49.0 / 2048.0, -5.0 / 2048.0))
+
+# Samples of a spectrum on a ray, one after the other: Gaussian factors of the columns and of the rows around one, eight
+# abreast, then a sum of rows times theirs, each times its own. The same neighbours of the nearest one are summed around
+# all places that are nearest to it, so that no branch depends on the place. What a sample adds to the splines of three
+# nodes stays in registers from node to node.
+_SAMPLES = """
+    constexpr int ABREAST = 8, ROWS = 64, ROW = CHUNKS * PARTS, OUT = NODES / SIZE;
+    const chunk* const all_rows = (const chunk*)table.rows.data;
+    const int count_y = table.count_y, count_x = table.count_x;
+    const float across = table.across, along = table.along;
+    // As far as from somewhere nearest to the middle a neighbour counts, and on each row.
+    const int reach_y = (int)(wp::sqrt(table.exponent / across) + 0.5f);
+    const int reach_x = (int)(wp::sqrt(table.exponent / along) + 0.5f);
+    int reaches[ROWS];
+    for (int j = 0; j < ROWS; ++j) {
+        const float away = wp::max((float)j - 0.5f, 0.0f);
+        reaches[j] = (int)(wp::sqrt(wp::max(table.exponent - across * away * away, 0.0f) / along) + 0.5f);
+    }
+    auto wrapped = [](int index, int count) {
+        const int left = index % count;
+        return left < 0 ? left + count : left;
+    };
+    auto exponential = [](float x) {
+        // 2 to the power of a whole number and of what is left of it, between -1/2 and 1/2: to 8e-8.
+        const float y = wp::max(1.442695041f * x, -126.0f);
+        const int whole = (int)(y - 0.5f), bits = (whole + 127) << 23;
+        const float f = y - (float)whole;
+        float power;
+        memcpy(&power, &bits, sizeof(bits));
+        return power * (1.00000007f + f * (0.693146967f + f * (0.240221197f + f * (0.0555071328f
+            + f * (0.00967554132f + f * 0.00132764707f)))));
+    };
+    auto sample = [&](double t, chunk* total) {
+        // Places reach hundreds of coefficients.
+        const double qy = t * sine, qx = t * cosine;
+        const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
+        const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
+        for (int c = 0; c < ROW; ++c) total[c] = chunk{};
+        for (int from_x = -reach_x; from_x <= reach_x; from_x += ABREAST) {
+            float of_columns[ABREAST];
+            int columns[ABREAST];
+            const int column = nearest_x + table.origin_x + from_x;
+            for (int i = 0; i < ABREAST; ++i) {
+                const float away = (float)(from_x + i) - fx;
+                of_columns[i] = exponential(-along * away * away);
+                columns[i] = column + i;
+            }
+            if (column < 0 || column + ABREAST > count_x)
+                for (int i = 0; i < ABREAST; ++i) columns[i] = wrapped(columns[i], count_x);
+            for (int from_y = -reach_y; from_y <= reach_y; from_y += ABREAST) {
+                float of_rows[ABREAST];
+                for (int j = 0; j < ABREAST; ++j) {
+                    const float away = (float)(from_y + j) - fy;
+                    of_rows[j] = exponential(-across * away * away);
+                }
+                for (int j = 0; j < ABREAST && from_y + j <= reach_y; ++j) {
+                    const int aside = from_y + j < 0 ? -from_y - j : from_y + j;
+                    const int reach = aside < ROWS ? reaches[aside] : reach_x;
+                    const int begin = wp::max(-reach - from_x, 0), end = wp::min(reach - from_x + 1, ABREAST);
+                    int y = nearest_y + table.origin_y + from_y + j;
+                    if (y < 0 || y >= count_y) y = wrapped(y, count_y);
+                    y *= count_x;
+                    chunk sum[ROW];
+                    for (int c = 0; c < ROW; ++c) sum[c] = chunk{};
+                    for (int i = begin; i < end; ++i) {
+                        const int at = y + columns[i];
+                        if (at == left_out) continue;
+                        const chunk* const row = all_rows + (long long)at * ROW;
+                        for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * row[c];
+                    }
+                    for (int c = 0; c < ROW; ++c) total[c] += of_rows[j] * sum[c];
+                }
+            }
+        }
+    };
+    chunk* const out = (chunk*)values_out.data + (long long)begin * OUT;
+    for (int l = 0; l < nodes * OUT; ++l) out[l] = chunk{};
+    // Of the node before, the one whose interval it is, and the one behind.
+    chunk nodes_of[3][OUT];
+    for (int l = 0; l < OUT; ++l) nodes_of[0][l] = nodes_of[1][l] = nodes_of[2][l] = chunk{};
+    auto put = [&](int node, const chunk* sum) {
+        if (node < 0 || node >= nodes) return;
+        for (int l = 0; l < OUT; ++l) out[(long long)node * OUT + l] = sum[l];
+    };
+    int node = -1;
+    double t = first_t;
+    for (; node <= nodes && t <= highest; ++node) {
+        for (int k = 0; k < divisions && t <= highest; ++k, t *= ratio) {
+            chunk total[ROW];
+            sample(t, total);
+            chunk value[OUT];
+            if (PARTS == 1) {
+                for (int l = 0; l < OUT; ++l) value[l] = total[l];
+            } else {
+                chunk re[OUT], im[OUT];
+                for (int l = 0; l < OUT; ++l) re[l] = im[l] = chunk{};
+                const chunk* basis = (const chunk*)bases.data;
+                for (int n = 0; n < LANES; ++n, basis += OUT) {
+                    const float of_re = ((const float*)total)[n], of_im = ((const float*)total)[LANES + n];
+                    for (int l = 0; l < OUT; ++l) re[l] += of_re * basis[l];
+                    for (int l = 0; l < OUT; ++l) im[l] += of_im * basis[l];
+                }
+                for (int l = 0; l < OUT; ++l) value[l] = re[l] * re[l] + im[l] * im[l];
+            }
+            const float f = ((float)k + 0.5f) / (float)divisions - 0.5f;
+            const float before = 0.5f * scale * (0.5f - f) * (0.5f - f), here = scale * (0.75f - f * f);
+            const float behind = 0.5f * scale * (0.5f + f) * (0.5f + f);
+            for (int l = 0; l < OUT; ++l) {
+                nodes_of[0][l] += before * value[l];
+                nodes_of[1][l] += here * value[l];
+                nodes_of[2][l] += behind * value[l];
+            }
+        }
+        put(node - 1, nodes_of[0]);
+        for (int l = 0; l < OUT; ++l) {
+            nodes_of[0][l] = nodes_of[1][l];
+            nodes_of[1][l] = nodes_of[2][l];
+            nodes_of[2][l] = chunk{};
+        }
+    }
+    put(node - 1, nodes_of[0]);
+    put(node, nodes_of[1]);
+"""
 
 # Nodes of a few rays side by side, which share the loads of the matrices: theirs of one octave, of the next and beyond.
 _PROJECTION = """
@@ -59,67 +183,33 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             they are amplitudes, of the centred form, and a row of the table holds the power of their sum at some κ.
         nodes: Terms of a row of the values.
     """
-    base = spectral.kernels(lanes, "averaged" if powers else "centred", powers)
-    coefficients_t = base.Table
-    row_t = base.row
-    wrapped = base.wrapped
+    coefficients_t = spectral.kernels(lanes, "averaged" if powers else "centred", powers).Table
     out_t = wp.types.vector(length=nodes, dtype=wp.float32)
+    names = {"WIDTH": lanes, "LANES": lanes, "PARTS": 1 if powers else 2, "NODES": nodes}
 
-    @wp.func
-    def power_row(
+    @wp.func_native(re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + _SAMPLES))
+    def sampled(
         table: coefficients_t,
-        qy: wp.float64,
-        qx: wp.float64,
-        bases: wp.array(dtype=row_t),
+        bases: wp.array(dtype=out_t),
+        sine: wp.float64,
+        cosine: wp.float64,
+        nodes: wp.int32,
+        first_t: wp.float64,
+        ratio: wp.float64,
+        divisions: wp.int32,
+        highest: wp.float64,
+        scale: wp.float32,
         left_out: wp.int32,
-        radius_y: wp.float32,
-        shrink: wp.float32,
-    ) -> out_t:
-        """⟨|P|²⟩ at a frequency in coefficients, as a row, but for the coefficient ``left_out``."""
-        iy = wp.int32(wp.rint(qy))
-        ix = wp.int32(wp.rint(qx))
-        fy = wp.float32(qy - wp.float64(iy))
-        fx = wp.float32(qx - wp.float64(ix))
-        first_y = wp.int32(wp.ceil(fy - radius_y))
-        last_y = wp.int32(wp.floor(fy + radius_y))
-        total = out_t()
-        total_re = row_t()
-        total_im = row_t()
-        for j in range(first_y, last_y + 1):
-            dy = wp.float32(j) - fy
-            # A circle of neighbours, row by row.
-            left = wp.sqrt(wp.max(table.exponent - table.across * dy * dy, 0.0) / table.along)
-            first_x = wp.int32(wp.ceil(fx - left))
-            last_x = wp.int32(wp.floor(fx + left))
-            dx = wp.float32(first_x) - fx
-            g = wp.exp(-table.across * dy * dy - table.along * dx * dx)
-            step = wp.exp(-table.along * (2.0 * dx + 1.0))
-            row = wrapped(iy + j + table.origin_y, table.count_y) * table.count_x
-            x = wrapped(ix + first_x + table.origin_x, table.count_x)
-            for _i in range(first_x, last_x + 1):
-                if wp.static(powers):
-                    if row + x != left_out:
-                        total += g * table.rows[row + x]
-                else:
-                    total_re += g * table.rows[2 * (row + x)]
-                    total_im += g * table.rows[2 * (row + x) + 1]
-                g = g * step
-                step = step * shrink
-                x = x + 1
-                if x == table.count_x:
-                    x = 0
-        if wp.static(not powers):
-            for n in range(wp.static(nodes)):
-                re = wp.dot(total_re, bases[n])
-                im = wp.dot(total_im, bases[n])
-                total[n] = re * re + im * im
-        return total
+        begin: wp.int32,
+        values_out: wp.array(dtype=out_t),
+    ):
+        """Integrals along a ray in this direction, in coefficients, from the node ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def resample(
         # In:
         table: coefficients_t,
-        bases: wp.array(dtype=row_t),
+        bases: wp.array(dtype=out_t),
         rays: wp.int32,
         nodes_an_octave: wp.int32,
         log_low: wp.float64,
@@ -134,35 +224,19 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         """Integrals of the power spectrum along a ray under the splines of an octave's nodes.
 
         The first node lies at the logarithm ``log_low`` of the frequency, and the row of ray 0 at ``start``. The
-        spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``.
+        spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``, without the
+        coefficient ``left_out``. Amplitudes are multiplied by ``bases``, term by term.
         """
         ray = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(rays)
-        cosine = wp.cos(angle) * table.length_x
-        sine = wp.sin(angle) * table.length_y
-        share = wp.float32(1.0) / wp.float32(divisions)
-        scale = share * wp.static(math.log(2.0)) / wp.float32(nodes_an_octave)
-        begin = start + ray * nodes_an_octave
-        for k in range(nodes_an_octave):
-            values_out[begin + k] = out_t()
-        radius_y = wp.sqrt(table.exponent / table.across)
-        shrink = wp.exp(-2.0 * table.along)
-        # A node's spline begins one and a half nodes before it.
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(nodes_an_octave * divisions)
-        t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
-        ratio = wp.exp(per_sample)
-        for k in range((nodes_an_octave + 2) * divisions):
-            node = k // divisions - 1
-            f = (wp.float32(k - (node + 1) * divisions) + 0.5) * share - 0.5
-            if t <= highest:
-                value = scale * power_row(table, t * sine, t * cosine, bases, left_out, radius_y, shrink)
-                if node > 0:
-                    values_out[begin + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
-                if node >= 0 and node < nodes_an_octave:
-                    values_out[begin + node] += (0.75 - f * f) * value
-                if node + 1 < nodes_an_octave:
-                    values_out[begin + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
-            t = t * ratio
+        # A node's spline begins one and a half nodes before it.
+        first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
+        sampled(
+            table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, nodes_an_octave, first_t,
+            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), left_out, start + ray * nodes_an_octave,
+            values_out,
+        )  # fmt: skip
 
     return types.SimpleNamespace(row=out_t, resample=resample)
 

@@ -210,12 +210,12 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     import warp as wp
 
     layout, sampler = source.layout, source.sampler
-    at_kappas = wp.array(source.at_kappas, dtype=source.base.arguments.rows.dtype, device=device)
+    bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
     for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
         inputs = [
-            source.base.arguments, at_kappas, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
         launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, least_slice=_SLICE)
