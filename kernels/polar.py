@@ -14,10 +14,7 @@ from typing import Any
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, OPTIONS, cyclic, lookup
-
-# Samples halfway between others: Lagrange's polynomial through four on either side.
-_HALFWAY = wp.constant(wp.vec4f(1225.0 / 2048.0, -245.0 / 2048.0, 49.0 / 2048.0, -5.0 / 2048.0))
+from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, FILTER_REACH, OPTIONS, lookup
 
 # Samples of a spectrum on a ray, one after the other: Gaussian factors of the columns and of the rows around one, eight
 # abreast, then a sum of rows times theirs, each times its own. The same neighbours of the nearest one are summed around
@@ -142,33 +139,99 @@ _SAMPLES = """
     put(node, nodes_of[1]);
 """
 
-# Nodes of a few rays side by side, which share the loads of the matrices: theirs of one octave, of the next and beyond.
+# The nodes that colours along a few rays take, row after row: one before the first of their octave, which counts as
+# dark, the octave, the next one, and of the one behind that what is left. Where an octave has half as many rays,
+# Lagrange's polynomial through four on either side gives those halfway.
+_JOINED = """
+    constexpr float HALFWAY[4] = {1225.0f / 2048.0f, -245.0f / 2048.0f, 49.0f / 2048.0f, -5.0f / 2048.0f};
+    constexpr int ROW = LANES / SIZE;
+    const int* const begins = (const int*)starts.data;
+    const int* const counts = (const int*)rays.data;
+    const int coarse = counts[octave], count = counts[octave + 1];
+    const int more = octave + 2 < rays.shape[0] ? counts[octave + 2] / count : 0;
+    auto on_ray = [&](int of, int ray) {
+        return (const chunk*)values.data + (begins[of] + (long long)ray * nodes) * ROW;
+    };
+    chunk* out = (chunk*)sequence.data + (long long)at * ROW;
+    for (int ray = first_ray; ray < first_ray + ABREAST; ++ray, out += (long long)length * ROW) {
+        const int size = nodes * ROW, before = ray / 2;
+        for (int l = 0; l < ROW; ++l) out[l] = chunk{};
+        chunk* const own = out + ROW;
+        if (coarse == count || ray % 2 == 0) {
+            const chunk* const row = on_ray(octave, coarse == count ? ray : before);
+            for (int l = 0; l < size; ++l) own[l] = row[l];
+        } else {
+            const chunk* rows[8];
+            for (int k = 0; k < 8; ++k) rows[k] = on_ray(octave, (before + k - 3 + coarse) % coarse);
+            for (int l = 0; l < size; ++l) {
+                chunk sum = chunk{};
+                for (int k = 0; k < 4; ++k) sum += HALFWAY[k] * (rows[3 - k][l] + rows[4 + k][l]);
+                own[l] = sum;
+            }
+        }
+        const chunk* const next = on_ray(octave + 1, ray);
+        const chunk* const further = more > 0 ? on_ray(octave + 2, ray * more) : next;
+        // A spectrum of few nodes an octave ends before the filter's last taps.
+        for (int l = 0; l < (length - 1 - nodes) * ROW; ++l)
+            own[size + l] = l < size ? next[l] : more > 0 && l < 2 * size ? further[l - size] : chunk{};
+    }
+"""
+
+# Sums over nodes of a few rays side by side: what a row's terms give for each function of w, by a matrix that the rays
+# share, is then weighed with the colour curves. The rows first become coefficients of the quadratic spline that passes
+# through them, by a filter that runs up and down.
 _PROJECTION = """
-    const chunk* factor = (const chunk*)matrices.data + (long long)skipped * terms * CHUNKS;
-    chunk sum[ABREAST][CHUNKS];
-    for (int b = 0; b < ABREAST; ++b)
-        for (int c = 0; c < CHUNKS; ++c) sum[b][c] = chunk{};
-    for (int part = 0; part < 3; ++part) {
-        const float* row = part == 0 ? (const float*)refined.data + (long long)start0 * LANES
-            : (const float*)values.data + (long long)(part == 1 ? start1 : start2) * LANES;
-        const long long by = (long long)(part == 2 ? apart2 : apart) * LANES;
-        const int count = part == 0 ? count0 : part == 1 ? count1 : count2;
-        for (int m = 0; m < count; ++m) {
+    constexpr float POLE = -0.171572875f, GAIN = 1.41421356f * (1.0f - POLE * POLE);
+    constexpr int ROW = LANES / SIZE, PARTS = (FUNCTIONS + SIZE - 1) / SIZE;
+    chunk* const rows = (chunk*)sequence.data + (long long)at * ROW;
+    for (int b = 0; b < ABREAST; ++b) {
+        chunk* const row = rows + (long long)b * length * ROW;
+        for (int l = 0; l < ROW; ++l) {
+            chunk last = chunk{};
+            for (int j = 0; j < length; ++j) row[j * ROW + l] = last = row[j * ROW + l] + POLE * last;
+            last *= POLE / (1.0f - POLE * POLE);
+            for (int j = length - 1; j >= 0; --j) {
+                last = row[j * ROW + l] + POLE * last;
+                row[j * ROW + l] = GAIN * last;
+            }
+        }
+    }
+    const int taps = weights.shape[0];
+    float* out = (float*)rows_out.data + 3LL * first_ray * nodes * FUNCTIONS;
+    for (int k = 0; k < nodes; ++k) {
+        const float* factor = (const float*)matrices.data;
+        const float* colour = (const float*)weights.data;
+        const float* row = (const float*)(rows + (long long)(skipped + k) * ROW);
+        chunk sum[ABREAST][3][PARTS];
+        for (int b = 0; b < ABREAST; ++b)
+            for (int c = 0; c < 3; ++c)
+                for (int p = 0; p < PARTS; ++p) sum[b][c][p] = chunk{};
+        for (int i = 0; i < taps; ++i) {
+            chunk at_w[ABREAST][PARTS];
+            for (int b = 0; b < ABREAST; ++b)
+                for (int p = 0; p < PARTS; ++p) at_w[b][p] = chunk{};
             for (int l = 0; l < terms; ++l) {
 #pragma unroll
                 for (int b = 0; b < ABREAST; ++b) {
 #pragma unroll
-                    for (int c = 0; c < CHUNKS; ++c) sum[b][c] += row[b * by + l] * factor[c];
+                    for (int p = 0; p < PARTS; ++p)
+                        at_w[b][p] += row[(long long)b * length * LANES + l] * *(const chunk*)(factor + FIRST(p));
                 }
-                factor += CHUNKS;
+                factor += FUNCTIONS;
+            }
+#pragma unroll
+            for (int b = 0; b < ABREAST; ++b) {
+#pragma unroll
+                for (int c = 0; c < 3; ++c)
+                    for (int p = 0; p < PARTS; ++p) sum[b][c][p] += colour[c] * at_w[b][p];
             }
             row += LANES;
+            colour += 3;
         }
-    }
-    float* out = (float*)rows_out.data + (long long)at * WIDTH;
-    for (int b = 0; b < ABREAST; ++b) {
-        for (int c = 0; c < CHUNKS; ++c) ((chunk*)out)[c] = sum[b][c];
-        out += (long long)apart * WIDTH;
+        for (int b = 0; b < ABREAST; ++b)
+            for (int c = 0; c < 3; ++c)
+                for (int p = 0; p < PARTS; ++p)
+                    *(chunk*)(out + (3LL * (b * nodes + k) + c) * FUNCTIONS + FIRST(p)) = sum[b][c][p];
     }
 """
 
@@ -301,30 +364,45 @@ def gatherer(lanes: int) -> Any:
 def projector(lanes: int, functions: int) -> Any:
     """The kernel that sums rows of ``lanes`` terms over an octave's nodes, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
+    functions_t = wp.types.vector(length=functions, dtype=wp.float32)
     row_t = lookup(functions).row
     # As many as registers hold sums for.
     abreast = 4 if functions <= 8 else 2
-    native = (CHUNKS_OF_ROWS + _PROJECTION).replace("ABREAST", str(abreast)).replace("WIDTH", str(3 * functions))
 
-    @wp.func_native(native.replace("LANES", str(lanes)))
-    def projected(
-        refined: wp.array(dtype=values_t),
+    def native(code: str) -> str:
+        # Vectors as long as a row of functions allows: the last one may overlap the one before.
+        code = code.replace("FIRST(p)", "(p * SIZE < FUNCTIONS - SIZE ? p * SIZE : FUNCTIONS - SIZE)")
+        names = {"WIDTH": 8 if functions > 4 else 4, "LANES": lanes, "FUNCTIONS": functions, "ABREAST": abreast}
+        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + code)
+
+    @wp.func_native(native(_JOINED))
+    def joined(
         values: wp.array(dtype=values_t),
-        matrices: wp.array(dtype=row_t),
-        terms: wp.int32,
-        skipped: wp.int32,
-        start0: wp.int32,
-        count0: wp.int32,
-        start1: wp.int32,
-        count1: wp.int32,
-        start2: wp.int32,
-        count2: wp.int32,
-        apart: wp.int32,
-        apart2: wp.int32,
-        rows_out: wp.array(dtype=row_t),
+        starts: wp.array(dtype=wp.int32),
+        rays: wp.array(dtype=wp.int32),
+        nodes: wp.int32,
+        octave: wp.int32,
+        first_ray: wp.int32,
+        sequence: wp.array(dtype=values_t),
         at: wp.int32,
+        length: wp.int32,
     ):
-        """Rows one after the other times the matrices from the first on."""
+        """Rows of a few rays from one before an octave on, ``length`` of them for each ray."""
+
+    @wp.func_native(native(_PROJECTION))
+    def projected(
+        sequence: wp.array(dtype=values_t),
+        at: wp.int32,
+        length: wp.int32,
+        skipped: wp.int32,
+        matrices: wp.array(dtype=functions_t),
+        weights: wp.array(dtype=wp.vec3f),
+        terms: wp.int32,
+        nodes: wp.int32,
+        first_ray: wp.int32,
+        rows_out: wp.array(dtype=row_t),
+    ):
+        """Colours along a few rays, each a sum of ``length`` rows from its own node on, but for those skipped."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def project(
@@ -332,66 +410,35 @@ def projector(lanes: int, functions: int) -> Any:
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
         rays: wp.array(dtype=wp.int32),
-        matrices: wp.array(dtype=row_t),
+        matrices: wp.array(dtype=functions_t),
+        weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
-        before: wp.int32,
         nodes: wp.int32,
         octave: wp.int32,
-        refined: wp.array(dtype=values_t),
+        length: wp.int32,
+        sequence: wp.array(dtype=values_t),
         first: wp.int32,
+        run: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few rays at the nodes of an octave of |(u, v)|.
+        """Colours along a few rays at a time, at the nodes of an octave of |(u, v)|.
 
         Their red end lies in the same octave of frequencies, which has as many rays as the next or half of them, and
-        their blue end in the next and a little beyond. ``before`` matrices are for nodes before the one itself.
+        their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each ray.
         """
-        first_ray = (first + wp.tid()) * wp.static(abreast)
-        count = rays[octave + 1]
-        coarse = rays[octave]
-        for ray in range(first_ray, first_ray + wp.static(abreast)):
-            begin = ray * nodes
-            if coarse == count:
-                for k in range(nodes):
-                    refined[begin + k] = values[starts[octave] + begin + k]
-            elif ray % 2 == 0:
-                for k in range(nodes):
-                    refined[begin + k] = values[starts[octave] + ray // 2 * nodes + k]
-            else:
-                for k in range(nodes):
-                    refined[begin + k] = values_t()
-                for away in range(4):
-                    left = starts[octave] + cyclic(ray // 2 - away, coarse) * nodes
-                    right = starts[octave] + cyclic(ray // 2 + 1 + away, coarse) * nodes
-                    for k in range(nodes):
-                        refined[begin + k] += _HALFWAY[away] * (values[left + k] + values[right + k])
-        size = matrices.shape[0] // terms
-        begin = first_ray * nodes
-        more = wp.int32(0)
-        beyond = wp.int32(0)
-        if octave + 2 < rays.shape[0]:
-            more = rays[octave + 2] // count
-            beyond = starts[octave + 2] + first_ray * more * nodes
-        for k in range(nodes):
-            skipped = wp.max(before - k, 0)
-            at = k - before + skipped
-            here = wp.min(nodes - at, size - skipped)
-            there = wp.min(size - skipped - here, nodes)
-            # A spectrum of few nodes an octave ends before the filter's last taps.
-            further = wp.int32(0)
-            if more > 0:
-                further = wp.min(size - skipped - here - there, nodes)
-            projected(
-                refined, values, matrices, terms, skipped, begin + at, here, starts[octave + 1] + begin, there, beyond,
-                further, nodes, more * nodes, rows_out, begin + k,
-            )  # fmt: skip
+        at = (first + wp.tid()) * wp.static(abreast) * length
+        for k in range(run):
+            first_ray = (first + wp.tid() + k) * wp.static(abreast)
+            joined(values, starts, rays, nodes, octave, first_ray, sequence, at, length)
+            projected(sequence, at, length, 0, matrices, weights, terms, nodes, first_ray, rows_out)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def project_lines(
         # In:
         values: wp.array(dtype=values_t),
-        matrices: wp.array(dtype=row_t),
+        matrices: wp.array(dtype=functions_t),
+        weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
         nodes: wp.int32,
         given: wp.int32,
@@ -399,13 +446,14 @@ def projector(lanes: int, functions: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """The same where each ray has all ``given`` nodes that its own ones take, from the first matrix's on."""
-        first_ray = (first + wp.tid()) * wp.static(abreast)
-        size = matrices.shape[0] // terms
-        for k in range(nodes):
-            projected(
-                values, values, matrices, terms, 0, 0, 0, 0, 0, first_ray * given + k, size, nodes, given, rows_out,
-                first_ray * nodes + k,
-            )  # fmt: skip
+        """The same where each ray has all ``given`` nodes that its own take, and those that the filter takes besides.
 
-    return types.SimpleNamespace(project=project, project_lines=project_lines, abreast=abreast)
+        The filter changes them.
+        """
+        first_ray = (first + wp.tid()) * wp.static(abreast)
+        at = first_ray * given
+        projected(
+            values, at, given, wp.static(FILTER_REACH), matrices, weights, terms, nodes, first_ray, rows_out
+        )  # fmt: skip
+
+    return types.SimpleNamespace(functions=functions_t, project=project, project_lines=project_lines, abreast=abreast)

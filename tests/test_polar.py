@@ -15,7 +15,7 @@ from warpdiff import colour_table, optics, projection, spectrum
 from warpdiff.bench import reference
 from warpdiff.integration import Integrator
 from warpdiff.kernels import polar as kernels
-from warpdiff.kernels.lookup import lookup
+from warpdiff.kernels.lookup import FILTER_REACH, lookup
 
 KINDS = ("averaged", "centred")
 # Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
@@ -79,29 +79,51 @@ def test_the_smallest_tables_hold_the_colours_coarsely(fingers, nodes, rng):
     assert errors.max() < 2.0
 
 
-@pytest.mark.parametrize("nodes", [4, 7, 8])
-def test_colours_end_with_the_spectrum(nodes):
-    """The filter's last taps reach beyond three octaves of few nodes; behind the last ray lies another's memory."""
-    rays, lanes = 16, 8
-    rows = np.full((4 * rays * nodes, lanes), np.nan, dtype=np.float32)
-    rows[: 3 * rays * nodes] = 1.0
-    projector = kernels.projector(lanes, 4)
-    row = lookup(4).row
-    taps = projection.projection(
-        dataclasses.replace(wd.plan(wd.HeightField([[0.0]], 1.0), method="low-rank"), nodes=nodes, rays_per_width=1.0),
-        projection.Terms(lambda at: np.ones((len(at), 1)), (0.5, 5.0), np.ones(1), 0.2),
-        "D65",
-    )
-    values = wp.array(rows, dtype=wp.types.vector(length=lanes, dtype=wp.float32), device="cpu")
-    found = wp.zeros(rays * nodes, dtype=row, device="cpu")
-    matrices = np.ones((len(taps.matrices), 12), dtype=np.float32)
+@pytest.mark.parametrize("octaves", [2, 3])
+@pytest.mark.parametrize(("nodes", "functions"), [(4, 4), (7, 12), (8, 20)])
+def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, rng):
+    """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends."""
+    lanes, terms, coarse = 8, 5, 16
+    rays = [coarse, 2 * coarse, 4 * coarse]
+    taps = projection.node_count(nodes)
+    rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
+    starts = nodes * (np.cumsum(rays) - rays)
+    if octaves == 2:
+        # Behind the last octave lies another's memory.
+        rows[starts[2] :] = np.nan
+    matrices = rng.normal(size=(taps, terms, functions)).astype(np.float32)
+    weights = rng.normal(size=(taps, 3)).astype(np.float32)
+    projector = kernels.projector(lanes, functions)
+    length = nodes + taps - 1 + FILTER_REACH
+    row_t = wp.types.vector(length=lanes, dtype=wp.float32)
+    found = wp.zeros(rays[1] * nodes, dtype=lookup(functions).row, device="cpu")
+    groups = rays[1] // projector.abreast
     inputs = [
-        values, wp.array(np.arange(3) * rays * nodes, dtype=wp.int32, device="cpu"),
-        wp.array([rays] * 3, dtype=wp.int32, device="cpu"), wp.array(matrices, dtype=row, device="cpu"), 1,
-        taps.before, nodes, 0, wp.empty_like(values), 0,
+        wp.array(rows, dtype=row_t, device="cpu"), wp.array(starts[:octaves], dtype=wp.int32, device="cpu"),
+        wp.array(rays[:octaves], dtype=wp.int32, device="cpu"),
+        wp.array(matrices.reshape(-1, functions), dtype=projector.functions, device="cpu"),
+        wp.array(weights, dtype=wp.vec3f, device="cpu"), terms, nodes, 0, length,
+        wp.empty(rays[1] * length, dtype=row_t, device="cpu"), 0, groups,
     ]  # fmt: skip
-    wp.launch(projector.project, dim=rays // projector.abreast, inputs=inputs, outputs=[found], device="cpu")
-    assert np.all(np.isfinite(found.numpy()))
+    wp.launch(projector.project, dim=1, inputs=inputs, outputs=[found], device="cpu")
+
+    own, following, further = (
+        rows[start : start + count * nodes].reshape(count, nodes, lanes).astype(float)
+        for start, count in zip(starts, rays, strict=True)
+    )
+    halfway = sum(
+        share / 2048.0 * (np.roll(own, away, axis=0) + np.roll(own, -1 - away, axis=0))
+        for away, share in enumerate((1225.0, -245.0, 49.0, -5.0))
+    )
+    refined = np.stack([own, halfway], axis=1).reshape(2 * coarse, nodes, lanes)
+    beyond = further[::2] if octaves == 3 else np.zeros((2 * coarse, nodes, lanes))
+    sequence = np.concatenate([np.zeros((2 * coarse, 1, lanes)), refined, following, beyond], axis=1)
+    sequence = np.pad(sequence, [(0, 0), (0, max(length - sequence.shape[1], 0)), (0, 0)])[:, :length]
+    away = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+    splines = np.einsum("jk,rkl->rjl", np.sqrt(2.0) * (2.0 * np.sqrt(2.0) - 3.0) ** away, sequence)
+    windows = np.stack([splines[:, k : k + taps, :terms] for k in range(nodes)], axis=1)
+    expected = np.einsum("ic,ilm,rkil->rkcm", weights, matrices, windows).reshape(-1, 3 * functions)
+    np.testing.assert_allclose(found.numpy(), expected, atol=2e-6 * np.abs(expected).max())
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
@@ -182,14 +204,10 @@ def test_functions_of_w_serve_all_terms():
     node = 12
     per_um = 1e3 / 780.0 * 2.0 ** ((node - 1) / 16)
     inside = (found.ws * per_um > kappas[0]) & (found.ws * per_um < kappas[1])
-    # A spline of which but one sample is not zero has this sample's coefficients back at its own node and beside it.
-    at_samples = sum(
-        share * found.matrices[node + found.before - 1 + k] for k, share in ((-1, 0.125), (0, 0.75), (1, 0.125))
-    )
     for term in range(6):
         for c in range(3):
             given = weights[node, c] * basis_at(found.ws * per_um)[:, term]
-            back = found.functions @ at_samples[term].reshape(3, -1)[c]
+            back = found.weights[node, c] * (found.functions @ found.matrices[node, term])
             assert np.max(np.abs(given - back)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 

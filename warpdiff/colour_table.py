@@ -253,29 +253,33 @@ def _coloured(
         table.spread2 = source.coherence.spread**2
         table.near2 = near(source.coherence) ** 2
     projector = polar.projector(len(source.at_kappas), count)
-    matrices = wp.array(how.matrices.reshape(-1, 3 * count), dtype=target.row, device=device)
+    matrices = wp.array(how.matrices.reshape(-1, count), dtype=projector.functions, device=device)
+    curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
 
     def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
-        begin = layout.log_low + (octave - how.before / layout.nodes) * math.log(2.0)
-        given = layout.nodes + len(how.matrices) - 1
+        begin = layout.log_low + (octave - (lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
+        given = layout.nodes + len(how.matrices) - 1 + 2 * lookup.FILTER_REACH
         values = lines.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
             rays=layout.rays[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
-        inputs = [values, matrices, terms, layout.nodes, given]
+        inputs = [values, matrices, curves, terms, layout.nodes, given]
         launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
 
     if source.is_lines:
         _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
         return target.integrate, table, table.rows.capacity * 1e-6
-    refined = wp.empty(layout.rays[0][-1] * layout.nodes, dtype=spectrum_rows.dtype, device=device)
+    # Room for each ray, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
+    length = layout.nodes + len(how.matrices) - 1 + lookup.FILTER_REACH
+    sequence = wp.empty(layout.rays[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
     starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
     rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
 
     def fill(_level: int, octave: int, on_rays: Any) -> None:
-        inputs = [spectrum_rows, starts, rays, matrices, terms, how.before, layout.nodes, octave, refined]
-        launch(projector.project, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
+        inputs = [spectrum_rows, starts, rays, matrices, curves, terms, layout.nodes, octave, length, sequence]
+        groups = layout.rays[0][octave] // projector.abreast
+        launch(projector.project, groups, inputs, [on_rays], in_runs=True, **options)
 
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
     return target.integrate, table, table.rows.capacity * 1e-6
