@@ -90,7 +90,7 @@ class Layout:
 
     @classmethod
     def of(cls, plan: Plan, highest: float) -> Layout:
-        """The layout for a plan and the largest frequency."""
+        """The layout for a plan and the largest frequency, without levels."""
         step = math.log(2.0) / plan.nodes
         if plan.coherence.kind == "source":
             return cls._of_lines(plan, highest, step)
@@ -106,11 +106,10 @@ class Layout:
         # A multiple of those that are projected side by side.
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_RAYS)
         of_spectrum = fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)
-        flat = cls(
+        return cls(
             plan.nodes, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()),
-            tuple((width / tops[1:]).tolist()), (tuple(of_spectrum[1:].tolist()),), (), highest,
+            tuple((width / tops[1:]).tolist()), (tuple(of_spectrum[1:].tolist()),), ((0.0,) * (octaves - 1),), highest,
         )  # fmt: skip
-        return flat.with_levels(plan)
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float, step: float) -> Layout:
@@ -125,14 +124,14 @@ class Layout:
         rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
         blurs = _LINE_IN_RAYS * 2.0 * math.pi / rays
         counts = tuple(rays.astype(int).tolist())
-        return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), (), highest).with_levels(plan)
+        return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
 
-    def with_levels(self, plan: Plan) -> Layout:
-        """The same with the levels of a plan: blurred ones only for footprints, and for sources."""
+    def with_levels(self) -> Layout:
+        """The same with blurred levels, for footprints and for sources."""
         narrow = np.asarray(self.rays[0])
         rays, widths = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
-        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1 if has_levels(plan) else 0
+        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1
         for level in range(levels):
             # An octave that is blurred enough already goes on as it is.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST, first))
@@ -229,7 +228,7 @@ def smallest_rung(plan: Plan) -> tuple[int, float] | None:
 
 def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
     """What a table costs to make, in the multiply-adds of ``Plan``."""
-    layout = Layout.of(plan, tables.Reached.by(plan.scope).frequency)
+    layout = _layout(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = tables.lanes_of(plan.terms)
     if plan.coherence.kind == "source":
@@ -243,7 +242,13 @@ def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
 
 def megabytes(plan: Plan) -> float:
     """Size of a table, of about as many functions of w as there are terms."""
-    return Layout.of(plan, tables.Reached.by(plan.scope).frequency).rows * 3 * plan.terms * 4e-6
+    return _layout(plan).rows * 3 * plan.terms * 4e-6
+
+
+def _layout(plan: Plan) -> Layout:
+    """The layout of a plan's table, with its levels if it has any."""
+    sharp = Layout.of(plan, tables.Reached.by(plan.scope).frequency)
+    return sharp.with_levels() if has_levels(plan) else sharp
 
 
 def multiply_adds(plan: Plan) -> float:
