@@ -21,9 +21,10 @@ from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, FILTER_REACH, OPTIONS, looku
 # all places that are nearest to it, so that no branch depends on the place. What a sample adds to the splines of three
 # nodes stays in registers from node to node.
 _SAMPLES = """
-    constexpr int ABREAST = 8, ROWS = 64, ROW = CHUNKS * PARTS, OUT = NODES / SIZE;
+    constexpr int ABREAST = 16, ROWS = 64, ROW = CHUNKS * PARTS, OUT = NODES / SIZE;
     const chunk* const all_rows = (const chunk*)table.rows.data;
     const int count_y = table.count_y, count_x = table.count_x;
+    const int left_y = left_out < 0 ? -1 : left_out / count_x, left_x = left_out - left_y * count_x;
     const float across = table.across, along = table.along;
     // As far as from somewhere nearest to the middle a neighbour counts, and on each row.
     const int reach_y = (int)(wp::sqrt(table.exponent / across) + 0.5f);
@@ -55,15 +56,12 @@ _SAMPLES = """
         for (int c = 0; c < ROW; ++c) total[c] = chunk{};
         for (int from_x = -reach_x; from_x <= reach_x; from_x += ABREAST) {
             float of_columns[ABREAST];
-            int columns[ABREAST];
-            const int column = nearest_x + table.origin_x + from_x;
             for (int i = 0; i < ABREAST; ++i) {
                 const float away = (float)(from_x + i) - fx;
                 of_columns[i] = exponential(-along * away * away);
-                columns[i] = column + i;
             }
-            if (column < 0 || column + ABREAST > count_x)
-                for (int i = 0; i < ABREAST; ++i) columns[i] = wrapped(columns[i], count_x);
+            const int column = nearest_x + table.origin_x + from_x;
+            const bool inside = column >= 0 && column + ABREAST <= count_x;
             for (int from_y = -reach_y; from_y <= reach_y; from_y += ABREAST) {
                 float of_rows[ABREAST];
                 for (int j = 0; j < ABREAST; ++j) {
@@ -76,14 +74,19 @@ _SAMPLES = """
                     const int begin = wp::max(-reach - from_x, 0), end = wp::min(reach - from_x + 1, ABREAST);
                     int y = nearest_y + table.origin_y + from_y + j;
                     if (y < 0 || y >= count_y) y = wrapped(y, count_y);
-                    y *= count_x;
                     chunk sum[ROW];
                     for (int c = 0; c < ROW; ++c) sum[c] = chunk{};
-                    for (int i = begin; i < end; ++i) {
-                        const int at = y + columns[i];
-                        if (at == left_out) continue;
-                        const chunk* const row = all_rows + (long long)at * ROW;
-                        for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * row[c];
+                    const chunk* const row = all_rows + (long long)y * count_x * ROW;
+                    if (inside && y != left_y) {
+                        const chunk* const from = row + (long long)column * ROW;
+                        for (int i = begin; i < end; ++i)
+                            for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * from[i * ROW + c];
+                    } else {
+                        for (int i = begin; i < end; ++i) {
+                            const int x = inside ? column + i : wrapped(column + i, count_x);
+                            if (y == left_y && x == left_x) continue;
+                            for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * row[(long long)x * ROW + c];
+                        }
                     }
                     for (int c = 0; c < ROW; ++c) total[c] += of_rows[j] * sum[c];
                 }

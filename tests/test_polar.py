@@ -15,6 +15,7 @@ from warpdiff import colour_table, optics, projection, spectrum
 from warpdiff.bench import reference
 from warpdiff.integration import Integrator
 from warpdiff.kernels import polar as kernels
+from warpdiff.kernels import spectral
 from warpdiff.kernels.lookup import FILTER_REACH, lookup
 
 KINDS = ("averaged", "centred")
@@ -77,6 +78,68 @@ def test_the_smallest_tables_hold_the_colours_coarsely(fingers, nodes, rng):
     errors = picture_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
     assert np.median(errors) < 0.2
     assert errors.max() < 2.0
+
+
+@pytest.mark.parametrize("powers", [True, False])
+@pytest.mark.parametrize(
+    ("counts", "lengths", "falloff"),
+    [
+        ((40, 44), (6.0, 5.0), 22.0),  # some neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # rows and columns of more than one vector's
+        ((5, 3), (2.0, 1.6), 2.0),  # a small patch, whose coefficients come round
+        ((1, 48), (0.02, 6.0), 22.0),
+        ((48, 1), (6.0, 0.02), 22.0),
+    ],
+    ids=str,
+)
+def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, falloff, rng):
+    """Samples of the spectrum at random octaves against all coefficients in float64, near and far ones."""
+    lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
+    parts = 1 if powers else 2
+    rows = rng.normal(size=(*counts, parts, lanes)).astype(np.float32)
+    if powers:
+        rows = np.square(rows)
+    sampler = kernels.resampler(lanes, powers, width)
+    table = spectral.kernels(lanes, "averaged" if powers else "centred", powers).Table()
+    table.rows = wp.array(rows.reshape(-1, lanes), dtype=wp.types.vector(lanes, wp.float32), device="cpu")
+    table.count_y, table.count_x = counts
+    table.origin_y, table.origin_x = (count // 2 for count in counts)
+    table.length_y, table.length_x = lengths
+    table.exponent = 20.0
+    table.across, table.along = (falloff / length**2 for length in lengths)
+    at_kappas = rng.normal(size=(lanes, width)).astype(np.float32)
+    left_out = (counts[0] // 2) * counts[1] + counts[1] // 2 if powers else -1
+    log_low, highest = np.log(rng.uniform(1.2, 1.3)), 1.8
+    found = wp.empty(rays * nodes, dtype=sampler.row, device="cpu")
+    inputs = [
+        table, wp.array(at_kappas, dtype=sampler.row, device="cpu"), rays, nodes, log_low, divisions, highest, left_out,
+        0, 0,
+    ]  # fmt: skip
+    wp.launch(sampler.resample, dim=rays, inputs=inputs, outputs=[found], device="cpu")
+
+    kept = rows.reshape(-1, parts, lanes).astype(float)
+    if powers:
+        kept[left_out] = 0.0
+    kept = kept.reshape(*counts, parts, lanes)
+    offsets = (np.arange(-divisions - divisions // 2, (nodes + 1) * divisions - divisions // 2) + 0.5) / divisions
+    t = np.exp(log_low + offsets * np.log(2.0) / nodes)
+    angles = 2.0 * np.pi * np.arange(rays) / rays
+    expected = np.zeros((rays, nodes, width))
+    for ray, k in itertools.product(range(rays), np.flatnonzero(t <= highest)):
+        q = t[k] * np.array([np.sin(angles[ray]), np.cos(angles[ray])]) * lengths
+        near = [np.arange(-24, 25) + round(place) for place in q]
+        of_rows, of_columns = (
+            np.exp(-falloff / length**2 * (each - place) ** 2)
+            for each, place, length in zip(near, q, lengths, strict=True)
+        )
+        around = kept[np.ix_(*((each + count // 2) % count for each, count in zip(near, counts, strict=True)))]
+        sums = np.einsum("y,x,yxpl->pl", of_rows, of_columns, around)
+        value = sums[0] if powers else np.sum((sums @ at_kappas) ** 2, axis=0)
+        expected[ray] += projection.spline(offsets[k] - np.arange(nodes))[:, None] * value
+    expected *= np.log(2.0) / (nodes * divisions)
+    peak = np.abs(expected).max()
+    # Neighbours of less weight than exp(-20) are left out.
+    np.testing.assert_allclose(found.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
 @pytest.mark.parametrize("octaves", [2, 3])

@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     from warpdiff.planning import Plan
 
 KINDS = ("averaged", "centred", "source")
-# Samples along a ray, in standard deviations of the spectrum's blur: a sum of Gaussians so far apart is constant to
-# 2 exp(−2π²/1.25²) = 7e-6.
-_ALONG = 1.25
+# Samples along a ray, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of Gaussians
+# is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of some samples.
+_ALONG = 1.6
+# From node to node at least so many, or a node's spline is no integral.
+_FEWEST_DIVISIONS = 2.0
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT = 0.02
 _FEWEST_RAYS = 16
@@ -100,7 +102,7 @@ class Layout:
         octaves = max(math.ceil((top - math.log(_FLAT * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
-        divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), 1.0)
+        divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.rays_per_width
         doublings = min(max(math.floor(math.log2(most / _FEWEST_RAYS)), 0), octaves - 1)
         # A multiple of those that are projected side by side.
