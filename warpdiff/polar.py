@@ -49,10 +49,11 @@ _NEAR_IN_SPREADS = 30.0
 # Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
 _BLURRED_RAYS_PER_WIDTH = 1.2
 _WIDEST = 0.4
-# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, and for each neighbour.
-_A_SAMPLE, _A_NEIGHBOUR = 800.0, 20.0
-# Multiply-adds of a projection or a look-up, which are made of SIMD alone, in those of all other kernels.
-_DENSE = 0.25
+# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
+# part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
+_A_SAMPLE, _A_NEIGHBOUR, _A_LINE, _A_NUMBER = 150.0, 4.0, 20.0, 35.0
+# Multiply-adds of a projection, which are made of SIMD alone, in those of all other kernels.
+_DENSE = 0.2
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (spectrum.LAMBDA_MAX_NM, spectrum.LAMBDA_MIN_NM))
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1))
@@ -174,6 +175,11 @@ class Layout:
         return int(self.firsts[-1])
 
     @property
+    def sharp_rows(self) -> int:
+        """Rows that are projected, from which levels are made."""
+        return sum(self.rays[0]) * self.nodes
+
+    @property
     def samples(self) -> int:
         """Samples of the spectrum that fill it."""
         return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_rays, self.divisions, strict=True))
@@ -235,11 +241,14 @@ def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
     lanes = tables.lanes_of(plan.terms)
     if plan.coherence.kind == "source":
         lines = 2.0 * math.pi * layout.highest**2 * math.prod(hf.size_um)
-        sampling = lines * _LINE_ON_RAYS * (_A_NEIGHBOUR + 2.0 * _NODES_OF_LINES * lanes)
+        sampling = lines * _LINE_ON_RAYS * (_A_LINE + 2.0 * _NODES_OF_LINES * lanes)
     else:
         neighbours = math.pi * -math.log(plan.least_weight) / tables.falloff_um2(plan.coherence) * math.prod(hf.size_um)
-        sampling = layout.samples * (_A_SAMPLE + neighbours * (_A_NEIGHBOUR + 2.0 * parts * lanes))
-    return sampling + _DENSE * layout.rows * node_count(plan.nodes) * plan.terms * 3.0 * lanes
+        sampling = layout.samples * (parts * _A_SAMPLE + neighbours * (_A_NEIGHBOUR + parts * lanes))
+    # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
+    powers = parts * plan.terms
+    projection = layout.sharp_rows * node_count(plan.nodes) * powers * (powers + 3.0)
+    return sampling + _DENSE * projection + _A_NUMBER * layout.rows * 3.0 * powers
 
 
 def megabytes(plan: Plan) -> float:
