@@ -162,7 +162,7 @@ _JOINED = """
         chunk* const own = out + ROW;
         if (coarse == count || ray % 2 == 0) {
             const chunk* const row = on_ray(octave, coarse == count ? ray : before);
-            for (int l = 0; l < size; ++l) own[l] = row[l];
+            memcpy(own, row, size * sizeof(chunk));
         } else {
             const chunk* rows[8];
             for (int k = 0; k < 8; ++k) rows[k] = on_ray(octave, (before + k - 3 + coarse) % coarse);
@@ -172,11 +172,12 @@ _JOINED = """
                 own[l] = sum;
             }
         }
-        const chunk* const next = on_ray(octave + 1, ray);
-        const chunk* const further = more > 0 ? on_ray(octave + 2, ray * more) : next;
         // A spectrum of few nodes an octave ends before the filter's last taps.
-        for (int l = 0; l < (length - 1 - nodes) * ROW; ++l)
-            own[size + l] = l < size ? next[l] : more > 0 && l < 2 * size ? further[l - size] : chunk{};
+        const int left = (length - 1 - nodes) * ROW, next = wp::min(left, size);
+        const int further = more > 0 ? wp::min(left - next, size) : 0;
+        memcpy(own + size, on_ray(octave + 1, ray), next * sizeof(chunk));
+        if (further > 0) memcpy(own + size + next, on_ray(octave + 2, ray * more), further * sizeof(chunk));
+        for (int l = next + further; l < left; ++l) own[size + l] = chunk{};
     }
 """
 
