@@ -552,6 +552,7 @@ _BLUR = """
         return wp::exp(-0.5f * distance * distance / variance);
     };
     float total = 0.0f;
+#pragma clang loop vectorize(disable) unroll(disable)
     for (int away = -reach; away <= reach; ++away) total += weight_of(away);
     const chunk* const rows = (const chunk*)table.rows.data + (long long)firsts[source * octaves + octave] * CHUNKS;
     chunk* const out = (chunk*)values_out.data + (long long)ray * size * CHUNKS;
@@ -559,6 +560,7 @@ _BLUR = """
         const int taps = wp::min(MOST, reach + 1 - begin);
         const chunk* from[MOST];
         float weights[MOST];
+#pragma clang loop vectorize(disable) unroll(disable)
         for (int j = 0; j < taps; ++j) {
             from[j] = rows + (long long)turned(nearest + begin + j, count) * size * CHUNKS;
             weights[j] = weight_of(begin + j) / total;

@@ -406,7 +406,7 @@ def projector(lanes: int, functions: int) -> Any:
         first_ray: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few rays, each a sum of ``length`` rows from its own node on, but for those skipped."""
+        """Colours along a few rays from their ``length`` rows; that of the first node begins behind those skipped."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def project(
@@ -456,8 +456,7 @@ def projector(lanes: int, functions: int) -> Any:
         """
         first_ray = (first + wp.tid()) * wp.static(abreast)
         at = first_ray * given
-        projected(
-            values, at, given, wp.static(FILTER_REACH), matrices, weights, terms, nodes, first_ray, rows_out
-        )  # fmt: skip
+        skipped = wp.static(FILTER_REACH)
+        projected(values, at, given, skipped, matrices, weights, terms, nodes, first_ray, rows_out)
 
     return types.SimpleNamespace(functions=functions_t, project=project, project_lines=project_lines, abreast=abreast)
