@@ -510,13 +510,81 @@ _MEANS = """
 """
 
 
-@wp.func
-def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
-    """An index modulo the number of rays."""
-    result = index % count
-    if result < 0:
-        result = result + count
-    return result
+# Coefficients of the quadratic spline around a turn, for a ray: sums over as many on either side as count.
+_COEFFICIENTS = """
+    constexpr float POLE = -0.171572875f;
+    const int size = table.nodes, count = rays[level * octaves + octave];
+    const chunk* from[2 * REACH + 1];
+    float factors[REACH + 1];
+    factors[0] = 1.41421356f;
+#pragma unroll
+    for (int j = 0; j < REACH; ++j) factors[j + 1] = POLE * factors[j];
+#pragma unroll
+    for (int j = -REACH; j <= REACH; ++j)
+        from[REACH + j] = (const chunk*)values.data + (long long)turned(ray + j, count) * size * CHUNKS;
+    chunk* const out = (chunk*)rows_out.data + ((long long)firsts[level * octaves + octave] + ray * size) * CHUNKS;
+    for (int l = 0; l < size * CHUNKS; ++l) {
+        chunk sum = factors[0] * from[REACH][l];
+#pragma unroll
+        for (int j = 1; j <= REACH; ++j) sum += factors[j] * (from[REACH - j][l] + from[REACH + j][l]);
+        out[l] = sum;
+    }
+"""
+
+# Values on a ray of a level: a Gaussian around it of another's coefficients, whose spline itself has a variance of a
+# quarter of the distance of rays, squared.
+_BLUR = """
+#if defined(__CUDA_ARCH__)
+    constexpr int MOST = 1;
+#else
+    constexpr int MOST = 32;
+#endif
+    const int size = table.nodes, count = rays[source * octaves + octave];
+    const float* const widths = (const float*)table.widths.data;
+    const float spacing = 6.28318531f / (float)count;
+    const float width = widths[level * octaves + octave], given = widths[source * octaves + octave];
+    const float variance = (width * width - given * given) / (spacing * spacing) + 0.25f;
+    const int reach = wp::min(-(int)wp::floor(-4.5f * wp::sqrt(variance)), count / 2);
+    const float place = (float)ray / (float)rays[level * octaves + octave] * (float)count;
+    const int nearest = (int)wp::rint(place);
+    auto weight_of = [&](int away) {
+        const float distance = (float)(nearest + away) - place;
+        return wp::exp(-0.5f * distance * distance / variance);
+    };
+    float total = 0.0f;
+#pragma clang loop vectorize(disable) unroll(disable)
+    for (int away = -reach; away <= reach; ++away) total += weight_of(away);
+    const chunk* const rows = (const chunk*)table.rows.data + (long long)firsts[source * octaves + octave] * CHUNKS;
+    chunk* const out = (chunk*)values_out.data + (long long)ray * size * CHUNKS;
+    for (int begin = -reach; begin <= reach; begin += MOST) {
+        const int taps = wp::min(MOST, reach + 1 - begin);
+        const chunk* from[MOST];
+        float weights[MOST];
+#pragma clang loop vectorize(disable) unroll(disable)
+        for (int j = 0; j < taps; ++j) {
+            from[j] = rows + (long long)turned(nearest + begin + j, count) * size * CHUNKS;
+            weights[j] = weight_of(begin + j) / total;
+        }
+        for (int l = 0; l < size * CHUNKS; l += CHUNKS) {
+            chunk sum[CHUNKS];
+            for (int c = 0; c < CHUNKS; ++c) sum[c] = begin > -reach ? out[l + c] : chunk{};
+            for (int j = 0; j < taps; ++j)
+                for (int c = 0; c < CHUNKS; ++c) sum[c] += weights[j] * from[j][l + c];
+            for (int c = 0; c < CHUNKS; ++c) out[l + c] = sum[c];
+        }
+    }
+"""
+
+# Numbers of rays, where they begin, and one around a turn.
+_RAYS = """
+    const int octaves = table.rays.shape[1];
+    const int* const rays = (const int*)table.rays.data;
+    const int* const firsts = (const int*)table.firsts.data;
+    auto turned = [](int index, int count) {
+        const int left = index % count;
+        return left < 0 ? left + count : left;
+    };
+"""
 
 
 @functools.cache
@@ -560,11 +628,33 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
         near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
 
-    def native(code: str) -> str:
+    def native(code: str, reach: int = REACH) -> str:
         names = {
-            "WIDTH": width, "SOURCE": int(source), "RUN": RUN, "AHEAD": _AHEAD, "REACH": REACH, "PARTS": MOST_PARTS,
+            "WIDTH": width, "SOURCE": int(source), "RUN": RUN, "AHEAD": _AHEAD, "REACH": reach, "PARTS": MOST_PARTS,
         }  # fmt: skip
-        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + _WEIGH + code)
+        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + code)
+
+    @wp.func_native(native(_RAYS + _COEFFICIENTS, FILTER_REACH))
+    def put_coefficients(
+        values: wp.array(dtype=row_t),
+        table: Colours,
+        level: wp.int32,
+        octave: wp.int32,
+        ray: wp.int32,
+        rows_out: wp.array(dtype=row_t),
+    ):
+        """Those of a ray."""
+
+    @wp.func_native(native(_RAYS + _BLUR))
+    def put_blurred(
+        table: Colours,
+        source: wp.int32,
+        level: wp.int32,
+        octave: wp.int32,
+        ray: wp.int32,
+        values_out: wp.array(dtype=row_t),
+    ):
+        """Those of a ray."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
@@ -574,20 +664,13 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         level: wp.int32,
         octave: wp.int32,
         first: wp.int32,
+        run: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
         """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn."""
-        ray = first + wp.tid() - wp.static(REACH)
-        count = table.rays[level, octave]
-        begin = table.firsts[level, octave] + ray * table.nodes
-        for k in range(table.nodes):
-            rows_out[begin + k] = row_t()
-        for away in range(-wp.static(FILTER_REACH), wp.static(FILTER_REACH + 1)):
-            factor = wp.static(2.0**0.5) * wp.pow(wp.static(2.0 * 2.0**0.5 - 3.0), wp.float32(wp.abs(away)))
-            row = cyclic(ray + away, count) * table.nodes
-            for k in range(table.nodes):
-                rows_out[begin + k] += factor * values[row + k]
+        for k in range(run):
+            put_coefficients(values, table, level, octave, first + wp.tid() + k - wp.static(REACH), rows_out)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def blur(
@@ -597,35 +680,15 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         level: wp.int32,
         octave: wp.int32,
         first: wp.int32,
+        run: wp.int32,
         # Out:
         values_out: wp.array(dtype=row_t),
     ):
         """Values on the rays of a level: those of another, blurred by what it lacks."""
-        ray = first + wp.tid()
-        count = table.rays[source, octave]
-        start = table.firsts[source, octave]
-        spacing = wp.float32(2.0 * wp.PI) / wp.float32(count)
-        # The variance of the spline itself is a quarter of the distance of rays, squared.
-        width_of = table.widths[level, octave]
-        given = table.widths[source, octave]
-        variance = (width_of * width_of - given * given) / (spacing * spacing) + 0.25
-        reach = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), count // 2)
-        place = wp.float32(ray) / wp.float32(table.rays[level, octave]) * wp.float32(count)
-        nearest = wp.int32(wp.rint(place))
-        total_weight = wp.float32(0.0)
-        for k in range(table.nodes):
-            values_out[ray * table.nodes + k] = row_t()
-        for away in range(-reach, reach + 1):
-            distance = wp.float32(nearest + away) - place
-            weight = wp.exp(-0.5 * distance * distance / variance)
-            total_weight += weight
-            row = start + cyclic(nearest + away, count) * table.nodes
-            for k in range(table.nodes):
-                values_out[ray * table.nodes + k] += weight * table.rows[row + k]
-        for k in range(table.nodes):
-            values_out[ray * table.nodes + k] = (1.0 / total_weight) * values_out[ray * table.nodes + k]
+        for k in range(run):
+            put_blurred(table, source, level, octave, first + wp.tid() + k, values_out)
 
-    @wp.func_native(native(_PLACE_OF + _MIRROR + _POINTS))
+    @wp.func_native(native(_WEIGH + _PLACE_OF + _MIRROR + _POINTS))
     def add_points(
         table: Colours,
         deflections: wp.array(dtype=wp.vec3d),
@@ -636,7 +699,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Add the XYZ of a run of deflections times their gains."""
 
-    @wp.func_native(native(_PLACE_OF + _MIRROR + _MEANS))
+    @wp.func_native(native(_WEIGH + _PLACE_OF + _MIRROR + _MEANS))
     def add_means(
         table: Colours,
         deflections: wp.array(dtype=wp.vec3d),

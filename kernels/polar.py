@@ -7,44 +7,235 @@ ratios: ``lookup`` has the rest.
 
 import functools
 import math
+import re
 import types
 from typing import Any
 
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, OPTIONS, cyclic, lookup
+from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, FILTER_REACH, OPTIONS, lookup
 
-# Samples halfway between others: Lagrange's polynomial through four on either side.
-_HALFWAY = wp.constant(wp.vec4f(1225.0 / 2048.0, -245.0 / 2048.0, 49.0 / 2048.0, -5.0 / 2048.0))
+# Samples of a spectrum on a ray, one after the other: Gaussian factors of the columns and of the rows around one, eight
+# abreast, then a sum of rows times theirs, each times its own. The same neighbours of the nearest one are summed around
+# all places that are nearest to it, so that no branch depends on the place. What a sample adds to the splines of three
+# nodes stays in registers from node to node.
+_SAMPLES = """
+    constexpr int ABREAST = 16, ROWS = 64, ROW = CHUNKS * PARTS, OUT = NODES / SIZE;
+    const chunk* const all_rows = (const chunk*)table.rows.data;
+    const int count_y = table.count_y, count_x = table.count_x;
+    const int left_y = left_out < 0 ? -1 : left_out / count_x, left_x = left_out - left_y * count_x;
+    const float across = table.across, along = table.along;
+    // As far as from somewhere nearest to the middle a neighbour counts, and on each row.
+    const int reach_y = (int)(wp::sqrt(table.exponent / across) + 0.5f);
+    const int reach_x = (int)(wp::sqrt(table.exponent / along) + 0.5f);
+    int reaches[ROWS];
+    for (int j = 0; j < ROWS; ++j) {
+        const float away = wp::max((float)j - 0.5f, 0.0f);
+        reaches[j] = (int)(wp::sqrt(wp::max(table.exponent - across * away * away, 0.0f) / along) + 0.5f);
+    }
+    auto wrapped = [](int index, int count) {
+        const int left = index % count;
+        return left < 0 ? left + count : left;
+    };
+    auto exponential = [](float x) {
+        // 2 to the power of a whole number and of what is left of it, between -1/2 and 1/2: to 8e-8.
+        const float y = wp::max(1.442695041f * x, -126.0f);
+        const int whole = (int)(y - 0.5f), bits = (whole + 127) << 23;
+        const float f = y - (float)whole;
+        float power;
+        memcpy(&power, &bits, sizeof(bits));
+        return power * (1.00000007f + f * (0.693146967f + f * (0.240221197f + f * (0.0555071328f
+            + f * (0.00967554132f + f * 0.00132764707f)))));
+    };
+    auto sample = [&](double t, chunk* total) {
+        // Places reach hundreds of coefficients.
+        const double qy = t * sine, qx = t * cosine;
+        const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
+        const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
+        for (int c = 0; c < ROW; ++c) total[c] = chunk{};
+        for (int from_x = -reach_x; from_x <= reach_x; from_x += ABREAST) {
+            float of_columns[ABREAST];
+            for (int i = 0; i < ABREAST; ++i) {
+                const float away = (float)(from_x + i) - fx;
+                of_columns[i] = exponential(-along * away * away);
+            }
+            const int column = nearest_x + table.origin_x + from_x;
+            const bool inside = column >= 0 && column + ABREAST <= count_x;
+            for (int from_y = -reach_y; from_y <= reach_y; from_y += ABREAST) {
+                float of_rows[ABREAST];
+                for (int j = 0; j < ABREAST; ++j) {
+                    const float away = (float)(from_y + j) - fy;
+                    of_rows[j] = exponential(-across * away * away);
+                }
+                for (int j = 0; j < ABREAST && from_y + j <= reach_y; ++j) {
+                    const int aside = from_y + j < 0 ? -from_y - j : from_y + j;
+                    const int reach = aside < ROWS ? reaches[aside] : reach_x;
+                    const int begin = wp::max(-reach - from_x, 0), end = wp::min(reach - from_x + 1, ABREAST);
+                    int y = nearest_y + table.origin_y + from_y + j;
+                    if (y < 0 || y >= count_y) y = wrapped(y, count_y);
+                    chunk sum[ROW];
+                    for (int c = 0; c < ROW; ++c) sum[c] = chunk{};
+                    const chunk* const row = all_rows + (long long)y * count_x * ROW;
+                    if (inside && y != left_y) {
+                        const chunk* const from = row + (long long)column * ROW;
+                        for (int i = begin; i < end; ++i)
+                            for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * from[i * ROW + c];
+                    } else {
+                        for (int i = begin; i < end; ++i) {
+                            const int x = inside ? column + i : wrapped(column + i, count_x);
+                            if (y == left_y && x == left_x) continue;
+                            for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * row[(long long)x * ROW + c];
+                        }
+                    }
+                    for (int c = 0; c < ROW; ++c) total[c] += of_rows[j] * sum[c];
+                }
+            }
+        }
+    };
+    chunk* const out = (chunk*)values_out.data + (long long)begin * OUT;
+    for (int l = 0; l < nodes * OUT; ++l) out[l] = chunk{};
+    // Of the node before, the one whose interval it is, and the one behind.
+    chunk nodes_of[3][OUT];
+    for (int l = 0; l < OUT; ++l) nodes_of[0][l] = nodes_of[1][l] = nodes_of[2][l] = chunk{};
+    auto put = [&](int node, const chunk* sum) {
+        if (node < 0 || node >= nodes) return;
+        for (int l = 0; l < OUT; ++l) out[(long long)node * OUT + l] = sum[l];
+    };
+    int node = -1;
+    double t = first_t;
+    for (; node <= nodes && t <= highest; ++node) {
+        for (int k = 0; k < divisions && t <= highest; ++k, t *= ratio) {
+            chunk total[ROW];
+            sample(t, total);
+            chunk value[OUT];
+            if (PARTS == 1) {
+                for (int l = 0; l < OUT; ++l) value[l] = total[l];
+            } else {
+                chunk re[OUT], im[OUT];
+                for (int l = 0; l < OUT; ++l) re[l] = im[l] = chunk{};
+                const chunk* basis = (const chunk*)bases.data;
+                for (int n = 0; n < LANES; ++n, basis += OUT) {
+                    const float of_re = ((const float*)total)[n], of_im = ((const float*)total)[LANES + n];
+                    for (int l = 0; l < OUT; ++l) re[l] += of_re * basis[l];
+                    for (int l = 0; l < OUT; ++l) im[l] += of_im * basis[l];
+                }
+                for (int l = 0; l < OUT; ++l) value[l] = re[l] * re[l] + im[l] * im[l];
+            }
+            const float f = ((float)k + 0.5f) / (float)divisions - 0.5f;
+            const float before = 0.5f * scale * (0.5f - f) * (0.5f - f), here = scale * (0.75f - f * f);
+            const float behind = 0.5f * scale * (0.5f + f) * (0.5f + f);
+            for (int l = 0; l < OUT; ++l) {
+                nodes_of[0][l] += before * value[l];
+                nodes_of[1][l] += here * value[l];
+                nodes_of[2][l] += behind * value[l];
+            }
+        }
+        put(node - 1, nodes_of[0]);
+        for (int l = 0; l < OUT; ++l) {
+            nodes_of[0][l] = nodes_of[1][l];
+            nodes_of[1][l] = nodes_of[2][l];
+            nodes_of[2][l] = chunk{};
+        }
+    }
+    put(node - 1, nodes_of[0]);
+    put(node, nodes_of[1]);
+"""
 
-# Nodes of a few rays side by side, which share the loads of the matrices: theirs of one octave, of the next and beyond.
+# The nodes that colours along a few rays take, row after row: one before the first of their octave, which counts as
+# dark, the octave, the next one, and of the one behind that what is left. Where an octave has half as many rays,
+# Lagrange's polynomial through four on either side gives those halfway.
+_JOINED = """
+    constexpr float HALFWAY[4] = {1225.0f / 2048.0f, -245.0f / 2048.0f, 49.0f / 2048.0f, -5.0f / 2048.0f};
+    constexpr int ROW = LANES / SIZE;
+    const int* const begins = (const int*)starts.data;
+    const int* const counts = (const int*)rays.data;
+    const int coarse = counts[octave], count = counts[octave + 1];
+    const int more = octave + 2 < rays.shape[0] ? counts[octave + 2] / count : 0;
+    auto on_ray = [&](int of, int ray) {
+        return (const chunk*)values.data + (begins[of] + (long long)ray * nodes) * ROW;
+    };
+    chunk* out = (chunk*)sequence.data + (long long)at * ROW;
+    for (int ray = first_ray; ray < first_ray + ABREAST; ++ray, out += (long long)length * ROW) {
+        const int size = nodes * ROW, before = ray / 2;
+        for (int l = 0; l < ROW; ++l) out[l] = chunk{};
+        chunk* const own = out + ROW;
+        if (coarse == count || ray % 2 == 0) {
+            const chunk* const row = on_ray(octave, coarse == count ? ray : before);
+            memcpy(own, row, size * sizeof(chunk));
+        } else {
+            const chunk* rows[8];
+            for (int k = 0; k < 8; ++k) rows[k] = on_ray(octave, (before + k - 3 + coarse) % coarse);
+            for (int l = 0; l < size; ++l) {
+                chunk sum = chunk{};
+                for (int k = 0; k < 4; ++k) sum += HALFWAY[k] * (rows[3 - k][l] + rows[4 + k][l]);
+                own[l] = sum;
+            }
+        }
+        // A spectrum of few nodes an octave ends before the filter's last taps.
+        const int left = (length - 1 - nodes) * ROW, next = wp::min(left, size);
+        const int further = more > 0 ? wp::min(left - next, size) : 0;
+        memcpy(own + size, on_ray(octave + 1, ray), next * sizeof(chunk));
+        if (further > 0) memcpy(own + size + next, on_ray(octave + 2, ray * more), further * sizeof(chunk));
+        for (int l = next + further; l < left; ++l) own[size + l] = chunk{};
+    }
+"""
+
+# Sums over nodes of a few rays side by side: what a row's terms give for each function of w, by a matrix that the rays
+# share, is then weighed with the colour curves. The rows first become coefficients of the quadratic spline that passes
+# through them, by a filter that runs up and down.
 _PROJECTION = """
-    const chunk* factor = (const chunk*)matrices.data + (long long)skipped * terms * CHUNKS;
-    chunk sum[ABREAST][CHUNKS];
-    for (int b = 0; b < ABREAST; ++b)
-        for (int c = 0; c < CHUNKS; ++c) sum[b][c] = chunk{};
-    for (int part = 0; part < 3; ++part) {
-        const float* row = part == 0 ? (const float*)refined.data + (long long)start0 * LANES
-            : (const float*)values.data + (long long)(part == 1 ? start1 : start2) * LANES;
-        const long long by = (long long)(part == 2 ? apart2 : apart) * LANES;
-        const int count = part == 0 ? count0 : part == 1 ? count1 : count2;
-        for (int m = 0; m < count; ++m) {
+    constexpr float POLE = -0.171572875f, GAIN = 1.41421356f * (1.0f - POLE * POLE);
+    constexpr int ROW = LANES / SIZE, PARTS = (FUNCTIONS + SIZE - 1) / SIZE;
+    chunk* const rows = (chunk*)sequence.data + (long long)at * ROW;
+    for (int b = 0; b < ABREAST; ++b) {
+        chunk* const row = rows + (long long)b * length * ROW;
+        for (int l = 0; l < ROW; ++l) {
+            chunk last = chunk{};
+            for (int j = 0; j < length; ++j) row[j * ROW + l] = last = row[j * ROW + l] + POLE * last;
+            last *= POLE / (1.0f - POLE * POLE);
+            for (int j = length - 1; j >= 0; --j) {
+                last = row[j * ROW + l] + POLE * last;
+                row[j * ROW + l] = GAIN * last;
+            }
+        }
+    }
+    const int taps = weights.shape[0];
+    float* out = (float*)rows_out.data + 3LL * first_ray * nodes * FUNCTIONS;
+    for (int k = 0; k < nodes; ++k) {
+        const float* factor = (const float*)matrices.data;
+        const float* colour = (const float*)weights.data;
+        const float* row = (const float*)(rows + (long long)(skipped + k) * ROW);
+        chunk sum[ABREAST][3][PARTS];
+        for (int b = 0; b < ABREAST; ++b)
+            for (int c = 0; c < 3; ++c)
+                for (int p = 0; p < PARTS; ++p) sum[b][c][p] = chunk{};
+        for (int i = 0; i < taps; ++i) {
+            chunk at_w[ABREAST][PARTS];
+            for (int b = 0; b < ABREAST; ++b)
+                for (int p = 0; p < PARTS; ++p) at_w[b][p] = chunk{};
             for (int l = 0; l < terms; ++l) {
 #pragma unroll
                 for (int b = 0; b < ABREAST; ++b) {
 #pragma unroll
-                    for (int c = 0; c < CHUNKS; ++c) sum[b][c] += row[b * by + l] * factor[c];
+                    for (int p = 0; p < PARTS; ++p)
+                        at_w[b][p] += row[(long long)b * length * LANES + l] * *(const chunk*)(factor + FIRST(p));
                 }
-                factor += CHUNKS;
+                factor += FUNCTIONS;
+            }
+#pragma unroll
+            for (int b = 0; b < ABREAST; ++b) {
+#pragma unroll
+                for (int c = 0; c < 3; ++c)
+                    for (int p = 0; p < PARTS; ++p) sum[b][c][p] += colour[c] * at_w[b][p];
             }
             row += LANES;
+            colour += 3;
         }
-    }
-    float* out = (float*)rows_out.data + (long long)at * WIDTH;
-    for (int b = 0; b < ABREAST; ++b) {
-        for (int c = 0; c < CHUNKS; ++c) ((chunk*)out)[c] = sum[b][c];
-        out += (long long)apart * WIDTH;
+        for (int b = 0; b < ABREAST; ++b)
+            for (int c = 0; c < 3; ++c)
+                for (int p = 0; p < PARTS; ++p)
+                    *(chunk*)(out + (3LL * (b * nodes + k) + c) * FUNCTIONS + FIRST(p)) = sum[b][c][p];
     }
 """
 
@@ -59,67 +250,33 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             they are amplitudes, of the centred form, and a row of the table holds the power of their sum at some κ.
         nodes: Terms of a row of the values.
     """
-    base = spectral.kernels(lanes, "averaged" if powers else "centred", powers)
-    coefficients_t = base.Table
-    row_t = base.row
-    wrapped = base.wrapped
+    coefficients_t = spectral.kernels(lanes, "averaged" if powers else "centred", powers).Table
     out_t = wp.types.vector(length=nodes, dtype=wp.float32)
+    names = {"WIDTH": lanes, "LANES": lanes, "PARTS": 1 if powers else 2, "NODES": nodes}
 
-    @wp.func
-    def power_row(
+    @wp.func_native(re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + _SAMPLES))
+    def sampled(
         table: coefficients_t,
-        qy: wp.float64,
-        qx: wp.float64,
-        bases: wp.array(dtype=row_t),
+        bases: wp.array(dtype=out_t),
+        sine: wp.float64,
+        cosine: wp.float64,
+        nodes: wp.int32,
+        first_t: wp.float64,
+        ratio: wp.float64,
+        divisions: wp.int32,
+        highest: wp.float64,
+        scale: wp.float32,
         left_out: wp.int32,
-        radius_y: wp.float32,
-        shrink: wp.float32,
-    ) -> out_t:
-        """⟨|P|²⟩ at a frequency in coefficients, as a row, but for the coefficient ``left_out``."""
-        iy = wp.int32(wp.rint(qy))
-        ix = wp.int32(wp.rint(qx))
-        fy = wp.float32(qy - wp.float64(iy))
-        fx = wp.float32(qx - wp.float64(ix))
-        first_y = wp.int32(wp.ceil(fy - radius_y))
-        last_y = wp.int32(wp.floor(fy + radius_y))
-        total = out_t()
-        total_re = row_t()
-        total_im = row_t()
-        for j in range(first_y, last_y + 1):
-            dy = wp.float32(j) - fy
-            # A circle of neighbours, row by row.
-            left = wp.sqrt(wp.max(table.exponent - table.across * dy * dy, 0.0) / table.along)
-            first_x = wp.int32(wp.ceil(fx - left))
-            last_x = wp.int32(wp.floor(fx + left))
-            dx = wp.float32(first_x) - fx
-            g = wp.exp(-table.across * dy * dy - table.along * dx * dx)
-            step = wp.exp(-table.along * (2.0 * dx + 1.0))
-            row = wrapped(iy + j + table.origin_y, table.count_y) * table.count_x
-            x = wrapped(ix + first_x + table.origin_x, table.count_x)
-            for _i in range(first_x, last_x + 1):
-                if wp.static(powers):
-                    if row + x != left_out:
-                        total += g * table.rows[row + x]
-                else:
-                    total_re += g * table.rows[2 * (row + x)]
-                    total_im += g * table.rows[2 * (row + x) + 1]
-                g = g * step
-                step = step * shrink
-                x = x + 1
-                if x == table.count_x:
-                    x = 0
-        if wp.static(not powers):
-            for n in range(wp.static(nodes)):
-                re = wp.dot(total_re, bases[n])
-                im = wp.dot(total_im, bases[n])
-                total[n] = re * re + im * im
-        return total
+        begin: wp.int32,
+        values_out: wp.array(dtype=out_t),
+    ):
+        """Integrals along a ray in this direction, in coefficients, from the node ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def resample(
         # In:
         table: coefficients_t,
-        bases: wp.array(dtype=row_t),
+        bases: wp.array(dtype=out_t),
         rays: wp.int32,
         nodes_an_octave: wp.int32,
         log_low: wp.float64,
@@ -134,35 +291,19 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         """Integrals of the power spectrum along a ray under the splines of an octave's nodes.
 
         The first node lies at the logarithm ``log_low`` of the frequency, and the row of ray 0 at ``start``. The
-        spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``.
+        spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``, without the
+        coefficient ``left_out``. Amplitudes are multiplied by ``bases``, term by term.
         """
         ray = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(rays)
-        cosine = wp.cos(angle) * table.length_x
-        sine = wp.sin(angle) * table.length_y
-        share = wp.float32(1.0) / wp.float32(divisions)
-        scale = share * wp.static(math.log(2.0)) / wp.float32(nodes_an_octave)
-        begin = start + ray * nodes_an_octave
-        for k in range(nodes_an_octave):
-            values_out[begin + k] = out_t()
-        radius_y = wp.sqrt(table.exponent / table.across)
-        shrink = wp.exp(-2.0 * table.along)
-        # A node's spline begins one and a half nodes before it.
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(nodes_an_octave * divisions)
-        t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
-        ratio = wp.exp(per_sample)
-        for k in range((nodes_an_octave + 2) * divisions):
-            node = k // divisions - 1
-            f = (wp.float32(k - (node + 1) * divisions) + 0.5) * share - 0.5
-            if t <= highest:
-                value = scale * power_row(table, t * sine, t * cosine, bases, left_out, radius_y, shrink)
-                if node > 0:
-                    values_out[begin + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
-                if node >= 0 and node < nodes_an_octave:
-                    values_out[begin + node] += (0.75 - f * f) * value
-                if node + 1 < nodes_an_octave:
-                    values_out[begin + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
-            t = t * ratio
+        # A node's spline begins one and a half nodes before it.
+        first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
+        sampled(
+            table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, nodes_an_octave, first_t,
+            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), left_out, start + ray * nodes_an_octave,
+            values_out,
+        )  # fmt: skip
 
     return types.SimpleNamespace(row=out_t, resample=resample)
 
@@ -227,30 +368,45 @@ def gatherer(lanes: int) -> Any:
 def projector(lanes: int, functions: int) -> Any:
     """The kernel that sums rows of ``lanes`` terms over an octave's nodes, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
+    functions_t = wp.types.vector(length=functions, dtype=wp.float32)
     row_t = lookup(functions).row
     # As many as registers hold sums for.
     abreast = 4 if functions <= 8 else 2
-    native = (CHUNKS_OF_ROWS + _PROJECTION).replace("ABREAST", str(abreast)).replace("WIDTH", str(3 * functions))
 
-    @wp.func_native(native.replace("LANES", str(lanes)))
-    def projected(
-        refined: wp.array(dtype=values_t),
+    def native(code: str) -> str:
+        # Vectors as long as a row of functions allows: the last one may overlap the one before.
+        code = code.replace("FIRST(p)", "(p * SIZE < FUNCTIONS - SIZE ? p * SIZE : FUNCTIONS - SIZE)")
+        names = {"WIDTH": 8 if functions > 4 else 4, "LANES": lanes, "FUNCTIONS": functions, "ABREAST": abreast}
+        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + code)
+
+    @wp.func_native(native(_JOINED))
+    def joined(
         values: wp.array(dtype=values_t),
-        matrices: wp.array(dtype=row_t),
-        terms: wp.int32,
-        skipped: wp.int32,
-        start0: wp.int32,
-        count0: wp.int32,
-        start1: wp.int32,
-        count1: wp.int32,
-        start2: wp.int32,
-        count2: wp.int32,
-        apart: wp.int32,
-        apart2: wp.int32,
-        rows_out: wp.array(dtype=row_t),
+        starts: wp.array(dtype=wp.int32),
+        rays: wp.array(dtype=wp.int32),
+        nodes: wp.int32,
+        octave: wp.int32,
+        first_ray: wp.int32,
+        sequence: wp.array(dtype=values_t),
         at: wp.int32,
+        length: wp.int32,
     ):
-        """Rows one after the other times the matrices from the first on."""
+        """Rows of a few rays from one before an octave on, ``length`` of them for each ray."""
+
+    @wp.func_native(native(_PROJECTION))
+    def projected(
+        sequence: wp.array(dtype=values_t),
+        at: wp.int32,
+        length: wp.int32,
+        skipped: wp.int32,
+        matrices: wp.array(dtype=functions_t),
+        weights: wp.array(dtype=wp.vec3f),
+        terms: wp.int32,
+        nodes: wp.int32,
+        first_ray: wp.int32,
+        rows_out: wp.array(dtype=row_t),
+    ):
+        """Colours along a few rays from their ``length`` rows; that of the first node begins behind those skipped."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def project(
@@ -258,66 +414,35 @@ def projector(lanes: int, functions: int) -> Any:
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
         rays: wp.array(dtype=wp.int32),
-        matrices: wp.array(dtype=row_t),
+        matrices: wp.array(dtype=functions_t),
+        weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
-        before: wp.int32,
         nodes: wp.int32,
         octave: wp.int32,
-        refined: wp.array(dtype=values_t),
+        length: wp.int32,
+        sequence: wp.array(dtype=values_t),
         first: wp.int32,
+        run: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few rays at the nodes of an octave of |(u, v)|.
+        """Colours along a few rays at a time, at the nodes of an octave of |(u, v)|.
 
         Their red end lies in the same octave of frequencies, which has as many rays as the next or half of them, and
-        their blue end in the next and a little beyond. ``before`` matrices are for nodes before the one itself.
+        their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each ray.
         """
-        first_ray = (first + wp.tid()) * wp.static(abreast)
-        count = rays[octave + 1]
-        coarse = rays[octave]
-        for ray in range(first_ray, first_ray + wp.static(abreast)):
-            begin = ray * nodes
-            if coarse == count:
-                for k in range(nodes):
-                    refined[begin + k] = values[starts[octave] + begin + k]
-            elif ray % 2 == 0:
-                for k in range(nodes):
-                    refined[begin + k] = values[starts[octave] + ray // 2 * nodes + k]
-            else:
-                for k in range(nodes):
-                    refined[begin + k] = values_t()
-                for away in range(4):
-                    left = starts[octave] + cyclic(ray // 2 - away, coarse) * nodes
-                    right = starts[octave] + cyclic(ray // 2 + 1 + away, coarse) * nodes
-                    for k in range(nodes):
-                        refined[begin + k] += _HALFWAY[away] * (values[left + k] + values[right + k])
-        size = matrices.shape[0] // terms
-        begin = first_ray * nodes
-        more = wp.int32(0)
-        beyond = wp.int32(0)
-        if octave + 2 < rays.shape[0]:
-            more = rays[octave + 2] // count
-            beyond = starts[octave + 2] + first_ray * more * nodes
-        for k in range(nodes):
-            skipped = wp.max(before - k, 0)
-            at = k - before + skipped
-            here = wp.min(nodes - at, size - skipped)
-            there = wp.min(size - skipped - here, nodes)
-            # A spectrum of few nodes an octave ends before the filter's last taps.
-            further = wp.int32(0)
-            if more > 0:
-                further = wp.min(size - skipped - here - there, nodes)
-            projected(
-                refined, values, matrices, terms, skipped, begin + at, here, starts[octave + 1] + begin, there, beyond,
-                further, nodes, more * nodes, rows_out, begin + k,
-            )  # fmt: skip
+        at = (first + wp.tid()) * wp.static(abreast) * length
+        for k in range(run):
+            first_ray = (first + wp.tid() + k) * wp.static(abreast)
+            joined(values, starts, rays, nodes, octave, first_ray, sequence, at, length)
+            projected(sequence, at, length, 0, matrices, weights, terms, nodes, first_ray, rows_out)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def project_lines(
         # In:
         values: wp.array(dtype=values_t),
-        matrices: wp.array(dtype=row_t),
+        matrices: wp.array(dtype=functions_t),
+        weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
         nodes: wp.int32,
         given: wp.int32,
@@ -325,13 +450,13 @@ def projector(lanes: int, functions: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """The same where each ray has all ``given`` nodes that its own ones take, from the first matrix's on."""
-        first_ray = (first + wp.tid()) * wp.static(abreast)
-        size = matrices.shape[0] // terms
-        for k in range(nodes):
-            projected(
-                values, values, matrices, terms, 0, 0, 0, 0, 0, first_ray * given + k, size, nodes, given, rows_out,
-                first_ray * nodes + k,
-            )  # fmt: skip
+        """The same where each ray has all ``given`` nodes that its own take, and those that the filter takes besides.
 
-    return types.SimpleNamespace(project=project, project_lines=project_lines, abreast=abreast)
+        The filter changes them.
+        """
+        first_ray = (first + wp.tid()) * wp.static(abreast)
+        at = first_ray * given
+        skipped = wp.static(FILTER_REACH)
+        projected(values, at, given, skipped, matrices, weights, terms, nodes, first_ray, rows_out)
+
+    return types.SimpleNamespace(functions=functions_t, project=project, project_lines=project_lines, abreast=abreast)

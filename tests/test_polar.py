@@ -15,7 +15,8 @@ from warpdiff import colour_table, optics, projection, spectrum
 from warpdiff.bench import reference
 from warpdiff.integration import Integrator
 from warpdiff.kernels import polar as kernels
-from warpdiff.kernels.lookup import lookup
+from warpdiff.kernels import spectral
+from warpdiff.kernels.lookup import FILTER_REACH, lookup
 
 KINDS = ("averaged", "centred")
 # Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
@@ -79,29 +80,113 @@ def test_the_smallest_tables_hold_the_colours_coarsely(fingers, nodes, rng):
     assert errors.max() < 2.0
 
 
-@pytest.mark.parametrize("nodes", [4, 7, 8])
-def test_colours_end_with_the_spectrum(nodes):
-    """The filter's last taps reach beyond three octaves of few nodes; behind the last ray lies another's memory."""
-    rays, lanes = 16, 8
-    rows = np.full((4 * rays * nodes, lanes), np.nan, dtype=np.float32)
-    rows[: 3 * rays * nodes] = 1.0
-    projector = kernels.projector(lanes, 4)
-    row = lookup(4).row
-    taps = projection.projection(
-        dataclasses.replace(wd.plan(wd.HeightField([[0.0]], 1.0), method="low-rank"), nodes=nodes, rays_per_width=1.0),
-        projection.Terms(lambda at: np.ones((len(at), 1)), (0.5, 5.0), np.ones(1), 0.2),
-        "D65",
-    )
-    values = wp.array(rows, dtype=wp.types.vector(length=lanes, dtype=wp.float32), device="cpu")
-    found = wp.zeros(rays * nodes, dtype=row, device="cpu")
-    matrices = np.ones((len(taps.matrices), 12), dtype=np.float32)
+@pytest.mark.parametrize("powers", [True, False])
+@pytest.mark.parametrize(
+    ("counts", "lengths", "falloff"),
+    [
+        ((40, 44), (6.0, 5.0), 22.0),  # some neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # rows and columns of more than one vector's
+        ((5, 3), (2.0, 1.6), 2.0),  # a small patch, whose coefficients come round
+        ((1, 48), (0.02, 6.0), 22.0),
+        ((48, 1), (6.0, 0.02), 22.0),
+    ],
+    ids=str,
+)
+def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, falloff, rng):
+    """Samples of the spectrum at random octaves against all coefficients in float64, near and far ones."""
+    lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
+    parts = 1 if powers else 2
+    rows = rng.normal(size=(*counts, parts, lanes)).astype(np.float32)
+    if powers:
+        rows = np.square(rows)
+    sampler = kernels.resampler(lanes, powers, width)
+    table = spectral.kernels(lanes, "averaged" if powers else "centred", powers).Table()
+    table.rows = wp.array(rows.reshape(-1, lanes), dtype=wp.types.vector(lanes, wp.float32), device="cpu")
+    table.count_y, table.count_x = counts
+    table.origin_y, table.origin_x = (count // 2 for count in counts)
+    table.length_y, table.length_x = lengths
+    table.exponent = 20.0
+    table.across, table.along = (falloff / length**2 for length in lengths)
+    at_kappas = rng.normal(size=(lanes, width)).astype(np.float32)
+    left_out = (counts[0] // 2) * counts[1] + counts[1] // 2 if powers else -1
+    log_low, highest = np.log(rng.uniform(1.2, 1.3)), 1.8
+    found = wp.empty(rays * nodes, dtype=sampler.row, device="cpu")
     inputs = [
-        values, wp.array(np.arange(3) * rays * nodes, dtype=wp.int32, device="cpu"),
-        wp.array([rays] * 3, dtype=wp.int32, device="cpu"), wp.array(matrices, dtype=row, device="cpu"), 1,
-        taps.before, nodes, 0, wp.empty_like(values), 0,
+        table, wp.array(at_kappas, dtype=sampler.row, device="cpu"), rays, nodes, log_low, divisions, highest, left_out,
+        0, 0,
     ]  # fmt: skip
-    wp.launch(projector.project, dim=rays // projector.abreast, inputs=inputs, outputs=[found], device="cpu")
-    assert np.all(np.isfinite(found.numpy()))
+    wp.launch(sampler.resample, dim=rays, inputs=inputs, outputs=[found], device="cpu")
+
+    kept = rows.reshape(-1, parts, lanes).astype(float)
+    if powers:
+        kept[left_out] = 0.0
+    kept = kept.reshape(*counts, parts, lanes)
+    offsets = (np.arange(-divisions - divisions // 2, (nodes + 1) * divisions - divisions // 2) + 0.5) / divisions
+    t = np.exp(log_low + offsets * np.log(2.0) / nodes)
+    angles = 2.0 * np.pi * np.arange(rays) / rays
+    expected = np.zeros((rays, nodes, width))
+    for ray, k in itertools.product(range(rays), np.flatnonzero(t <= highest)):
+        q = t[k] * np.array([np.sin(angles[ray]), np.cos(angles[ray])]) * lengths
+        near = [np.arange(-24, 25) + round(place) for place in q]
+        of_rows, of_columns = (
+            np.exp(-falloff / length**2 * (each - place) ** 2)
+            for each, place, length in zip(near, q, lengths, strict=True)
+        )
+        around = kept[np.ix_(*((each + count // 2) % count for each, count in zip(near, counts, strict=True)))]
+        sums = np.einsum("y,x,yxpl->pl", of_rows, of_columns, around)
+        value = sums[0] if powers else np.sum((sums @ at_kappas) ** 2, axis=0)
+        expected[ray] += projection.spline(offsets[k] - np.arange(nodes))[:, None] * value
+    expected *= np.log(2.0) / (nodes * divisions)
+    peak = np.abs(expected).max()
+    # Neighbours of less weight than exp(-20) are left out.
+    np.testing.assert_allclose(found.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
+
+
+@pytest.mark.parametrize("octaves", [2, 3])
+@pytest.mark.parametrize(("nodes", "functions"), [(4, 4), (7, 12), (8, 20)])
+def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, rng):
+    """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends."""
+    lanes, terms, coarse = 8, 5, 16
+    rays = [coarse, 2 * coarse, 4 * coarse]
+    taps = projection.node_count(nodes)
+    rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
+    starts = nodes * (np.cumsum(rays) - rays)
+    if octaves == 2:
+        # Behind the last octave lies another's memory.
+        rows[starts[2] :] = np.nan
+    matrices = rng.normal(size=(taps, terms, functions)).astype(np.float32)
+    weights = rng.normal(size=(taps, 3)).astype(np.float32)
+    projector = kernels.projector(lanes, functions)
+    length = nodes + taps - 1 + FILTER_REACH
+    row_t = wp.types.vector(length=lanes, dtype=wp.float32)
+    found = wp.zeros(rays[1] * nodes, dtype=lookup(functions).row, device="cpu")
+    groups = rays[1] // projector.abreast
+    inputs = [
+        wp.array(rows, dtype=row_t, device="cpu"), wp.array(starts[:octaves], dtype=wp.int32, device="cpu"),
+        wp.array(rays[:octaves], dtype=wp.int32, device="cpu"),
+        wp.array(matrices.reshape(-1, functions), dtype=projector.functions, device="cpu"),
+        wp.array(weights, dtype=wp.vec3f, device="cpu"), terms, nodes, 0, length,
+        wp.empty(rays[1] * length, dtype=row_t, device="cpu"), 0, groups,
+    ]  # fmt: skip
+    wp.launch(projector.project, dim=1, inputs=inputs, outputs=[found], device="cpu")
+
+    own, following, further = (
+        rows[start : start + count * nodes].reshape(count, nodes, lanes).astype(float)
+        for start, count in zip(starts, rays, strict=True)
+    )
+    halfway = sum(
+        share / 2048.0 * (np.roll(own, away, axis=0) + np.roll(own, -1 - away, axis=0))
+        for away, share in enumerate((1225.0, -245.0, 49.0, -5.0))
+    )
+    refined = np.stack([own, halfway], axis=1).reshape(2 * coarse, nodes, lanes)
+    beyond = further[::2] if octaves == 3 else np.zeros((2 * coarse, nodes, lanes))
+    sequence = np.concatenate([np.zeros((2 * coarse, 1, lanes)), refined, following, beyond], axis=1)
+    sequence = np.pad(sequence, [(0, 0), (0, max(length - sequence.shape[1], 0)), (0, 0)])[:, :length]
+    away = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+    splines = np.einsum("jk,rkl->rjl", np.sqrt(2.0) * (2.0 * np.sqrt(2.0) - 3.0) ** away, sequence)
+    windows = np.stack([splines[:, k : k + taps, :terms] for k in range(nodes)], axis=1)
+    expected = np.einsum("ic,ilm,rkil->rkcm", weights, matrices, windows).reshape(-1, 3 * functions)
+    np.testing.assert_allclose(found.numpy(), expected, atol=2e-6 * np.abs(expected).max())
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
@@ -182,14 +267,10 @@ def test_functions_of_w_serve_all_terms():
     node = 12
     per_um = 1e3 / 780.0 * 2.0 ** ((node - 1) / 16)
     inside = (found.ws * per_um > kappas[0]) & (found.ws * per_um < kappas[1])
-    # A spline of which but one sample is not zero has this sample's coefficients back at its own node and beside it.
-    at_samples = sum(
-        share * found.matrices[node + found.before - 1 + k] for k, share in ((-1, 0.125), (0, 0.75), (1, 0.125))
-    )
     for term in range(6):
         for c in range(3):
             given = weights[node, c] * basis_at(found.ws * per_um)[:, term]
-            back = found.functions @ at_samples[term].reshape(3, -1)[c]
+            back = found.weights[node, c] * (found.functions @ found.matrices[node, term])
             assert np.max(np.abs(given - back)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,7 +114,7 @@ def table_for(
         held[sharp] = _coloured(source, how, spectra[source.key], illuminant, **options)
     if wanted not in held:
         # Levels are added to colours that have none.
-        held[wanted] = _blurred(source.layout.with_levels(plan), held[sharp][1], is_lines=source.is_lines, **options)
+        held[wanted] = _blurred(source.layout.with_levels(), held[sharp][1], is_lines=source.is_lines, **options)
     held[wanted] = held.pop(wanted)
     while len(held) > 1 and sum(megabytes for _, _, megabytes in held.values()) > _MOST_KEPT_MEGABYTES:
         held.pop(next(iter(held)))
@@ -191,7 +191,7 @@ def _source(
         terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)), _SHARE_OF_CARDINALS)
         at_kappas = np.zeros((tables.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
-    layout = Layout.of(replace(plan, footprint=False), reached.frequency)
+    layout = Layout.of(plan, reached.frequency)
     lobe2 = 0.0 if plan.coherence.sigma_um is None else 0.5 / tables.falloff_um2(plan.coherence)
     return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, plan.coherence)
 
@@ -210,12 +210,12 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     import warp as wp
 
     layout, sampler = source.layout, source.sampler
-    at_kappas = wp.array(source.at_kappas, dtype=source.base.arguments.rows.dtype, device=device)
+    bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
     for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
         inputs = [
-            source.base.arguments, at_kappas, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
         launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, least_slice=_SLICE)
@@ -252,51 +252,65 @@ def _coloured(
         table.blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
         table.spread2 = source.coherence.spread**2
         table.near2 = near(source.coherence) ** 2
+    # Levels come behind, if any: until then theirs is no memory on the CPU.
+    table.rows = wp.empty(layout.with_levels().rows, dtype=target.row, device=device)
     projector = polar.projector(len(source.at_kappas), count)
-    matrices = wp.array(how.matrices.reshape(-1, 3 * count), dtype=target.row, device=device)
+    matrices = wp.array(how.matrices.reshape(-1, count), dtype=projector.functions, device=device)
+    curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
 
     def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
-        begin = layout.log_low + (octave - how.before / layout.nodes) * math.log(2.0)
-        given = layout.nodes + len(how.matrices) - 1
+        begin = layout.log_low + (octave - (lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
+        given = layout.nodes + len(how.matrices) - 1 + 2 * lookup.FILTER_REACH
         values = lines.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
             rays=layout.rays[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
-        inputs = [values, matrices, terms, layout.nodes, given]
+        inputs = [values, matrices, curves, terms, layout.nodes, given]
         launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
 
     if source.is_lines:
         _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
-        return target.integrate, table, table.rows.capacity * 1e-6
-    refined = wp.empty(layout.rays[0][-1] * layout.nodes, dtype=spectrum_rows.dtype, device=device)
+        return target.integrate, table, _megabytes(layout, count)
+    # Room for each ray, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
+    length = layout.nodes + len(how.matrices) - 1 + lookup.FILTER_REACH
+    sequence = wp.empty(layout.rays[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
     starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
     rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
 
     def fill(_level: int, octave: int, on_rays: Any) -> None:
-        inputs = [spectrum_rows, starts, rays, matrices, terms, how.before, layout.nodes, octave, refined]
-        launch(projector.project, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
+        inputs = [spectrum_rows, starts, rays, matrices, curves, terms, layout.nodes, octave, length, sequence]
+        groups = layout.rays[0][octave] // projector.abreast
+        launch(projector.project, groups, inputs, [on_rays], in_runs=True, **options)
 
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
-    return target.integrate, table, table.rows.capacity * 1e-6
+    return target.integrate, table, _megabytes(layout, count)
+
+
+def _megabytes(layout: Layout, functions: int) -> float:
+    """Size of the rows of a table that are filled."""
+    return layout.rows * 3 * functions * 4e-6
 
 
 def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
-    """The same with levels, from a table without."""
+    """The same with levels, from a table without, whose rows have room for them."""
     from warpdiff.kernels import lookup
 
-    target = lookup.lookup(sharp.functions.dtype._length_, is_lines)
+    count = sharp.functions.dtype._length_
+    target = lookup.lookup(count, is_lines)
     table = target.Colours()
     for name in target.Colours.vars:
-        if name not in ("rows", "firsts", "rays", "widths"):
+        if name not in ("firsts", "rays", "widths"):
             setattr(table, name, getattr(sharp, name))
+
+    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
 
     def fill(level: int, octave: int, on_rays: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
-        launch(target.blur, layout.rays[level][octave], inputs, [on_rays], device=device, threads=threads)
+        launch(target.blur, layout.rays[level][octave], inputs, [on_rays], in_runs=True, **options)
 
-    _fill(table, target, layout, 1, fill, device=device, threads=threads, begun=sharp.rows)
-    return target.integrate, table, table.rows.capacity * 1e-6
+    _fill(table, target, layout, 1, fill, device=device, threads=threads)
+    return target.integrate, table, _megabytes(layout, count)
 
 
 def _fill(
@@ -308,9 +322,8 @@ def _fill(
     *,
     device: wp.Device,
     threads: int,
-    begun: Any = None,
 ) -> None:
-    """Make the rows of levels from what ``fill`` puts on the rays of a level and an octave."""
+    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the rays of a level and an octave."""
     import warp as wp
 
     from warpdiff.kernels import lookup
@@ -318,16 +331,14 @@ def _fill(
     table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
     table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
     table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
-    table.rows = wp.empty(layout.rows, dtype=target.row, device=device)
-    if begun is not None:
-        wp.copy(table.rows, begun, count=len(begun))
+    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
     on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
     for level in range(first_level, len(layout.rays)):
         for octave, rays in enumerate(layout.rays[level]):
             fill(level, octave, on_rays)
             inputs = [on_rays, table, level, octave]
             repeated = rays + 2 * lookup.REACH
-            launch(target.interpolate, repeated, inputs, [table.rows], device=device, threads=threads)
+            launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
 
 
 @functools.cache

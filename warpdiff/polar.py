@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     from warpdiff.planning import Plan
 
 KINDS = ("averaged", "centred", "source")
-# Samples along a ray, in standard deviations of the spectrum's blur: a sum of Gaussians so far apart is constant to
-# 2 exp(−2π²/1.25²) = 7e-6.
-_ALONG = 1.25
+# Samples along a ray, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of Gaussians
+# is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of some samples.
+_ALONG = 1.6
+# From node to node at least so many, or a node's spline is no integral.
+_FEWEST_DIVISIONS = 2.0
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT = 0.02
 _FEWEST_RAYS = 16
@@ -47,10 +49,11 @@ _NEAR_IN_SPREADS = 30.0
 # Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
 _BLURRED_RAYS_PER_WIDTH = 1.2
 _WIDEST = 0.4
-# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, and for each neighbour.
-_A_SAMPLE, _A_NEIGHBOUR = 800.0, 20.0
-# Multiply-adds of a projection or a look-up, which are made of SIMD alone, in those of all other kernels.
-_DENSE = 0.25
+# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
+# part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
+_A_SAMPLE, _A_NEIGHBOUR, _A_LINE, _A_NUMBER = 150.0, 4.0, 20.0, 35.0
+# Multiply-adds of a projection, which are made of SIMD alone, in those of all other kernels.
+_DENSE = 0.2
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (spectrum.LAMBDA_MAX_NM, spectrum.LAMBDA_MIN_NM))
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1))
@@ -90,7 +93,7 @@ class Layout:
 
     @classmethod
     def of(cls, plan: Plan, highest: float) -> Layout:
-        """The layout for a plan and the largest frequency."""
+        """The layout for a plan and the largest frequency, without levels."""
         step = math.log(2.0) / plan.nodes
         if plan.coherence.kind == "source":
             return cls._of_lines(plan, highest, step)
@@ -100,17 +103,16 @@ class Layout:
         octaves = max(math.ceil((top - math.log(_FLAT * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
-        divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), 1.0)
+        divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.rays_per_width
         doublings = min(max(math.floor(math.log2(most / _FEWEST_RAYS)), 0), octaves - 1)
         # A multiple of those that are projected side by side.
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_RAYS)
         of_spectrum = fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)
-        flat = cls(
+        return cls(
             plan.nodes, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()),
-            tuple((width / tops[1:]).tolist()), (tuple(of_spectrum[1:].tolist()),), (), highest,
+            tuple((width / tops[1:]).tolist()), (tuple(of_spectrum[1:].tolist()),), ((0.0,) * (octaves - 1),), highest,
         )  # fmt: skip
-        return flat.with_levels(plan)
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float, step: float) -> Layout:
@@ -125,14 +127,14 @@ class Layout:
         rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
         blurs = _LINE_IN_RAYS * 2.0 * math.pi / rays
         counts = tuple(rays.astype(int).tolist())
-        return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), (), highest).with_levels(plan)
+        return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
 
-    def with_levels(self, plan: Plan) -> Layout:
-        """The same with the levels of a plan: blurred ones only for footprints, and for sources."""
+    def with_levels(self) -> Layout:
+        """The same with blurred levels, for footprints and for sources."""
         narrow = np.asarray(self.rays[0])
         rays, widths = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
-        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1 if has_levels(plan) else 0
+        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1
         for level in range(levels):
             # An octave that is blurred enough already goes on as it is.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST, first))
@@ -171,6 +173,11 @@ class Layout:
     def rows(self) -> int:
         """Rows of the table."""
         return int(self.firsts[-1])
+
+    @property
+    def sharp_rows(self) -> int:
+        """Rows that are projected, from which levels are made."""
+        return sum(self.rays[0]) * self.nodes
 
     @property
     def samples(self) -> int:
@@ -229,21 +236,30 @@ def smallest_rung(plan: Plan) -> tuple[int, float] | None:
 
 def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
     """What a table costs to make, in the multiply-adds of ``Plan``."""
-    layout = Layout.of(plan, tables.Reached.by(plan.scope).frequency)
+    layout = _layout(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = tables.lanes_of(plan.terms)
     if plan.coherence.kind == "source":
         lines = 2.0 * math.pi * layout.highest**2 * math.prod(hf.size_um)
-        sampling = lines * _LINE_ON_RAYS * (_A_NEIGHBOUR + 2.0 * _NODES_OF_LINES * lanes)
+        sampling = lines * _LINE_ON_RAYS * (_A_LINE + 2.0 * _NODES_OF_LINES * lanes)
     else:
         neighbours = math.pi * -math.log(plan.least_weight) / tables.falloff_um2(plan.coherence) * math.prod(hf.size_um)
-        sampling = layout.samples * (_A_SAMPLE + neighbours * (_A_NEIGHBOUR + 2.0 * parts * lanes))
-    return sampling + _DENSE * layout.rows * node_count(plan.nodes) * plan.terms * 3.0 * lanes
+        sampling = layout.samples * (parts * _A_SAMPLE + neighbours * (_A_NEIGHBOUR + parts * lanes))
+    # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
+    powers = parts * plan.terms
+    projection = layout.sharp_rows * node_count(plan.nodes) * powers * (powers + 3.0)
+    return sampling + _DENSE * projection + _A_NUMBER * layout.rows * 3.0 * powers
 
 
 def megabytes(plan: Plan) -> float:
     """Size of a table, of about as many functions of w as there are terms."""
-    return Layout.of(plan, tables.Reached.by(plan.scope).frequency).rows * 3 * plan.terms * 4e-6
+    return _layout(plan).rows * 3 * plan.terms * 4e-6
+
+
+def _layout(plan: Plan) -> Layout:
+    """The layout of a plan's table, with its levels if it has any."""
+    sharp = Layout.of(plan, tables.Reached.by(plan.scope).frequency)
+    return sharp.with_levels() if has_levels(plan) else sharp
 
 
 def multiply_adds(plan: Plan) -> float:

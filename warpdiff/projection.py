@@ -55,21 +55,19 @@ class Projection:
     Attributes:
         ws: |w| at equal steps.
         functions: Functions of these that all colours share, shape (entries, m).
-        matrices: For each node from some before a colour's own to its blue end and beyond, each term and each of X, Y
-            and Z the coefficients of the functions, shape (nodes, terms, 3 m).
-        before: How many nodes are before.
+        matrices: For each node from the one before a colour's own to its blue end and beyond, and for each term, the
+            coefficients of the functions, shape (nodes, terms, m).
+        weights: What these count for X, Y and Z, shape (nodes, 3).
     """
 
     ws: NDArray[np.float64]
     functions: NDArray[np.float32]
     matrices: NDArray[np.float32]
-    before: int
+    weights: NDArray[np.float32]
 
 
 def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     """The projection for a plan's nodes and tolerance."""
-    from warpdiff.kernels.lookup import FILTER_REACH
-
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * spectrum.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * spectrum.LAMBDA_MIN_NM * 1e-3
     ws = np.linspace(low, high, _ENTRIES)
@@ -90,14 +88,8 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = min(_FUNCTIONS * math.ceil(max(needed, 1) / _FUNCTIONS), _MOST_FUNCTIONS)
     functions = left[:, :m] / relative
-    coefficients = np.einsum("wm,wil->ilm", left[:, :m] * relative, basis)
-    sums = np.einsum("ic,ilm->ilcm", weights, coefficients).reshape(len(per_um), count, 3 * m)
-    # What samples at the nodes become as coefficients of the spline through them.
-    matrices = np.zeros((len(sums) + 2 * FILTER_REACH, *sums.shape[1:]))
-    for away in range(-FILTER_REACH, FILTER_REACH + 1):
-        factor = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** abs(away)
-        matrices[FILTER_REACH + away : FILTER_REACH + away + len(sums)] += factor * sums
-    return Projection(ws, functions.astype(np.float32), matrices.astype(np.float32), FILTER_REACH + 1)
+    matrices = np.einsum("wm,wil->ilm", left[:, :m] * relative, basis)
+    return Projection(ws, functions.astype(np.float32), matrices.astype(np.float32), weights.astype(np.float32))
 
 
 @functools.lru_cache(maxsize=64)
