@@ -30,7 +30,7 @@ _ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time: worth the launches, and bounded by the memory that they take, of which a GPU has more.
-_LEAST_RAYS, _MOST_RAYS, _MOST_RAYS_ALONE = 8192, 150_000, 1 << 20
+_LEAST_RAYS, _MOST_RAYS, _MOST_RAYS_ALONE = 8192, 50_000, 1 << 20
 # What errors are relative to at least, as a share of the 99th percentile of luminance, and how many pixels tell it.
 _FLOOR, _GLIMPSE = 1e-3, 16_384
 # These kernels are cheap against a launch.
