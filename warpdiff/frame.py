@@ -150,7 +150,7 @@ class Frame:
     def begin(self) -> None:
         """Forget what was cast and deflected."""
         self._now: tuple[int, int | None] | None = None
-        # What was launched since: who recorded it keeps it, for it uses its arrays again.
+        # What the device did alone since: who recorded it keeps it, for it uses its arrays again.
         self.launched: list[Step] = []
 
     def light_up(
@@ -266,9 +266,15 @@ class Frame:
             self._cast(0, 1)
             spreads = [self.spread(which) for which in range(len(self._to_lights))]
         for which, share in self._passes(progress):
-            self.launched += integrator.add(
-                *self._seen.directions, illuminants[which], self._sums[0], footprints=spreads[which], progress=share
+            self._keep(
+                integrator.add(
+                    *self._seen.directions, illuminants[which], self._sums[0], footprints=spreads[which], progress=share
+                )
             )
+
+    def _keep(self, steps: list[Step]) -> None:
+        if self._alone:
+            self.launched += steps
 
     def _integrate_means(
         self,
@@ -294,7 +300,7 @@ class Frame:
             steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
             steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints)
             launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
-            self.launched += steps
+            self._keep(steps)
             if self._alone:
                 self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
             else:
@@ -355,7 +361,7 @@ class Frame:
             rays, tiles = self._queue.rays_of(kind), self._queue.pixels_of(kind)
             steps = self._steps_of_tiles(integrator, which, illuminant, kind, rays, tiles, seen, of_rays, colours)
             self._queue.work_off(which, kind, steps, of_rays)
-            self.launched += steps
+            self._keep(steps)
 
     def _steps_of_tiles(
         self,
