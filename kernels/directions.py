@@ -360,6 +360,8 @@ def classify(
 ):
     """How many bounds a lit pixel's contrast exceeds, twice, and one more if a pixel beside such a one is not lit.
 
+    One where it exceeds none; 0 is not lit.
+
     Contrast is the largest difference from those beside it, relative to the pixel itself, or to ``floor``, if that is
     more.
     """
@@ -392,6 +394,8 @@ def classify(
                     result += 2
             if result > 0:
                 result += beside_dark
+            else:
+                result = wp.int32(1)
         classes_out[i] = wp.uint8(result)
 
 

@@ -643,7 +643,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         ray: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):
-        """Those of a ray."""
+        """Coefficients of the spline on one ray."""
 
     @wp.func_native(native(_RAYS + _BLUR))
     def put_blurred(
@@ -654,7 +654,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         ray: wp.int32,
         values_out: wp.array(dtype=row_t),
     ):
-        """Those of a ray."""
+        """Blurred values on one ray."""
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(

@@ -16,7 +16,7 @@ import warp as wp
 from warpdiff.kernels import spectral
 from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, FILTER_REACH, OPTIONS, lookup
 
-# Samples of a spectrum on a ray, one after the other: Gaussian factors of the columns and of the rows around one, eight
+# Samples of a spectrum on a ray, one after the other: Gaussian factors of the columns and of the rows around one, some
 # abreast, then a sum of rows times theirs, each times its own. The same neighbours of the nearest one are summed around
 # all places that are nearest to it, so that no branch depends on the place. What a sample adds to the splines of three
 # nodes stays in registers from node to node.

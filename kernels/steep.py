@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warpdiff import supersample
 from warpdiff.kernels import spectral
 from warpdiff.kernels.shadows import take_number
 
@@ -12,11 +13,9 @@ wp.set_module_options(spectral.OPTIONS)
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
-# A picture's floor, which errors are relative to at least: so much of the luminance that so many pixels exceed.
-FLOOR = wp.constant(wp.float32(1.0e-3))
-EXCEEDED_BY = wp.constant(wp.float32(0.01))
-# The least float32 that is no subnormal.
-TINY = wp.constant(wp.float32(1.17549435e-38))
+FLOOR = wp.constant(wp.float32(supersample.FLOOR))
+EXCEEDED_BY = wp.constant(wp.float32(supersample.EXCEEDED_BY))
+TINY = wp.constant(wp.float32(supersample.TINY))
 
 
 @wp.kernel
@@ -75,11 +74,16 @@ def list_up(
     lists_out: wp.array2d(dtype=wp.int32),
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """The pixels of each class of ``classify`` from 2 on, in whatever order: colours do not depend on those beside."""
+    """The pixels of each class of ``classify`` from 2 on, in whatever order: colours do not depend on those beside.
+
+    Their numbers are counted, and at the end that of all which are lit.
+    """
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         kind = wp.int32(classes[i]) - 2
         if kind >= 0:
             lists_out[kind, take_number(counts_out, kind)] = i
+        if kind >= -1:
+            take_number(counts_out, lists_out.shape[0])
 
 
 @wp.kernel

@@ -105,6 +105,35 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
+@pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", "source"])
+def test_the_light_may_change_alone(tube, fingers, plans, name):
+    plan, count, options = CASES[name]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options)
+    first = drawn.image()
+    for angle in (0.3, 0.0):
+        drawn.draw(turned(angle)[:count])
+        same(drawn.image(), wd.shade(tube, fingers, turned(angle)[:count], view(), plan=plans[plan], **options))
+    # What was handed out stays as it was.
+    same(first, wd.shade(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options))
+    drawn.draw(view=view(0.2))
+    same(drawn.image(), wd.shade(tube, fingers, turned(0.0)[:count], view(0.2), plan=plans[plan], **options))
+
+
+def test_rays_lie_as_the_plan_has_them(tube):
+    """Where no table keeps the tolerance, pixels show no means, and four rays are those of points."""
+    hf = wd.gratings.blazed(2.5, 0.25)
+    options = {"tolerance": 3e-5, "coherence": SHORT, "samples_per_pixel": 4}
+    drawn = wd.Renderer(tube, hf, LIGHTS[0], view(size=(24, 18)), **options)
+    assert not drawn.plan.footprint
+    same(drawn.image(), wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), plan=drawn.plan, samples_per_pixel=4))
+    by_itself = wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), **options)
+    assert not by_itself.plan.footprint
+    again = wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), plan=by_itself.plan, samples_per_pixel=4)
+    # Their surveys were of other rays, and so their coefficients' range.
+    np.testing.assert_allclose(by_itself.xyz, again.xyz, rtol=1e-5, atol=1e-6 * again.xyz.max())
+    np.testing.assert_array_equal(by_itself.coverage, again.coverage)
+
+
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, count, options, recorded):
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(), plan=plans[name], threads=1, **options)

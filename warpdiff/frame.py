@@ -78,6 +78,23 @@ class _Seen:
         return self.deflections, self.to_lights, self.gains
 
 
+@dataclass(frozen=True)
+class _Room:
+    """Arrays for rays of tiles, their colours, and what a table leaves out of these."""
+
+    seen: _Seen
+    colours: wp.array
+    left_out: wp.array
+
+    @classmethod
+    def by(cls, rays: int, integrator: Integrator, *, device: wp.Device) -> _Room:
+        """Room for so many rays."""
+        import warp as wp
+
+        left_out = wp.empty(rays * integrator.leaves_out, dtype=wp.float32, device=device)
+        return cls(_Seen.by(rays, device=device, means=True), wp.empty(rays, dtype=wp.vec3f, device=device), left_out)
+
+
 class Frame:
     """A picture of a surface: seen by a view, lit, and filled with colours; then by another view, or lit otherwise."""
 
@@ -124,12 +141,15 @@ class Frame:
         # XYZ, coverage, and what any light reaches.
         self._sums = [wp.empty(size, dtype=dtype, device=device) for dtype in dtypes]
         self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
-        # One light's, where pictures are sums.
+        # One light's, where pictures are sums; footprints of samples; and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
+        self._spreads: list[wp.array] = []
+        self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._queue: supersample.Queue | None = None
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
-        self._tiled = 0
+        # Lit pixels of all lights, and those that took more rays.
+        self._lit, self._tiled = 0, 0
         self.look(view)
 
     def look(self, view: View) -> None:
@@ -150,8 +170,6 @@ class Frame:
     def begin(self) -> None:
         """Forget what was cast and deflected."""
         self._now: tuple[int, int | None] | None = None
-        # What the device did alone since: who recorded it keeps it, for it uses its arrays again.
-        self.launched: list[Step] = []
 
     def light_up(
         self,
@@ -207,7 +225,7 @@ class Frame:
 
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
-        """What of view and lights the launches themselves depend on; all else is on the device."""
+        """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
         shadows = self._shadows and self._may_be_hidden
         return len(self._to_lights), self._view.extent_y is None, shadows, self._pigmented
 
@@ -261,20 +279,26 @@ class Frame:
         if footprint and self._samples == 1:
             self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
             return
-        spreads: list[Any] = [None] * len(self._to_lights)
         if footprint:
             self._cast(0, 1)
-            spreads = [self.spread(which) for which in range(len(self._to_lights))]
+            self._spreads = [
+                self.spread(which, self._spreads[which] if which < len(self._spreads) else None)
+                for which in range(len(self._to_lights))
+            ]
+        left_out = self._room_for_what_is_left_out(integrator)
         for which, share in self._passes(progress):
-            self._keep(
-                integrator.add(
-                    *self._seen.directions, illuminants[which], self._sums[0], footprints=spreads[which], progress=share
-                )
-            )
+            integrator.add(
+                *self._seen.directions, illuminants[which], self._sums[0],
+                footprints=self._spreads[which] if footprint else None, left_out=left_out, progress=share,
+            )  # fmt: skip
 
-    def _keep(self, steps: list[Step]) -> None:
-        if self._alone:
-            self.launched += steps
+    def _room_for_what_is_left_out(self, integrator: Integrator) -> wp.array:
+        """An array of a picture's size, which is made once, for a table that leaves directions out."""
+        import warp as wp
+
+        if integrator.leaves_out and not len(self._left_out):
+            self._left_out = wp.empty(self._size, dtype=wp.float32, device=self._device)
+        return self._left_out
 
     def _integrate_means(
         self,
@@ -287,7 +311,8 @@ class Frame:
         """The same of means over pixels, where that takes it over several rays in each."""
         import warp as wp
 
-        self._tiled = 0
+        self._lit, self._tiled = 0, 0
+        left_out = self._room_for_what_is_left_out(integrator)
         # A single light's without pigments are the picture.
         are_picture = len(self._to_lights) == 1 and not self._pigmented
         if not are_picture and not len(self._colours):
@@ -298,14 +323,14 @@ class Frame:
                 colours.zero_()
             illuminant, seen, width = illuminants[which], self._seen, self._view.width
             steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
-            steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints)
+            steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints, left_out)
             launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
-            self._keep(steps)
             if self._alone:
                 self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
             else:
-                batches = supersample.batches(colours, seen.gains, width, tolerance, **self._options)
+                lit, batches = supersample.batches(colours, seen.gains, width, tolerance, **self._options)
                 self._set_means(integrator, which, illuminant, batches, colours)
+                self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:
                 supersample.add(colours, self._sums[0], **self._options)
@@ -325,21 +350,20 @@ class Frame:
         rays = {batch.kind.index: batch.kind.tile.on(self._device) for batch in batches}
         parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
         most = max((len(part) * batch.kind.rays for batch, part in parts), default=0)
-        rooms: queue.SimpleQueue[tuple[_Seen, wp.array]] = queue.SimpleQueue()
+        rooms: queue.SimpleQueue[_Room] = queue.SimpleQueue()
         for _ in range(min(len(parts), self._threads)):
-            seen = _Seen.by(most, device=self._device, means=True)
-            rooms.put((seen, wp.empty(most, dtype=wp.vec3f, device=self._device)))
+            rooms.put(_Room.by(most, integrator, device=self._device))
 
         def work(each: tuple[supersample.Batch, range]) -> None:
-            (batch, part), (seen, of_rays) = each, rooms.get()
-            of_rays.zero_()
+            (batch, part), room = each, rooms.get()
+            room.colours.zero_()
             tiles = wp.array(batch.pixels[part.start : part.stop], dtype=wp.int32, device=self._device)
             steps = self._steps_of_tiles(
-                integrator, which, illuminant, batch.kind, rays[batch.kind.index], tiles, seen, of_rays, colours
+                integrator, which, illuminant, batch.kind, rays[batch.kind.index], tiles, room, colours
             )
             count = len(part) * batch.kind.rays
             launch_in_turn(steps, count, least_slice=count, device=self._device, threads=1)
-            rooms.put((seen, of_rays))
+            rooms.put(room)
 
         side_by_side(work, parts, threads=self._threads)
 
@@ -347,21 +371,15 @@ class Frame:
         self, integrator: Integrator, which: int, illuminant: str, tolerance: float, colours: wp.array
     ) -> None:
         """The same, where the device itself finds these pixels and goes on until it has met them all."""
-        import warp as wp
-
         lights = len(self._to_lights)
         if self._queue is None or self._queue.lights != lights:
             self._queue = supersample.Queue(self._size, lights, tolerance, **self._options)
-            most = self._queue.most_rays
-            of_rays = wp.empty(most, dtype=wp.vec3f, device=self._device)
-            self._in_tiles = _Seen.by(most, device=self._device, means=True), of_rays
+            self._room = _Room.by(self._queue.most_rays, integrator, device=self._device)
         self._queue.list_up(which, colours, self._seen.gains, self._view.width)
-        seen, of_rays = self._in_tiles
         for kind in supersample.KINDS:
             rays, tiles = self._queue.rays_of(kind), self._queue.pixels_of(kind)
-            steps = self._steps_of_tiles(integrator, which, illuminant, kind, rays, tiles, seen, of_rays, colours)
-            self._queue.work_off(which, kind, steps, of_rays)
-            self._keep(steps)
+            steps = self._steps_of_tiles(integrator, which, illuminant, kind, rays, tiles, self._room, colours)
+            self._queue.work_off(which, kind, steps, self._room.colours)
 
     def _steps_of_tiles(
         self,
@@ -371,14 +389,13 @@ class Frame:
         kind: supersample.Kind,
         rays: tuple[wp.array, wp.array],
         tiles: wp.array,
-        seen: _Seen,
-        of_rays: wp.array,
+        room: _Room,
         colours: wp.array,
     ) -> list[Step]:
-        """What sets the colours of some pixels to the means over tiles of rays, which add to zeros in ``of_rays``."""
+        """What sets the colours of some pixels to the means over tiles of rays, which add to zeros in their room."""
         from warpdiff.kernels import directions, raycast
 
-        tile = kind.tile
+        tile, seen = kind.tile, room.seen
         sampling = raycast.Sampling()
         sampling.tiles = tiles
         sampling.places, weights = rays
@@ -392,10 +409,11 @@ class Frame:
             self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
             # Look-ups take whole runs of those that there are gains of.
             *integrator.steps(
-                deflections, to_lights, gains[: len(tiles) * kind.rays], illuminant, of_rays, seen.footprints
+                deflections, to_lights, gains[: len(tiles) * kind.rays], illuminant, room.colours, seen.footprints,
+                room.left_out,
             ),
             Step(
-                directions.gather, [of_rays, seen.pixels.hit, tiles, weights], [colours],
+                directions.gather, [room.colours, seen.pixels.hit, tiles, weights], [colours],
                 in_runs=True, block=kind.rays,
             ),
         ]  # fmt: skip
@@ -415,7 +433,6 @@ class Frame:
         self._now = sample, None
 
     def _cast(self, sample: int, samples: int) -> None:
-
         from warpdiff.kernels import raycast
 
         self._now = None
@@ -480,12 +497,14 @@ class Frame:
         deflections, to_lights, gains = (each.numpy() for each in self._seen.directions)
         return deflections, to_lights, gains
 
-    def spread(self, which: int) -> wp.array:
+    def spread(self, which: int, result: wp.array | None = None) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
         import warp as wp
 
-        result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
-        steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0)
+        if result is None:
+            result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
+        self._now = None
+        steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0, shadows=False)
         launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
         # A pixel's neighbours lie in other slices.
         step = self._spread(self._seen, self._view.width, self._view.height, self._deviation, result)
@@ -510,14 +529,13 @@ class Frame:
         shape = (self._view.height, self._view.width)
         xyz, coverage, lit = (sums.numpy() for sums in self._sums)
         coverage = coverage.astype(np.float32).reshape(shape)
-        tiled = self._tiled if self._queue is None else self._queue.count
-        share = tiled / max(int(np.count_nonzero(lit)) * len(self._to_lights), 1)
+        lit_pixels, tiled = (self._lit, self._tiled) if self._queue is None else self._queue.counts
         return Image(
             xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
             lit=lit.reshape(shape),
             coverage=coverage,
-            plan=replace(plan, supersampled=share),
+            plan=replace(plan, supersampled=tiled / max(lit_pixels, 1)),
         )
 
 

@@ -42,8 +42,9 @@ class Integrator:
         xyz: wp.array,
         *,
         footprints: wp.array | None = None,
+        left_out: wp.array | None = None,
         **options: Any,
-    ) -> list[Step]:
+    ) -> None:
         """Add the XYZ of deflections (n,) to those in ``xyz``.
 
         Args:
@@ -53,16 +54,18 @@ class Integrator:
             illuminant: A name.
             xyz: What is added to.
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
+            left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
             options: Of ``launch_in_turn``, ``least_slice`` and ``progress``.
-
-        Returns:
-            What was launched, with the arrays that it takes.
         """
-        if self._plan.nodes and self._plan.coherence.kind != "source":
+        if self._plan.nodes and not self.leaves_out:
             options.setdefault("least_slice", _LOOK_UPS)
-        steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints)
+        steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)
         launch_in_turn(steps, len(gains), device=self._device, threads=self._threads, **options)
-        return steps
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether a table leaves out some directions, as those of a source do."""
+        return bool(self._plan.nodes) and self._plan.coherence.kind == "source"
 
     def steps(
         self,
@@ -72,17 +75,17 @@ class Integrator:
         illuminant: str,
         xyz: wp.array,
         footprints: wp.array | None = None,
+        left_out: wp.array | None = None,
     ) -> list[Step]:
         """What ``add`` launches."""
         if not self._plan.nodes:
             return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
         import warp as wp
 
-        # A table leaves out some directions of a source.
-        is_source = self._plan.coherence.kind == "source"
-        left_out = wp.empty(len(gains) if is_source else 0, dtype=wp.float32, device=self._device)
+        if left_out is None:
+            left_out = wp.empty(len(gains) * self.leaves_out, dtype=wp.float32, device=self._device)
         steps = [self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)]
-        if is_source:
+        if self.leaves_out:
             steps.append(self._sample(deflections, to_lights, left_out, illuminant, xyz))
         return steps
 

@@ -104,7 +104,8 @@ def shade(
     load_kernels(wanted.device)
     if plan is None:
         wanted.load_likely_kernels(hf, view)
-    picture = wanted.frame(prepare_surface(mesh, tangents=tangents), view)
+    surface = prepare_surface(mesh, tangents=tangents)
+    picture = wanted.frame(surface, view)
     wanted.light_up(picture, hf, wanted.lights)
     scope, count, pilots = picture.survey(hf, wanted.window)
     found = wanted.plan
@@ -112,6 +113,11 @@ def shade(
         warn_outside(found, hf, scope)
     else:
         found = wanted.plan_for(hf, scope, pilots, count)
+    if found.footprint != wanted.footprint:
+        # No table keeps the tolerance: rays of a pixel then lie as those of points do.
+        wanted = replace(wanted, footprint=found.footprint)
+        picture = wanted.frame(surface, view)
+        wanted.light_up(picture, hf, wanted.lights)
     names = [each.illuminant for each in wanted.lights]
     if found.method == "direct":
         picture.sum_directly(hf, found, names, progress=progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import checks
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from warpdiff.coherence import Coherence
-    from warpdiff.device import Step
     from warpdiff.heightfield import HeightField
     from warpdiff.image import Image
     from warpdiff.light import DirectionalLight
@@ -30,9 +30,9 @@ class Renderer:
     """Pictures of a mesh whose surface carries a height field, under lights and views that change.
 
     Each is that of :func:`warpdiff.shade` with ``plan=renderer.plan``. What does not change is done once: the plan,
-    which is for any light and view, the mesh and the arrays. On a GPU the launches of a picture are recorded, too, as a
-    CUDA graph (with drivers from CUDA 12.4 on), which the next one replays without the host; the colours stay where
-    they are until they are asked for::
+    which is for light and view from anywhere, the mesh and the arrays, and what is seen, until the view changes. On a
+    GPU the launches of a picture are recorded, too, as a CUDA graph (with drivers from CUDA 12.4 on), which the next
+    one replays without the host; the colours stay where they are until they are asked for::
 
         renderer = warpdiff.Renderer(mesh, hf, light, view, device="cuda")
         while True:
@@ -67,8 +67,8 @@ class Renderer:
     ) -> None:
         """Prepare pictures; the arguments are those of :func:`warpdiff.shade`.
 
-        The tolerance is met for directions all over the hemisphere, as those of the pictures are not known. The method
-        ``"direct"`` is for single pictures.
+        The tolerance is met for directions all over the hemisphere, as those of the pictures are not known, under the
+        illuminants of these lights. The method ``"direct"`` is for single pictures.
         """
         wanted = Wanted.checked(
             hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
@@ -89,9 +89,11 @@ class Renderer:
         self.plan = wanted.plan or wanted.plan_for(hf, scope, pilots, count)
         self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
         self._recorded = records(wanted.device)
-        self._frame = wanted.frame(surface, view, alone=self._recorded or None)
-        # A picture's launches as they were recorded, the arrays that they take, and what they depend on.
-        self._graph: tuple[Any, list[Step]] | None = None
+        # Where no table keeps the tolerance, pixels show no means.
+        planned = replace(wanted, footprint=self.plan.footprint)
+        self._frame = planned.frame(surface, view, alone=self._recorded or None)
+        # A picture's launches as they were recorded, and what they depend on.
+        self._graph: Any = None
         self._graph_is_for: tuple[Any, ...] = ()
         self.draw()
 
@@ -111,6 +113,7 @@ class Renderer:
             be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
         lights = self._lights if light is None else check_lights(light)
+        # What is seen stays as it is, if the view does.
         if view is not None:
             checks.instance(view, View, "view")
             if (view.width, view.height) != (self._view.width, self._view.height):
@@ -119,8 +122,8 @@ class Renderer:
                     f"{view.width} × {view.height}; another size takes another Renderer"
                 )
             self._view = view
+            self._frame.look(view)
         self._lights = lights
-        self._frame.look(self._view)
         self._wanted.light_up(self._frame, self._hf, lights)
         if self._recorded:
             self._replay()
@@ -129,13 +132,15 @@ class Renderer:
         return self._frame.xyz
 
     def image(self) -> Image:
-        """The last picture, with what it covers, on the host."""
-        return self._frame.image(self.plan)
+        """The last picture, with what it covers, on the host, where no later one changes it."""
+        image = self._frame.image(self.plan)
+        if not self._wanted.device.is_cpu:
+            return image
+        return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
 
     def _launch(self) -> None:
         """Launch what a picture takes."""
         names = [each.illuminant for each in self._lights]
-        self._frame.begin()
         self._frame.integrate(
             self._integrator, names, footprint=self.plan.footprint, tolerance=self.plan.tolerance
         )  # fmt: skip
@@ -146,13 +151,17 @@ class Renderer:
 
         needed = (*self._frame.launches_depend_on, *(each.illuminant for each in self._lights))
         if self._graph is not None and self._graph_is_for == needed:
-            wp.capture_launch(self._graph[0])
+            wp.capture_launch(self._graph)
             return
-        # What ran once finds its kernels loaded and its tables made.
+        # Arrays of the last one may go.
+        self._graph = None
+        # What ran once finds its kernels loaded and its arrays and tables made.
+        self._frame.begin()
         self._launch()
+        self._frame.begin()
         with wp.ScopedCapture(device=self._wanted.device, force_module_load=False) as capture:
             self._launch()
-        self._graph, self._graph_is_for = (capture.graph, self._frame.launched), needed
+        self._graph, self._graph_is_for = capture.graph, needed
 
 
 def records(device: wp.Device) -> bool:

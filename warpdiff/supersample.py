@@ -30,9 +30,11 @@ _ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time: worth the launches, and bounded by the memory that they take, of which a GPU has more.
-_LEAST_RAYS, _MOST_RAYS, _MOST_RAYS_ALONE = 8192, 50_000, 1 << 20
-# What errors are relative to at least, as a share of the 99th percentile of luminance, and how many pixels tell it.
-_FLOOR, _GLIMPSE = 1e-3, 16_384
+_LEAST_RAYS, _MOST_RAYS, _MOST_RAYS_ALONE = 8192, 32_768, 1 << 20
+# What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
+FLOOR, EXCEEDED_BY = 1e-3, 0.01
+TINY = float(np.finfo(np.float32).tiny)
+_GLIMPSE = 16_384
 # These kernels are cheap against a launch.
 _SLICE = 32_768
 
@@ -153,8 +155,8 @@ def _bounds(tolerance: float, device: wp.Device) -> wp.array:
 
 def batches(
     colours: wp.array, gains: wp.array, width: int, tolerance: float, *, device: wp.Device, threads: int
-) -> list[Batch]:
-    """The lit pixels of a picture whose predicted error exceeds the tolerance."""
+) -> tuple[int, list[Batch]]:
+    """How many pixels of a picture are lit, and those whose predicted error exceeds the tolerance."""
     import warp as wp
 
     from warpdiff.kernels import directions
@@ -162,17 +164,18 @@ def batches(
     # How bright a picture is, a part of it tells.
     step = _apart(len(gains))
     bright = colours[::step].numpy()[gains[::step].numpy() > 0.0, 1]
-    least = _FLOOR * float(np.percentile(bright, 99.0, method="higher")) if len(bright) else 0.0
-    floor = wp.array([max(least, np.finfo(np.float32).tiny)], dtype=wp.float32, device=device)
+    least = FLOOR * float(np.sort(bright)[-1 - int(EXCEEDED_BY * len(bright))]) if len(bright) else 0.0
+    floor = wp.array([max(least, TINY)], dtype=wp.float32, device=device)
     classes = wp.empty(len(gains), dtype=wp.uint8, device=device)
     inputs = [colours, gains, width, floor, _bounds(tolerance, device)]
     options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
     launch(directions.classify, len(gains), inputs, [classes], **options)
     classed = classes.numpy()
-    candidates = np.flatnonzero(classed > 0)
+    lit = int(np.count_nonzero(classed))
+    candidates = np.flatnonzero(classed > 1)
     classed = classed[candidates]
     found = [Batch(kind, candidates[classed == kind.index + 2].astype(np.int32)) for kind in KINDS]
-    return [batch for batch in found if len(batch.pixels)]
+    return lit, [batch for batch in found if len(batch.pixels)]
 
 
 def _apart(pixels: int) -> int:
@@ -201,7 +204,7 @@ class Queue:
         self._bounds = _bounds(tolerance, device)
         self._tallies, self._floor = empty(steep.GROUPS * (1 + steep.BINS)), empty(1, wp.float32)
         self._classes = empty(pixels, wp.uint8)
-        self._lists, self._counts = empty((len(KINDS), pixels)), empty((lights, len(KINDS)))
+        self._lists, self._counts = empty((len(KINDS), pixels)), empty((lights, len(KINDS) + 1))
         self._taken, self._left = empty(len(KINDS)), empty(1)
         self.most_rays = min(max(kind.rays for kind in KINDS) * pixels, _MOST_RAYS_ALONE)
         self._tiles = empty(self.most_rays // min(kind.rays for kind in KINDS))
@@ -217,9 +220,10 @@ class Queue:
         return len(self._counts)
 
     @property
-    def count(self) -> int:
-        """How many pixels were listed under all lights."""
-        return int(self._counts.numpy().sum())
+    def counts(self) -> tuple[int, int]:
+        """How many pixels are lit, and how many of them were listed, summed over all lights."""
+        listed = self._counts.numpy().sum(axis=0)
+        return int(listed[-1]), int(listed[:-1].sum())
 
     def pixels_of(self, kind: Kind) -> wp.array:
         """Room for as many pixels of a kind as are met at a time; −1 is none."""
