@@ -670,7 +670,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn."""
         for k in range(run):
-            put_coefficients(values, table, level, octave, first + wp.tid() + k - wp.static(REACH), rows_out)
+            put_coefficients(values, table, level, octave, first + wp.tid() * run + k - wp.static(REACH), rows_out)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def blur(
@@ -686,7 +686,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Values on the rays of a level: those of another, blurred by what it lacks."""
         for k in range(run):
-            put_blurred(table, source, level, octave, first + wp.tid() + k, values_out)
+            put_blurred(table, source, level, octave, first + wp.tid() * run + k, values_out)
 
     @wp.func_native(native(_WEIGH + _PLACE_OF + _MIRROR + _POINTS))
     def add_points(

@@ -433,7 +433,7 @@ def projector(lanes: int, functions: int) -> Any:
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
-            first_ray = (first + wp.tid() + k) * wp.static(abreast)
+            first_ray = (first + wp.tid() * run + k) * wp.static(abreast)
             joined(values, starts, rays, nodes, octave, first_ray, sequence, at, length)
             projected(sequence, at, length, 0, matrices, weights, terms, nodes, first_ray, rows_out)
 
