@@ -7,6 +7,7 @@ import warp as wp
 
 from warpdiff import optics
 from warpdiff.kernels import spectral
+from warpdiff.kernels.native import filled
 from warpdiff.kernels.raycast import Pixels
 
 wp.set_module_options(spectral.OPTIONS)
@@ -75,7 +76,7 @@ _DEFLECT = """
             double to_light[3], to_view[3];
             for (int axis = 0; axis < 3; ++axis) {
                 const double x = frame[axis][0][i], y = frame[axis][1][i], z = frame[axis][2][i];
-                to_light[axis] = sun[0] * x + sun[1] * y + sun[2] * z;
+                to_light[axis] = towards[0] * x + towards[1] * y + towards[2] * z;
                 to_view[axis] = away_x * x + away_y * y + away_z * z;
             }
             const double per_light = 1.0 / wp::sqrt(to_light[0] * to_light[0] + to_light[1] * to_light[1]
@@ -117,10 +118,10 @@ _DEFLECT = """
 """
 
 
-@wp.func_native(_DEFLECT.replace("HORIZON", str(optics.HORIZON)))
+@wp.func_native(filled(_DEFLECT, HORIZON=optics.HORIZON))
 def deflect(
     pixels: Pixels,
-    sun: wp.vec3d,
+    towards: wp.vec3d,
     reflection: Reflection,
     scale: wp.float64,
     hidden: wp.array(dtype=wp.bool),
@@ -173,9 +174,7 @@ def deflect_pixels(
     strength = lights.strengths[which]
     scale = weight * strength[0]
     begin = first + wp.tid() * run
-    deflect(
-        pixels, to_light, reflection, scale, hidden, begin, begin + run, deflections_out, to_lights_out, gains_out
-    )  # fmt: skip
+    deflect(pixels, to_light, reflection, scale, hidden, begin, begin + run, deflections_out, to_lights_out, gains_out)
     if xyz_out.shape[0] == 0:
         return
     for i in range(begin, begin + run):

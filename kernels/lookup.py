@@ -13,12 +13,12 @@ A source does the same to the lines of an endless surface.
 """
 
 import functools
-import re
 import types
 
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.native import CHUNKS_OF_ROWS, CYCLIC, filled
 
 # Loops that stay loops compile faster.
 OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
@@ -44,18 +44,6 @@ class Blending:
     per_variance: wp.float32  # entries per unit of the variance, in distances of rays squared
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
 
-
-# Sums of rows are written as sums of the compiler's own vectors, as it makes none of plain loops over registers.
-CHUNKS_OF_ROWS = """
-#if defined(__CUDA_ARCH__)
-    typedef float chunk;
-    constexpr int SIZE = 1;
-#else
-    constexpr int SIZE = WIDTH % 8 == 0 ? 8 : 4;
-    typedef float chunk __attribute__((vector_size(SIZE * sizeof(float)), aligned(sizeof(float))));
-#endif
-    constexpr int CHUNKS = WIDTH / SIZE;
-"""
 
 # Sums of rows times the functions at w: the first of four entries, and the cubic through them.
 _WEIGH = """
@@ -521,7 +509,7 @@ _COEFFICIENTS = """
     for (int j = 0; j < REACH; ++j) factors[j + 1] = POLE * factors[j];
 #pragma unroll
     for (int j = -REACH; j <= REACH; ++j)
-        from[REACH + j] = (const chunk*)values.data + (long long)turned(ray + j, count) * size * CHUNKS;
+        from[REACH + j] = (const chunk*)values.data + (long long)cyclic(ray + j, count) * size * CHUNKS;
     chunk* const out = (chunk*)rows_out.data + ((long long)firsts[level * octaves + octave] + ray * size) * CHUNKS;
     for (int l = 0; l < size * CHUNKS; ++l) {
         chunk sum = factors[0] * from[REACH][l];
@@ -562,7 +550,7 @@ _BLUR = """
         float weights[MOST];
 #pragma clang loop vectorize(disable) unroll(disable)
         for (int j = 0; j < taps; ++j) {
-            from[j] = rows + (long long)turned(nearest + begin + j, count) * size * CHUNKS;
+            from[j] = rows + (long long)cyclic(nearest + begin + j, count) * size * CHUNKS;
             weights[j] = weight_of(begin + j) / total;
         }
         for (int l = 0; l < size * CHUNKS; l += CHUNKS) {
@@ -575,15 +563,11 @@ _BLUR = """
     }
 """
 
-# Numbers of rays, where they begin, and one around a turn.
+# Numbers of rays, and where they begin.
 _RAYS = """
     const int octaves = table.rays.shape[1];
     const int* const rays = (const int*)table.rays.data;
     const int* const firsts = (const int*)table.firsts.data;
-    auto turned = [](int index, int count) {
-        const int left = index % count;
-        return left < 0 ? left + count : left;
-    };
 """
 
 
@@ -629,12 +613,12 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
 
     def native(code: str, reach: int = REACH) -> str:
-        names = {
-            "WIDTH": width, "SOURCE": int(source), "RUN": RUN, "AHEAD": _AHEAD, "REACH": reach, "PARTS": MOST_PARTS,
-        }  # fmt: skip
-        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + code)
+        return filled(
+            CHUNKS_OF_ROWS + code, WIDTH=width, SOURCE=int(source), RUN=RUN, AHEAD=_AHEAD, REACH=reach,
+            PARTS=MOST_PARTS,
+        )  # fmt: skip
 
-    @wp.func_native(native(_RAYS + _COEFFICIENTS, FILTER_REACH))
+    @wp.func_native(native(CYCLIC + _RAYS + _COEFFICIENTS, FILTER_REACH))
     def put_coefficients(
         values: wp.array(dtype=row_t),
         table: Colours,
@@ -645,7 +629,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Coefficients of the spline on one ray."""
 
-    @wp.func_native(native(_RAYS + _BLUR))
+    @wp.func_native(native(CYCLIC + _RAYS + _BLUR))
     def put_blurred(
         table: Colours,
         source: wp.int32,

@@ -7,14 +7,14 @@ ratios: ``lookup`` has the rest.
 
 import functools
 import math
-import re
 import types
 from typing import Any
 
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.lookup import CHUNKS_OF_ROWS, FILTER_REACH, OPTIONS, lookup
+from warpdiff.kernels.lookup import FILTER_REACH, OPTIONS, lookup
+from warpdiff.kernels.native import CHUNKS_OF_ROWS, CYCLIC, filled
 
 # Samples of a spectrum on a ray, one after the other: Gaussian factors of the columns and of the rows around one, some
 # abreast, then a sum of rows times theirs, each times its own. The same neighbours of the nearest one are summed around
@@ -34,10 +34,6 @@ _SAMPLES = """
         const float away = wp::max((float)j - 0.5f, 0.0f);
         reaches[j] = (int)(wp::sqrt(wp::max(table.exponent - across * away * away, 0.0f) / along) + 0.5f);
     }
-    auto wrapped = [](int index, int count) {
-        const int left = index % count;
-        return left < 0 ? left + count : left;
-    };
     auto exponential = [](float x) {
         // 2 to the power of a whole number and of what is left of it, between -1/2 and 1/2: to 8e-8.
         const float y = wp::max(1.442695041f * x, -126.0f);
@@ -73,7 +69,7 @@ _SAMPLES = """
                     const int reach = aside < ROWS ? reaches[aside] : reach_x;
                     const int begin = wp::max(-reach - from_x, 0), end = wp::min(reach - from_x + 1, ABREAST);
                     int y = nearest_y + table.origin_y + from_y + j;
-                    if (y < 0 || y >= count_y) y = wrapped(y, count_y);
+                    if (y < 0 || y >= count_y) y = cyclic(y, count_y);
                     chunk sum[ROW];
                     for (int c = 0; c < ROW; ++c) sum[c] = chunk{};
                     const chunk* const row = all_rows + (long long)y * count_x * ROW;
@@ -83,7 +79,7 @@ _SAMPLES = """
                             for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * from[i * ROW + c];
                     } else {
                         for (int i = begin; i < end; ++i) {
-                            const int x = inside ? column + i : wrapped(column + i, count_x);
+                            const int x = inside ? column + i : cyclic(column + i, count_x);
                             if (y == left_y && x == left_x) continue;
                             for (int c = 0; c < ROW; ++c) sum[c] += of_columns[i] * row[(long long)x * ROW + c];
                         }
@@ -252,9 +248,11 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
     """
     coefficients_t = spectral.kernels(lanes, "averaged" if powers else "centred", powers).Table
     out_t = wp.types.vector(length=nodes, dtype=wp.float32)
-    names = {"WIDTH": lanes, "LANES": lanes, "PARTS": 1 if powers else 2, "NODES": nodes}
+    parts = 1 if powers else 2
 
-    @wp.func_native(re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + _SAMPLES))
+    @wp.func_native(
+        filled(CHUNKS_OF_ROWS + CYCLIC + _SAMPLES, WIDTH=lanes, LANES=lanes, PARTS=parts, NODES=nodes)
+    )  # fmt: skip
     def sampled(
         table: coefficients_t,
         bases: wp.array(dtype=out_t),
@@ -376,8 +374,8 @@ def projector(lanes: int, functions: int) -> Any:
     def native(code: str) -> str:
         # Vectors as long as a row of functions allows: the last one may overlap the one before.
         code = code.replace("FIRST(p)", "(p * SIZE < FUNCTIONS - SIZE ? p * SIZE : FUNCTIONS - SIZE)")
-        names = {"WIDTH": 8 if functions > 4 else 4, "LANES": lanes, "FUNCTIONS": functions, "ABREAST": abreast}
-        return re.sub("|".join(names), lambda found: str(names[found[0]]), CHUNKS_OF_ROWS + code)
+        width = 8 if functions > 4 else 4
+        return filled(CHUNKS_OF_ROWS + code, WIDTH=width, LANES=lanes, FUNCTIONS=functions, ABREAST=abreast)
 
     @wp.func_native(native(_JOINED))
     def joined(

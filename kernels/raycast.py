@@ -4,11 +4,10 @@ Positions are in the units of ``SurfaceArrays``, in which the mesh fills the uni
 float32 is as fine for a mesh of a nanometre as for one of a kilometre, wherever either lies.
 """
 
-import re
-
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.native import filled
 
 # Infinities stay defined, by which the hierarchy decides whether a ray hits.
 wp.set_module_options(spectral.OPTIONS)
@@ -607,15 +606,17 @@ _STAND = """
         }
     }
 """
-_NUMBERS = {
-    "LEAST_COSINE": f"{float(LEAST_COSINE)}f",
-    "LEAST_TANGENT": f"{float(LEAST_TANGENT)}f",
-    "SPECIAL": str(int(SPECIAL)),
-    "LIFT": f"{float(LIFT)}f",
-}
 
 
-@wp.func_native(re.sub("|".join(_NUMBERS), lambda found: _NUMBERS[found[0]], _STAND))
+@wp.func_native(
+    filled(
+        _STAND,
+        LEAST_COSINE=f"{float(LEAST_COSINE)}f",
+        LEAST_TANGENT=f"{float(LEAST_TANGENT)}f",
+        SPECIAL=int(SPECIAL),
+        LIFT=f"{float(LIFT)}f",
+    )
+)
 def stand_abreast(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32):
     """Shading frames of pixels one after the other, and where their shadow rays start."""
 

@@ -8,6 +8,7 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.native import take_number
 from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)
@@ -35,21 +36,6 @@ class ShadowGrid:
     starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and the last one ends; empty is no grid
     faces: wp.array(dtype=wp.int32)  # the lists
     tops: wp.array(dtype=wp.float32)  # the largest height of each listed face
-
-
-_TAKE_NUMBER = """
-#if defined(__CUDA_ARCH__)
-    return atomicAdd((int*)values.data + index, 1);
-#else
-    return __atomic_fetch_add((int*)values.data + index, 1, __ATOMIC_RELAXED);
-#endif
-"""
-
-
-# Warp's own is atomic on a GPU only, and slices of a launch run on several threads.
-@wp.func_native(_TAKE_NUMBER)
-def take_number(values: wp.array(dtype=wp.int32), index: wp.int32) -> wp.int32:
-    """Count one up; returns what was there."""
 
 
 @wp.func

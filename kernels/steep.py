@@ -4,7 +4,7 @@ import warp as wp
 
 from warpdiff import supersample
 from warpdiff.kernels import spectral
-from warpdiff.kernels.shadows import take_number
+from warpdiff.kernels.native import take_number
 
 wp.set_module_options(spectral.OPTIONS)
 

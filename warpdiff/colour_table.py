@@ -113,10 +113,10 @@ def table_for(
             )
         held[sharp] = _coloured(source, how, spectra[source.key], illuminant, **options)
     if wanted not in held:
-        # Levels are added to colours that have none.
+        # Levels are added to colours that have none, whose rows both then have.
         kernel, table, _ = held[sharp]
         held[sharp] = kernel, table, 0.0
-        held[wanted] = _blurred(source.layout.with_levels(), held[sharp][1], is_lines=source.is_lines, **options)
+        held[wanted] = _blurred(source.layout.with_levels(), table, is_lines=source.is_lines, **options)
     held[wanted] = held.pop(wanted)
     while len(held) > 1 and sum(megabytes for _, _, megabytes in held.values()) > _MOST_KEPT_MEGABYTES:
         held.pop(next(iter(held)))

@@ -123,11 +123,9 @@ class Frame:
         places, self._weights, self._deviation = np.zeros((0, 2)), np.full(samples, 1.0 / samples), 0.0
         if means:
             places, self._weights, self._deviation = supersample.rays_of(samples)
-        # One ray lies in the centre.
-        self._places = wp.array(places[: samples if samples > 1 else 0], dtype=wp.vec2d, device=device)
+        self._places = wp.array(places, dtype=wp.vec2d, device=device)
         self._device = device
         self._threads = threads
-        self._options: dict[str, Any] = {"device": device, "threads": threads}
         self._alone = not device.is_cpu if alone is None else alone
         self._surface = surface
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
@@ -152,6 +150,10 @@ class Frame:
         self._lit, self._tiled = 0, 0
         self.look(view)
 
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {"device": self._device, "threads": self._threads}
+
     def look(self, view: View) -> None:
         """Set the view, of the same size as any before."""
         import warp as wp
@@ -169,7 +171,8 @@ class Frame:
 
     def begin(self) -> None:
         """Forget what was cast and deflected."""
-        self._now: tuple[int, int | None] | None = None
+        # The sample and the light whose are what arrays hold.
+        self._now: tuple[int | None, int | None] = (None, None)
 
     def light_up(
         self,
@@ -220,8 +223,7 @@ class Frame:
         self._reflection.normal_reflectance = normal
         self._reflection.masking = masking
         self._reflection.per_light_cosine = window.kind == "source"
-        if self._now is not None:
-            self._now = self._now[0], None
+        self._now = self._now[0], None
 
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
@@ -242,7 +244,7 @@ class Frame:
             self.cast(sample)
             for which in range(len(self._to_lights)):
                 summary = Survey(hf, window, *self._seen.directions, device=self._device)
-                self.deflect(which, summary.step)
+                self.deflect(sample, which, summary.step)
                 found, lit, pilots = summary.found()
                 scope = scope.joined(found)
                 count += lit
@@ -259,11 +261,11 @@ class Frame:
         count = len(self._to_lights)
         for sample in range(self._samples):
             for which in range(count):
-                if self._now is None or self._now[0] != sample:
+                if self._now[0] != sample:
                     self.cast(sample)
                 # The survey has left behind what a single pass needs.
-                if self._now != (sample, which):
-                    self.deflect(which)
+                if self._now[1] != which:
+                    self.deflect(sample, which)
                 yield which, _share(progress, sample * count + which, self._samples * count)
 
     def integrate(
@@ -347,7 +349,6 @@ class Frame:
         import warp as wp
 
         # What a part of the pixels of a batch takes, made here, as other threads' memory is given back each time.
-        rays = {batch.kind.index: batch.kind.tile.on(self._device) for batch in batches}
         parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
         most = max((len(part) * batch.kind.rays for batch, part in parts), default=0)
         rooms: queue.SimpleQueue[_Room] = queue.SimpleQueue()
@@ -358,9 +359,7 @@ class Frame:
             (batch, part), room = each, rooms.get()
             room.colours.zero_()
             tiles = wp.array(batch.pixels[part.start : part.stop], dtype=wp.int32, device=self._device)
-            steps = self._steps_of_tiles(
-                integrator, which, illuminant, batch.kind, rays[batch.kind.index], tiles, room, colours
-            )
+            steps = self._steps_of_tiles(integrator, which, illuminant, batch.kind, tiles, room, colours)
             count = len(part) * batch.kind.rays
             launch_in_turn(steps, count, least_slice=count, device=self._device, threads=1)
             rooms.put(room)
@@ -377,8 +376,8 @@ class Frame:
             self._room = _Room.by(self._queue.most_rays, integrator, device=self._device)
         self._queue.list_up(which, colours, self._seen.gains, self._view.width)
         for kind in supersample.KINDS:
-            rays, tiles = self._queue.rays_of(kind), self._queue.pixels_of(kind)
-            steps = self._steps_of_tiles(integrator, which, illuminant, kind, rays, tiles, self._room, colours)
+            tiles = self._queue.pixels_of(kind)
+            steps = self._steps_of_tiles(integrator, which, illuminant, kind, tiles, self._room, colours)
             self._queue.work_off(which, kind, steps, self._room.colours)
 
     def _steps_of_tiles(
@@ -387,7 +386,6 @@ class Frame:
         which: int,
         illuminant: str,
         kind: supersample.Kind,
-        rays: tuple[wp.array, wp.array],
         tiles: wp.array,
         room: _Room,
         colours: wp.array,
@@ -398,7 +396,7 @@ class Frame:
         tile, seen = kind.tile, room.seen
         sampling = raycast.Sampling()
         sampling.tiles = tiles
-        sampling.places, weights = rays
+        sampling.places, weights = tile.on(self._device)
         if not kind.shadows:
             sampling.faces = self._seen.pixels.face
         deflections, to_lights, gains = seen.directions
@@ -435,7 +433,7 @@ class Frame:
     def _cast(self, sample: int, samples: int) -> None:
         from warpdiff.kernels import raycast
 
-        self._now = None
+        self.begin()
         sampling = raycast.Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1:
@@ -468,9 +466,8 @@ class Frame:
             )
         return self._grids[which]
 
-    def deflect(self, which: int, *after: Step) -> None:
-        """Compute the deflections and gains under one light, add its pigment, and what comes after."""
-        sample = self._now[0] if self._now is not None else 0
+    def deflect(self, sample: int, which: int, *after: Step) -> None:
+        """Compute the deflections and gains of a sample under one light, add its pigment, and what comes after."""
         steps = self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
         launch_in_turn([*steps, *after], self._size, least_slice=_SLICE, **self._options)
         self._now = sample, which
@@ -503,7 +500,7 @@ class Frame:
 
         if result is None:
             result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
-        self._now = None
+        self._now = self._now[0], None
         steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0, shadows=False)
         launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
         # A pixel's neighbours lie in other slices.

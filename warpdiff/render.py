@@ -123,9 +123,7 @@ def shade(
         picture.sum_directly(hf, found, names, progress=progress)
     else:
         integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
-        picture.integrate(
-            integrator, names, footprint=found.footprint, tolerance=found.tolerance, progress=progress
-        )  # fmt: skip
+        picture.integrate(integrator, names, footprint=found.footprint, tolerance=found.tolerance, progress=progress)
     return picture.image(found)
 
 

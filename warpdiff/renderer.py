@@ -75,15 +75,13 @@ class Renderer:
             pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
             plan=plan, strict=strict, device=device, threads=threads,
         )  # fmt: skip
-        if "direct" in (method, plan and plan.method):
+        if (method if plan is None else plan.method) == "direct":
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
         load_kernels(wanted.device)
         self._hf, self._wanted = hf, wanted
         self._lights, self._view = wanted.lights, view
         surface = prepare_surface(mesh, tangents=tangents)
-        scope, pilots, count = directions_of(
-            hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking
-        )  # fmt: skip
+        scope, pilots, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
         if wanted.plan is not None:
             warn_outside(wanted.plan, hf, scope)
         self.plan = wanted.plan or wanted.plan_for(hf, scope, pilots, count)
@@ -141,9 +139,7 @@ class Renderer:
     def _launch(self) -> None:
         """Launch what a picture takes."""
         names = [each.illuminant for each in self._lights]
-        self._frame.integrate(
-            self._integrator, names, footprint=self.plan.footprint, tolerance=self.plan.tolerance
-        )  # fmt: skip
+        self._frame.integrate(self._integrator, names, footprint=self.plan.footprint, tolerance=self.plan.tolerance)
 
     def _replay(self) -> None:
         """Launch it as it was recorded, where the same launches will do."""

@@ -70,10 +70,7 @@ class Tile:
 
     def on(self, device: wp.Device) -> tuple[wp.array, wp.array]:
         """The rays on a device."""
-        import warp as wp
-
-        places, weights = self.rays
-        return wp.array(places, dtype=wp.vec2d, device=device), wp.array(weights, dtype=wp.float32, device=device)
+        return _on_device(self.across**2, device.alias)
 
 
 _TILES = (
@@ -86,6 +83,15 @@ _TILES = (
 TILES = {tile.across**2: tile for tile in _TILES}
 # Pixels whose predicted error exceeds the tolerance by these factors take so many rays.
 _TAKEN = ((1.0, TILES[9]), (3.0, TILES[25]))
+
+
+@functools.cache
+def _on_device(rays: int, device: str) -> tuple[wp.array, wp.array]:
+    """Those of a tile of so many, on the device of a name."""
+    import warp as wp
+
+    places, weights = TILES[rays].rays
+    return wp.array(places, dtype=wp.vec2d, device=device), wp.array(weights, dtype=wp.float32, device=device)
 
 
 @functools.cache
@@ -208,11 +214,6 @@ class Queue:
         self._taken, self._left = empty(len(KINDS)), empty(1)
         self.most_rays = min(max(kind.rays for kind in KINDS) * pixels, _MOST_RAYS_ALONE)
         self._tiles = empty(self.most_rays // min(kind.rays for kind in KINDS))
-        self._rays = [tile.on(device) for _, tile in _TAKEN]
-
-    def rays_of(self, kind: Kind) -> tuple[wp.array, wp.array]:
-        """The rays of a kind's tile."""
-        return self._rays[kind.index // 2]
 
     @property
     def lights(self) -> int:
