@@ -261,9 +261,10 @@ def cover(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
-    pixels: Pixels,
     first: wp.int32,
     run: wp.int32,
+    # Out:
+    nearest_out: wp.array(dtype=wp.uint64),
 ):
     """Which face each pixel's centre sees, face by face, of a mesh that lies wholly in front of the eye.
 
@@ -272,10 +273,10 @@ def cover(
     Args:
         camera: The view.
         surface: The mesh.
-        pixels: Of these ``nearest``: the distance along the view, as the bits of a float32, and the face below them;
-            the smallest is kept. All bits set is none.
         first: The first thread's face.
         run: How many a thread takes.
+        nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
+            kept. All bits set is none.
     """
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         i0 = surface.faces[face, 0]
@@ -317,7 +318,7 @@ def cover(
                     else:
                         depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
                     distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
-                    keep_nearest(pixels.nearest, row * camera.width + column, distance, face)
+                    keep_nearest(nearest_out, row * camera.width + column, distance, face)
 
 
 @wp.func

@@ -37,15 +37,15 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
     inputs = [camera_of(view, surface), scene.arrays]
     launches = [
-        (raycast.cast, count, [*inputs, sampling, pixels]),
-        (raycast.stand, count, [scene.arrays, pixels]),
+        (raycast.cast, count, [*inputs, sampling, pixels], []),
+        (raycast.stand, count, [scene.arrays, pixels], []),
     ]
     if covers:
         assert lies_ahead(surface, view)
-        launches.insert(0, (raycast.cover, scene.face_count, [*inputs, pixels]))
-    for kernel, size, arguments in launches:
+        launches.insert(0, (raycast.cover, scene.face_count, inputs, [pixels.nearest]))
+    for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
-            wp.launch(kernel, dim=1, inputs=[*arguments, int(begin), int(end - begin)], device="cpu")
+            wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
 
 

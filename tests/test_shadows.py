@@ -123,9 +123,9 @@ def test_faces_leave_no_gap_where_they_meet(rng):
 
 def test_threads_make_the_same_grid(rng):
     surface = given(meshes.tube(segments_along=96, segments_around=64))
-    scene, light = scene_of(surface), unit((0.3, 0.5, 0.8))
+    light = unit((0.3, 0.5, 0.8))
     origins = points_on(surface, light, 20_000, rng)
-    alone, others = (grid_of(surface, scene, light, threads) for threads in (1, 3))
+    alone, others = (grid_of(surface, scene_of(surface), light, threads) for threads in (1, 3))
     np.testing.assert_array_equal(alone.starts.numpy(), others.starts.numpy())
     cells = np.repeat(np.arange(alone.columns * alone.rows), np.diff(alone.starts.numpy()))
     listed = [set(zip(cells, grid.faces.numpy(), grid.tops.numpy(), strict=True)) for grid in (alone, others)]
@@ -143,6 +143,18 @@ def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
     needles[:, 1] = needles[:, 0] + 1e-3
     bundle = given(trimesh.Trimesh(needles.reshape(-1, 3), np.arange(9000).reshape(-1, 3), process=False))
     assert grid_of(bundle, scene_of(bundle), light).starts is None
+
+
+def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
+    made = []
+    monkeypatch.setattr(shadows, "_made", lambda *a, make=shadows._made, **k: made.append(a[2]) or make(*a, **k))
+    mesh = meshes.tube(segments_along=24, segments_around=16)
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    light, other = wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))
+    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
+    for eye, lit_by in (((0.0, 1.0, 1.5), light), ((0.2, 1.0, 1.5), light), ((0.2, 1.0, 1.5), other)):
+        wd.shade(mesh, hf, lit_by, wd.View(eye, (0.0, 0.0, 0.0), width=96, height=72), plan=plan)
+    assert made == [light.to_light, other.to_light]
 
 
 @pytest.mark.parametrize("samples", [1, 4])

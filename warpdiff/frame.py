@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import queue
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from warpdiff import optics, spectrum, supersample
 from warpdiff.device import Step, launch, launch_in_turn, load, side_by_side
 from warpdiff.evaluate import direct_colour
 from warpdiff.image import Image
-from warpdiff.scope import Pilots, Scope
+from warpdiff.scope import CROWD, Pilots, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.survey import Survey
 
@@ -132,8 +133,8 @@ class Frame:
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self._size = size = view.width * view.height
 
-        blurred = means and samples == 1
-        self._seen = _Seen.by(size, device=device, means=blurred, coloured=surface.has_base_colour)
+        self._blurred = means and samples == 1
+        self._nearest = wp.empty(0, dtype=wp.uint64, device=device)
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         dtypes = (wp.vec3f, wp.float64, wp.bool)
         # XYZ, coverage, and what any light reaches.
@@ -144,8 +145,11 @@ class Frame:
         self._spreads: list[wp.array] = []
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._queue: supersample.Queue | None = None
+        self._rooms: queue.SimpleQueue[_Room] = queue.SimpleQueue()
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
+        self._shadows = False
+        self._grids: dict[int, Any] = {}
         # Lit pixels of all lights, and those that took more rays.
         self._lit, self._tiled = 0, 0
         self.look(view)
@@ -165,9 +169,15 @@ class Frame:
         self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
         self._covers = not self._alone and self._samples == 1 and scene.lies_ahead(self._surface, view)
-        if self._covers != (len(self._seen.pixels.nearest) > 0):
-            self._seen.pixels.nearest = wp.empty(self._size * self._covers, dtype=wp.uint64, device=self._device)
+        if self._covers != (len(self._nearest) > 0):
+            self._nearest = wp.empty(self._size * self._covers, dtype=wp.uint64, device=self._device)
         self.begin()
+
+    @functools.cached_property
+    def _seen(self) -> _Seen:
+        """What the pixels' own rays see."""
+        coloured = self._surface.has_base_colour
+        return _Seen.by(self._size, device=self._device, means=self._blurred, coloured=coloured)
 
     def begin(self) -> None:
         """Forget what was cast and deflected."""
@@ -217,8 +227,8 @@ class Frame:
         self._lights.strengths.assign(np.array([(each.power, of_pigment) for each in lights]))
         self._lights.white_rgb.assign(np.array(whites))
         self._to_lights = [each.to_light for each in lights]
-        self._grids: dict[int, Any] = {}
         self._shadows = shadows
+        self._grids = {}
         self._reflection = directions.Reflection()
         self._reflection.normal_reflectance = normal
         self._reflection.masking = masking
@@ -228,11 +238,10 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
-        shadows = self._shadows and self._may_be_hidden
-        return len(self._to_lights), self._view.extent_y is None, shadows, self._pigmented
+        return len(self._to_lights), self._view.extent_y is None, self._casts_shadows, self._pigmented
 
-    def survey(self, hf: HeightField, window: Coherence) -> tuple[Scope, int, Pilots]:
-        """The range of all lit directions, their number, and some of them.
+    def survey(self, hf: HeightField, window: Coherence, *, piloted: bool = True) -> tuple[Scope, int, Pilots]:
+        """The range of all lit directions, their number, and some of them unless they are of no use.
 
         That is a first pass over the rays, which cost a hundredth of the colours.
         """
@@ -245,11 +254,10 @@ class Frame:
             for which in range(len(self._to_lights)):
                 summary = Survey(hf, window, *self._seen.directions, device=self._device)
                 self.deflect(sample, which, summary.step)
-                found, lit, pilots = summary.found()
+                found, lit, pilots = summary.found(CROWD if piloted and sample == 0 else 0)
                 scope = scope.joined(found)
                 count += lit
-                if sample == 0:
-                    seen.append(pilots.arrays)
+                seen.append(pilots.arrays)
         pilots = Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
         return scope, count * self._samples // surveyed, pilots
 
@@ -326,7 +334,10 @@ class Frame:
             illuminant, seen, width = illuminants[which], self._seen, self._view.width
             steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
             steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints, left_out)
-            launch_in_turn(steps, self._size, least_slice=_COLOURS, progress=share, **self._options)
+            meanwhile = None if self._alone else functools.partial(self._prepare_tiles, integrator)
+            launch_in_turn(
+                steps, self._size, least_slice=_COLOURS, progress=share, meanwhile=meanwhile, **self._options
+            )
             if self._alone:
                 self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
             else:
@@ -348,12 +359,10 @@ class Frame:
         """Set the colours of some pixels to the means over tiles of rays."""
         import warp as wp
 
-        # What a part of the pixels of a batch takes, made here, as other threads' memory is given back each time.
         parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
-        most = max((len(part) * batch.kind.rays for batch, part in parts), default=0)
-        rooms: queue.SimpleQueue[_Room] = queue.SimpleQueue()
-        for _ in range(min(len(parts), self._threads)):
-            rooms.put(_Room.by(most, integrator, device=self._device))
+        # The largest first, so that threads finish together.
+        parts.sort(key=lambda each: -len(each[1]) * each[0].kind.rays)
+        rooms = self._rooms
 
         def work(each: tuple[supersample.Batch, range]) -> None:
             (batch, part), room = each, rooms.get()
@@ -365,6 +374,13 @@ class Frame:
             rooms.put(room)
 
         side_by_side(work, parts, threads=self._threads)
+
+    def _prepare_tiles(self, integrator: Integrator) -> None:
+        """Make what each thread meets tiles with, here, as other threads' memory is given back each time."""
+        # Their rays may go through the hierarchy.
+        self._scene.build()
+        while self._rooms.qsize() < self._threads:
+            self._rooms.put(_Room.by(supersample.MOST_RAYS, integrator, device=self._device))
 
     def _work_off_tiles(
         self, integrator: Integrator, which: int, illuminant: str, tolerance: float, colours: wp.array
@@ -438,33 +454,50 @@ class Frame:
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1:
             sampling.places = self._places
-        pixels = self._seen.pixels
         if self._covers:
-            pixels.nearest.fill_(raycast.UNSEEN)
-            faces = self._scene.face_count
-            inputs = [self._camera, self._scene.arrays, pixels]
-            launch(raycast.cover, faces, inputs, [], least_slice=_FACES, in_runs=True, **self._options)
-        launch_in_turn(self._steps_of_rays(sampling, pixels), self._size, least_slice=_SLICE, **self._options)
+            self._nearest.fill_(raycast.UNSEEN)
+            inputs, faces = [self._camera, self._scene.bare], self._scene.face_count
+            # A frame's first faces are met while there is yet to be room for the rest.
+            launch(
+                raycast.cover, faces, inputs, [self._nearest], least_slice=_FACES, in_runs=True,
+                meanwhile=lambda: self._seen, **self._options,
+            )  # fmt: skip
+        self._seen.pixels.nearest = self._nearest
+        steps = self._steps_of_rays(sampling, self._seen.pixels)
+        meanwhile = self._prepare_grid if self._covers and self._casts_shadows else None
+        launch_in_turn(steps, self._size, least_slice=_SLICE, meanwhile=meanwhile, **self._options)
 
     def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
         """What finds where rays meet the mesh, and how it lies there."""
         from warpdiff.kernels import raycast
 
+        arrays = self._scene.bare if len(pixels.nearest) else self._scene.arrays
         return [
-            Step(raycast.cast, [self._camera, self._scene.arrays, sampling, pixels], [], in_runs=True),
-            Step(raycast.stand, [self._scene.arrays, pixels], [], in_runs=True),
+            Step(raycast.cast, [self._camera, arrays, sampling, pixels], [], in_runs=True),
+            Step(raycast.stand, [arrays, pixels], [], in_runs=True),
         ]
+
+    @property
+    def _casts_shadows(self) -> bool:
+        """Whether the mesh may hide the lights."""
+        return self._shadows and self._may_be_hidden
 
     def _grid_of(self, which: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
         if which not in self._grids:
             rays = 0 if self._alone else self._samples * int(np.count_nonzero(self._seen.pixels.hit.numpy()))
-            self._grids[which] = (
-                grid_for(self._surface, self._scene, self._to_lights[which], **self._options)
-                if grid_pays(self._scene.face_count, rays)
-                else no_grid(self._scene)
-            )
+            self._grids[which] = self._grid_for(which, rays, **self._options)
         return self._grids[which]
+
+    def _grid_for(self, which: int, rays: int, **options: Any) -> Any:
+        if not grid_pays(self._scene.face_count, rays):
+            return no_grid(self._scene)
+        return grid_for(self._surface, self._scene, self._to_lights[which], **options)
+
+    def _prepare_grid(self) -> None:
+        """Make the first light's on this thread, once faces are met."""
+        met = int(np.count_nonzero(~self._nearest.numpy()))
+        self._grids[0] = self._grid_for(0, met, device=self._device, threads=1)
 
     def deflect(self, sample: int, which: int, *after: Step) -> None:
         """Compute the deflections and gains of a sample under one light, add its pigment, and what comes after."""
@@ -478,7 +511,7 @@ class Frame:
         from warpdiff.kernels import directions
         from warpdiff.kernels.shadows import hide
 
-        shadows = shadows and self._shadows and self._may_be_hidden
+        shadows = shadows and self._casts_shadows
         hidden = seen.hidden if shadows else self._none_hidden
         # What is covered counts once.
         counted, begins = weight if which == 0 else 0.0, which == 0 and sample == 0

@@ -107,7 +107,7 @@ def shade(
     surface = prepare_surface(mesh, tangents=tangents)
     picture = wanted.frame(surface, view)
     wanted.light_up(picture, hf, wanted.lights)
-    scope, count, pilots = picture.survey(hf, wanted.window)
+    scope, count, pilots = picture.survey(hf, wanted.window, piloted=wanted.plan is None)
     found = wanted.plan
     if found is not None:
         warn_outside(found, hf, scope)
@@ -205,7 +205,8 @@ class Wanted:
         blurred = _takes_footprints(footprint, method, window, plan)
         return cls(
             lights, tolerance, method, window, normal, masking, pigment, shadows, smooth, blurred, samples,
-            None if plan is None else replace(plan, footprint=blurred), strict, resolve_device(device),
+            plan if plan is None or plan.footprint == blurred else replace(plan, footprint=blurred), strict,
+            resolve_device(device),
             resolve_threads(threads),
         )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import weakref
 from typing import TYPE_CHECKING, Any
 
@@ -26,13 +27,13 @@ class SceneArrays:
     The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
 
     Attributes:
-        arrays: The struct for :func:`warpdiff.kernels.raycast.cast`.
+        bare: The struct for :func:`warpdiff.kernels.raycast.cast` where faces know their pixels.
         face_count: Number of faces.
-        mesh_id: Number of the mesh with its bounding volume hierarchy, for shadow rays.
+        grids: The last lights' grids for shadow rays.
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: Any = None) -> None:
-        """Copy the arrays to the device and build the hierarchy.
+        """Copy the arrays to the device.
 
         Args:
             surface: What to copy.
@@ -52,10 +53,28 @@ class SceneArrays:
         arrays.has_vertex_colours = surface.vertex_colours is not None
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
-        self._mesh = wp.Mesh(points=arrays.positions, indices=arrays.faces.flatten())
-        self.mesh_id = self._mesh.id
-        arrays.mesh_id = self.mesh_id
-        self.arrays = arrays
+        self.bare = arrays
+        self._mesh: wp.Mesh | None = None
+        self._once = threading.Lock()
+        self.grids: dict[tuple[float, ...], Any] = {}
+
+    def build(self) -> None:
+        """Build the hierarchy, unless it is there; pictures of points, found face by face, need none."""
+        with self._once:
+            if self._mesh is None:
+                self._mesh = wp.Mesh(points=self.bare.positions, indices=self.bare.faces.flatten())
+                self.bare.mesh_id = self._mesh.id
+
+    @property
+    def arrays(self) -> Any:
+        """The struct for :func:`warpdiff.kernels.raycast.cast`, whose rays may go through the hierarchy."""
+        self.build()
+        return self.bare
+
+    @property
+    def mesh_id(self) -> int:
+        """Number of the mesh with its hierarchy."""
+        return int(self.arrays.mesh_id)
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
@@ -88,8 +107,8 @@ def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
 def lies_ahead(surface: Surface, view: View) -> bool:
     """Whether all of the surface is in front of the eye."""
     frame = view.frame()
-    depth = (frame.origin - surface.centre) / surface.radius @ frame.back - surface.vertices @ frame.back
-    return bool(depth.min() > _LEAST_DEPTH)
+    depth = (frame.origin - surface.centre) / surface.radius @ frame.back
+    return bool(depth - np.max(surface.vertices @ frame.back.astype(np.float32)) > _LEAST_DEPTH)
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:

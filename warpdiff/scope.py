@@ -45,6 +45,11 @@ class Pilots:
         return self.deflections, self.to_lights, self.gains
 
     @classmethod
+    def none(cls) -> Pilots:
+        """No directions."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+
+    @classmethod
     def among(
         cls, deflections: NDArray[np.float64], to_lights: NDArray[np.float64], gains: NDArray[np.float64]
     ) -> Pilots:

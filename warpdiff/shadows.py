@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.device import launch
+from warpdiff.recent import found_again
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Faces of a slice.
 _SLICE = 4096
+# A view that moves needs the same lights' grids.
+_MOST_KEPT = 4
 
 
 def grid_pays(faces: int, rays: int) -> bool:
@@ -41,10 +45,15 @@ def no_grid(scene: SceneArrays) -> Any:
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
 ) -> Any:
-    """The :class:`warpdiff.kernels.shadows.ShadowGrid` of a surface under a light on the CPU.
+    """The :class:`warpdiff.kernels.shadows.ShadowGrid` of a surface under a light on the CPU, made or found again.
 
     That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
     """
+    make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
+    return found_again(scene.grids, tuple(to_light), make, most=_MOST_KEPT)
+
+
+def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:
     import warp as wp
 
     from warpdiff.kernels import shadows
@@ -60,22 +69,22 @@ def grid_for(
     faces = len(surface.faces)
     # As many cells as faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
-    grid = no_grid(scene)
+    grid = shadows.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
     grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
     grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
     grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
     spans = wp.empty(faces, dtype=wp.int32, device=device)
-    launch(shadows.project, faces, [grid, scene.arrays.positions, scene.arrays.faces], [spans], **options)
+    launch(shadows.project, faces, [grid, scene.bare.positions, scene.bare.faces], [spans], **options)
     listed = int(spans.numpy().sum(dtype=np.int64))
     if listed > _MOST_CELLS * faces:
-        return grid
+        return no_grid(scene)
     counts = wp.zeros(grid.columns * grid.rows, dtype=wp.int32, device=device)
     launch(shadows.count, faces, [grid], [counts], **options)
     found = counts.numpy().astype(np.int64)
     if found @ found > _MOST_LISTED * listed:
-        return grid
+        return no_grid(scene)
     starts = np.concatenate([[0], np.cumsum(found)]).astype(np.int32)
     grid.faces = wp.empty(listed, dtype=wp.int32, device=device)
     grid.tops = wp.empty(listed, dtype=wp.float32, device=device)

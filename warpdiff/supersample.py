@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import launch, launch_in_turn, slices_of
+from warpdiff.device import Step, launch, launch_in_turn, load, side_by_side, slices_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-    from warpdiff.device import Step
 
 # Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
 FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
@@ -30,7 +29,7 @@ _ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time: worth the launches, and bounded by the memory that they take, of which a GPU has more.
-_LEAST_RAYS, _MOST_RAYS, _MOST_RAYS_ALONE = 8192, 32_768, 1 << 20
+_LEAST_RAYS, MOST_RAYS, _MOST_RAYS_ALONE = 8192, 32_768, 1 << 20
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
 FLOOR, EXCEEDED_BY = 1e-3, 0.01
 TINY = float(np.finfo(np.float32).tiny)
@@ -148,11 +147,12 @@ class Batch:
     def parts(self, threads: int) -> Iterator[range]:
         """Ranges of the pixels to be met at a time."""
         rays = self.kind.rays
-        return slices_of(len(self.pixels), least=_LEAST_RAYS // rays, most=_MOST_RAYS // rays, threads=threads)
+        return slices_of(len(self.pixels), least=_LEAST_RAYS // rays, most=MOST_RAYS // rays, threads=threads)
 
 
-def _bounds(tolerance: float, device: wp.Device) -> wp.array:
-    """The contrasts from which pixels take more rays."""
+@functools.lru_cache(maxsize=16)
+def _bounds(tolerance: float, device: str) -> wp.array:
+    """The contrasts from which pixels take more rays, on the device of a name."""
     import warp as wp
 
     bounds = [above * tolerance / _ERROR_OF_CONTRAST for above, _ in _TAKEN]
@@ -169,19 +169,36 @@ def batches(
 
     # How bright a picture is, a part of it tells.
     step = _apart(len(gains))
-    bright = colours[::step].numpy()[gains[::step].numpy() > 0.0, 1]
-    least = FLOOR * float(np.sort(bright)[-1 - int(EXCEEDED_BY * len(bright))]) if len(bright) else 0.0
+    bright = colours.numpy()[::step, 1][gains.numpy()[::step] > 0.0]
+    least = 0.0
+    if len(bright):
+        rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
+        least = FLOOR * float(np.partition(bright, rank)[rank])
     floor = wp.array([max(least, TINY)], dtype=wp.float32, device=device)
     classes = wp.empty(len(gains), dtype=wp.uint8, device=device)
-    inputs = [colours, gains, width, floor, _bounds(tolerance, device)]
-    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
-    launch(directions.classify, len(gains), inputs, [classes], **options)
+    classify = Step(
+        directions.classify, [colours, gains, width, floor, _bounds(tolerance, device.alias)], [classes], in_runs=True
+    )
     classed = classes.numpy()
-    lit = int(np.count_nonzero(classed))
-    candidates = np.flatnonzero(classed > 1)
-    classed = classed[candidates]
-    found = [Batch(kind, candidates[classed == kind.index + 2].astype(np.int32)) for kind in KINDS]
-    return lit, [batch for batch in found if len(batch.pixels)]
+    slices = list(slices_of(len(gains), least=_SLICE, most=_SLICE, threads=threads))
+    lit = [0] * len(slices)
+    listed: list[list[NDArray[np.int32]]] = [[]] * len(slices)
+
+    def list_up(index: int) -> None:
+        part = slices[index]
+        classify.launch(part.start, len(part), device)
+        here = classed[part.start : part.stop]
+        lit[index] = int(np.count_nonzero(here))
+        steep = np.flatnonzero(here > 1).astype(np.int32)
+        order = np.argsort(here[steep], kind="stable")
+        ends = np.cumsum(np.bincount(here[steep] - 2, minlength=len(KINDS)))
+        listed[index] = np.split(steep[order] + np.int32(part.start), ends[:-1])
+
+    for loaded in load([directions.classify], device):
+        loaded.result()
+    side_by_side(list_up, range(len(slices)), threads=threads)
+    found = [Batch(kind, np.concatenate([each[kind.index] for each in listed])) for kind in KINDS]
+    return sum(lit), [batch for batch in found if len(batch.pixels)]
 
 
 def _apart(pixels: int) -> int:
@@ -207,7 +224,7 @@ class Queue:
 
         self._device = device
         self._options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
-        self._bounds = _bounds(tolerance, device)
+        self._bounds = _bounds(tolerance, device.alias)
         self._tallies, self._floor = empty(steep.GROUPS * (1 + steep.BINS)), empty(1, wp.float32)
         self._classes = empty(pixels, wp.uint8)
         self._lists, self._counts = empty((len(KINDS), pixels)), empty((lights, len(KINDS) + 1))

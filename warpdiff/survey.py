@@ -53,20 +53,24 @@ class Survey:
         inputs = [*self._seen, wp.vec2d(*per_uv), coherence.kind == "source", _BLOCK]
         self.step = Step(directions.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=_BLOCK)
 
-    def found(self) -> tuple[Scope, int, Pilots]:
-        """The scope, the number of lit deflections, and pilots among them."""
+    def found(self, most: int = CROWD) -> tuple[Scope, int, Pilots]:
+        """The scope, the number of lit deflections, and at most so many pilots among them."""
         import warp as wp
 
         from warpdiff.kernels import directions
 
-        before = np.concatenate([[0], np.cumsum(self._counts.numpy(), dtype=np.int64)])
-        count = int(before[-1])
-        scope = Scope(0.0, 0.0, 0.0, 0.0)
-        if count:
-            lit = self._ranges.numpy()[np.diff(before) > 0]
-            uv, lateral = (math.sqrt(value) for value in lit[:, :2].max(axis=0))
-            scope = Scope(uv, lateral, float(lit[:, 2].min()), float(lit[:, 3].max()))
-        ranks = equally_far(count, CROWD)
+        counts = self._counts.numpy()
+        count = int(counts.sum(dtype=np.int64))
+        if not count:
+            return Scope(0.0, 0.0, 0.0, 0.0), 0, Pilots.none()
+        # Blocks without any change neither.
+        ranges = self._ranges.numpy()
+        uv2, lateral2, _, max_w = ranges.max(axis=0)
+        scope = Scope(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
+        if not most:
+            return scope, count, Pilots.none()
+        before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        ranks = equally_far(count, most)
         block = np.searchsorted(before, ranks, side="right") - 1
         picked = [wp.empty(len(ranks), dtype=each.dtype, device=self._device) for each in self._seen]
         places = [wp.array(each, dtype=wp.int32, device=self._device) for each in (block, ranks - before[block])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -117,6 +118,10 @@ class View:
 
     def frame(self) -> ViewFrame:
         """The camera's origin and axes, in float64."""
+        return self._frame
+
+    @functools.cached_property
+    def _frame(self) -> ViewFrame:
         origin = np.array(self.eye)
         back = checks.directions(origin - np.array(self.target), "eye - target")[0][0]
         right = checks.directions(np.cross(checks.directions(self.up, "up")[0][0], back), "up")[0][0]
