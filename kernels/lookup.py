@@ -260,6 +260,8 @@ _MEANS = """
     const bool with_footprints = footprints.shape[0] > 0;
     auto larger = [](float a, float b) { return a > b ? a : b; };
     auto smaller = [](float a, float b) { return a < b ? a : b; };
+    auto larger_of = [](int a, int b) { return a > b ? a : b; };
+    auto smaller_of = [](int a, int b) { return a < b ? a : b; };
 
     // Covariance of (u, v), and along it and across, relative to |(u, v)|, within the narrowest lobe to its size.
     float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
@@ -307,13 +309,15 @@ _MEANS = """
         ratio2[i] = larger(x * x * xx[i] + 2.0f * x * y * xy[i] + y * y * yy[i], 0.0f);
     }
 
+    const float least_uv = table.least_uv, per_log = table.per_log, node_of_one = table.node_of_one;
+    const float per_variance = blending.per_variance;
     chunk sum[CHUNKS];
     for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
     int pixel = 0, part = 0;
     for (;;) {
         // The next parts: where they lie, and their variances in angle and in ln |(u, v)|, and their covariance.
         int pixels[MOST], filled = 0;
-        int begins[MOST], ends[MOST], ratios[MOST];
+        int begins[MOST], ends[MOST], ratios[MOST], steps[MOST], wide[MOST];
         float shares[MOST], turns[MOST], places[MOST], falloffs[MOST], turn_of[MOST], aside2[MOST];
         float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST];
         while (filled < MOST && pixel < count) {
@@ -377,27 +381,33 @@ _MEANS = """
             const float a2 = of_angle2[k] * turn_share * turn_share, r2 = of_ratio2[k] * ratio_share * ratio_share;
             const float b = of_both[k] * turn_share * ratio_share;
             // The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
-            float log2;
-            place_of(at_u[k], at_v[k], table.least_uv, log2, turns[k]);
+            float log2, turn;
+            place_of(at_u[k], at_v[k], least_uv, log2, turn);
             log2 += 0.721347520f * (a2 - r2);
-            turns[k] -= b * (0.5f / PI);
-            places[k] = log2 * (float)size + table.node_of_one;
+            turns[k] = turn - b * (0.5f / PI);
+            places[k] = log2 * (float)size + node_of_one;
             // What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
             // spline between nodes has a variance of a quarter.
-            const float variance = r2 * table.per_log * table.per_log;
-            turn_of[k] = b * table.per_log / (variance + 0.25f);
-            aside2[k] = larger(a2 - turn_of[k] * b * table.per_log, 0.0f);
+            const float variance = r2 * per_log * per_log;
+            turn_of[k] = b * per_log / (variance + 0.25f);
+            aside2[k] = larger(a2 - turn_of[k] * b * per_log, 0.0f);
             // Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
-            const float nearest = wp::rint(places[k]);
-            const int step = (int)(variance * blending.per_variance + 0.5f), in_table = wp::min(step, entries - 1);
+            const float nearest = wp::rint(places[k]), wide2 = variance + 0.25f;
+            const int step = (int)(variance * per_variance + 0.5f), in_table = smaller_of(step, entries - 1);
             const int fraction = (int)((places[k] - nearest + 0.5f) * (float)fractions);
-            const int reach = step < entries ? reaches[in_table] : -(int)wp::floor(-3.2f * wp::sqrt(variance + 0.25f));
-            falloffs[k] = step < entries ? 0.0f : 0.5f / (variance + 0.25f);
-            const int row = in_table * fractions + wp::clamp(fraction, 0, fractions - 1);
+            const int row = in_table * fractions + larger_of(smaller_of(fraction, fractions - 1), 0);
+            falloffs[k] = step < entries ? 0.0f : 0.5f / wide2;
             ratios[k] = row * all_taps + REACH - (int)nearest;
-            const int begin_of = wp::max((int)nearest - reach, 0), all_nodes = octaves * size;
-            begins[k] = wp::min(begin_of, all_nodes - 1);
-            ends[k] = begin_of < all_nodes ? wp::min((int)nearest + reach + 1, all_nodes) : begins[k];
+            steps[k] = step;
+            wide[k] = 1 + (int)(3.2f * wp::sqrt(wide2));
+        }
+        // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
+        for (int k = 0; k < filled; ++k) {
+            const int nearest = (int)wp::rint(places[k]), all_nodes = octaves * size;
+            const int reach = steps[k] < entries ? reaches[steps[k]] : wide[k];
+            const int begin_of = larger_of(nearest - reach, 0);
+            begins[k] = smaller_of(begin_of, all_nodes - 1);
+            ends[k] = begin_of < all_nodes ? smaller_of(nearest + reach + 1, all_nodes) : begins[k];
         }
         for (int k = 0, node = begins[0]; k < filled;) {
             // Segments: nodes of a part that lie in one octave.
@@ -479,6 +489,7 @@ _MEANS = """
                     const float* row = all_rows + (long long)row_at * WIDTH;
                     chunk of_rays[CHUNKS];
                     for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
+#pragma clang loop unroll_count(4)
                     for (int j = 0; j < 2 * reach_of[s] + 1; ++j) {
 #pragma unroll
                         for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];

@@ -1,0 +1,176 @@
+"""What bounds look-ups of means: the sums of the very rows that they read, in their order, with nothing to be found.
+
+An instrumented copy of the look-ups' code lists each node's first row, its number of rays and where their weights
+stand; a kernel then does nothing but these sums. It takes what loads and memory take at least.
+"""
+
+import functools
+import types
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warpdiff.kernels import lookup
+from warpdiff.kernels.native import CHUNKS_OF_ROWS, filled
+
+if TYPE_CHECKING:
+    from warpdiff.device import Step
+
+# Where a node's row and weights are known, in the code of look-ups.
+_KNOWN = "const float* row = all_rows + (long long)row_at * WIDTH;"
+_LIST = """
+                    int* const entry = (int*)entries_out.data + 4LL * count_out[0]++;
+                    entry[0] = begin + pixels[of];
+                    entry[1] = row_at;
+                    entry[2] = 2 * reach_of[s] + 1;
+                    entry[3] = tap_at;
+"""
+# Entries ahead whose outermost rows are asked for: of 1 to 24 none took less time.
+_AHEAD = 12
+
+_SUMS = """
+    const float* const all_rows = (const float*)table.rows.data;
+    const float* const taps = (const float*)blending.weights.data;
+    const int* const all = (const int*)entries.data;
+    const long long stride = (long long)table.nodes * WIDTH;
+    auto ask = [&](const int* entry) {
+        const float* const row = all_rows + (long long)entry[1] * WIDTH;
+        const long long across = (entry[2] - 1) * stride;
+        __builtin_prefetch(row);
+        __builtin_prefetch(row + WIDTH - 1);
+        __builtin_prefetch(row + across);
+        __builtin_prefetch(row + across + WIDTH - 1);
+    };
+    chunk sum[CHUNKS], total[CHUNKS];
+    for (int l = 0; l < CHUNKS; ++l) sum[l] = total[l] = chunk{};
+    for (int k = 0; k < count; ++k) {
+        const int* const entry = all + 4LL * k;
+        if (k + AHEAD < count) ask(entry + 4 * AHEAD);
+        const float* row = all_rows + (long long)entry[1] * WIDTH;
+        chunk of_rays[CHUNKS];
+        for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
+#pragma clang loop unroll_count(4)
+        for (int j = 0; j < entry[2]; ++j) {
+#pragma unroll
+            for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[entry[3] + j] * ((const chunk*)row)[l];
+            row += stride;
+        }
+        for (int l = 0; l < CHUNKS; ++l) sum[l] += 0.3f * of_rays[l];
+        // Pixels begin anew.
+        if (k + 1 < count && entry[4] != entry[0])
+            for (int l = 0; l < CHUNKS; ++l) {
+                total[l] += sum[l];
+                sum[l] = chunk{};
+            }
+    }
+    for (int l = 0; l < CHUNKS; ++l) ((chunk*)out.data)[l] = total[l] + sum[l];
+"""
+
+
+@functools.cache
+def _kernels(functions: int) -> types.SimpleNamespace:
+    """The kernels that list and sum rows of a table with so many functions of w."""
+    colours, blending, width = lookup.lookup(functions).Colours, lookup.Blending, 3 * functions
+    parts = (CHUNKS_OF_ROWS, lookup._WEIGH, lookup._PLACE_OF, lookup._MIRROR, lookup._MEANS)
+    code = "".join(parts)
+    if code.count(_KNOWN) != 1:
+        raise RuntimeError("the look-ups' code has changed: say anew where a node's row is known")
+    numbers = {
+        "SOURCE": 0,
+        "RUN": lookup.RUN,
+        "AHEAD": lookup._AHEAD,
+        "REACH": lookup.REACH,
+        "PARTS": lookup.MOST_PARTS,
+    }
+    code = code.replace(_KNOWN, _LIST.replace("count_out[0]", "((int*)count_out.data)[0]") + _KNOWN)
+
+    @wp.func_native(filled(code, WIDTH=width, **numbers))
+    def list_means(
+        table: colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: blending,
+        begin: wp.int32,
+        end: wp.int32,
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+        entries_out: wp.array(dtype=wp.vec4i),
+        count_out: wp.array(dtype=wp.int32),
+    ): ...
+
+    @wp.func_native(filled(CHUNKS_OF_ROWS + _SUMS, WIDTH=width, AHEAD=_AHEAD))
+    def sum_rows(
+        table: colours,
+        blending: blending,
+        entries: wp.array(dtype=wp.vec4i),
+        count: wp.int32,
+        out: wp.array(dtype=wp.float32),
+    ): ...
+
+    @wp.kernel(module="unique", module_options=lookup.OPTIONS)
+    def listed(
+        table: colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: blending,
+        run: wp.int32,
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+        entries_out: wp.array(dtype=wp.vec4i),
+        count_out: wp.array(dtype=wp.int32),
+    ):
+        begin = wp.tid() * run
+        end = wp.min(begin + run, gains.shape[0])
+        list_means(
+            table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out, entries_out,
+            count_out,
+        )  # fmt: skip
+
+    @wp.kernel(module="unique", module_options=lookup.OPTIONS)
+    def summed(
+        table: colours,
+        blending: blending,
+        entries: wp.array(dtype=wp.vec4i),
+        count: wp.int32,
+        out: wp.array(dtype=wp.float32),
+    ):
+        sum_rows(table, blending, entries, count, out)
+
+    return types.SimpleNamespace(listed=listed, summed=summed)
+
+
+class RowSums:
+    """The rows that means take.
+
+    Attributes:
+        entries: For each node the pixel, the first row, the number of rays, and where their weights begin, (n, 4).
+        numbers: In a row.
+    """
+
+    # Nodes for which there is room, a pixel.
+    _MOST = 96
+
+    def __init__(self, look_up: "Step") -> None:
+        """List those of a look-up of means on the CPU, in a table of no source."""
+        table, deflections, to_lights, gains, footprints, blending, run = look_up.inputs
+        pixels = len(footprints)
+        self._kernels = _kernels(int(table.functions.dtype._length_))
+        self._table, self._blending = table, blending
+        entries = wp.empty(self._MOST * pixels, dtype=wp.vec4i, device="cpu")
+        count = wp.zeros(1, dtype=wp.int32, device="cpu")
+        unused, xyz = wp.empty(0, dtype=wp.float32, device="cpu"), wp.zeros(pixels, dtype=wp.vec3f, device="cpu")
+        inputs = [table, deflections, to_lights, gains, footprints, blending, run, unused, xyz]
+        wp.launch(self._kernels.listed, dim=-(-pixels // run), inputs=inputs, outputs=[entries, count], device="cpu")
+        self.entries = entries.numpy()[: int(count.numpy()[0])].copy()
+        self._on_device = wp.array(self.entries, dtype=wp.vec4i, device="cpu")
+        self.numbers = int(table.rows.dtype._length_)
+        self._out = wp.zeros(self.numbers, dtype=wp.float32, device="cpu")
+
+    def add(self) -> None:
+        """Sum them, on one thread."""
+        inputs = [self._table, self._blending, self._on_device, len(self.entries)]
+        wp.launch(self._kernels.summed, dim=1, inputs=inputs, outputs=[self._out], device="cpu")
