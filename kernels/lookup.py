@@ -651,6 +651,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Blurred values on one ray."""
 
+    # Compiled once, by a second index: see ``directions``.
     @wp.kernel(module="unique", module_options=OPTIONS)
     def interpolate(
         # In:
@@ -664,8 +665,9 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         rows_out: wp.array(dtype=row_t),
     ):
         """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn."""
+        thread, _ = wp.tid()
         for k in range(run):
-            put_coefficients(values, table, level, octave, first + wp.tid() * run + k - wp.static(REACH), rows_out)
+            put_coefficients(values, table, level, octave, first + thread * run + k - wp.static(REACH), rows_out)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def blur(
@@ -680,8 +682,9 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         values_out: wp.array(dtype=row_t),
     ):
         """Values on the rays of a level: those of another, blurred by what it lacks."""
+        thread, _ = wp.tid()
         for k in range(run):
-            put_blurred(table, source, level, octave, first + wp.tid() * run + k, values_out)
+            put_blurred(table, source, level, octave, first + thread * run + k, values_out)
 
     @wp.func_native(native(_WEIGH + _PLACE_OF + _MIRROR + _POINTS))
     def add_points(

@@ -13,6 +13,8 @@ from warpdiff.kernels.raycast import Pixels, occluded
 
 wp.set_module_options(spectral.OPTIONS)
 
+# Why most ask for a second index: see ``directions``.
+
 # Steps in a radius: the most that float32 counts one by one.
 STEPS = wp.constant(wp.float64(16777216.0))
 # Less than any cosine that rounds to above the horizon.
@@ -114,7 +116,8 @@ def count(
     counts_out: wp.array(dtype=wp.int32),
 ):
     """How many faces each cell lists."""
-    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+    thread, _ = wp.tid()
+    for face in range(first + thread * run, first + (thread + 1) * run):
         cells = cells_of(grid, grid.corners[face])
         for row in range(cells[2], cells[3] + 1):
             for column in range(cells[0], cells[1] + 1):
@@ -134,7 +137,8 @@ def fill(
 
     ``ends_out`` are the lists' beginnings and become their ends.
     """
-    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+    thread, _ = wp.tid()
+    for face in range(first + thread * run, first + (thread + 1) * run):
         corners = grid.corners[face]
         top = wp.max(wp.max(corners[0, 2], corners[1, 2]), corners[2, 2])
         cells = cells_of(grid, corners)
@@ -163,7 +167,8 @@ def hide(
     """
     zero = wp.float64(0.0)
     towards = wp.vec3f(to_lights[which])
-    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+    thread, _ = wp.tid()
+    for ray in range(first + thread * run, first + (thread + 1) * run):
         hidden = bool(False)
         if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], towards) > FACING_AWAY:
             if grid.starts.shape[0] == 0:
