@@ -15,18 +15,24 @@ import numpy as np
 
 from warpdiff import checks
 from warpdiff.errors import WarpdiffWarning
+from warpdiff.mesh_geometry import (
+    FaceGeometry,
+    TextureGeometry,
+    compacted,
+    fill,
+    is_convex,
+    join_seams,
+    tangential,
+    tangents_from_uvs,
+    unit,
+    vertex_normals,
+    weld,
+)
 from warpdiff.spectrum import srgb_decode
 
 if TYPE_CHECKING:
     import trimesh
     from numpy.typing import ArrayLike, NDArray
-
-# A face is flat to a line where twice its area is below this share of its longest edge squared.
-ZERO_AREA = 1e-9
-# Vertices closer than this share of the mesh's radius are at one position.
-WELD = 1e-6
-# Tangents on two sides of a seam are joined within this angle.
-SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 HOW_TO_GET_TANGENTS = (
     "give tangents= (world frame, shape (n, 3), one per vertex, along the height field's x axis), "
@@ -184,8 +190,8 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
         raise ValueError("mesh must have vertices, got none")
     if len(faces) == 0:
         raise ValueError(f"mesh must have faces, got {len(vertices)} vertices and no face")
-    bad = len(vertices) - int(np.count_nonzero(np.all(np.isfinite(vertices), axis=1)))
-    if bad:
+    if not np.isfinite(vertices).all():
+        bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
         raise ValueError(f"mesh must have finite vertices, got {bad} with NaN or infinite coordinates")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
@@ -223,10 +229,10 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if normals is None or np.shape(normals) != vertices.shape:
         return None
     normals = np.asarray(normals, dtype=np.float64)
-    normals = _unit(np.where(np.isfinite(normals), normals, 0.0))
-    angles = _corner_angles(vertices, faces)
-    computed = _unit(_angle_weighted(vertices, faces, angles, np.arange(len(vertices)))[0])
-    return None if np.allclose(normals, computed, atol=1e-6) else normals
+    normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
+    corners = np.ascontiguousarray(faces.T)
+    computed = unit(FaceGeometry(vertices.T, corners).angle_weighted_normals(corners, len(vertices)))
+    return None if np.allclose(normals, computed, atol=1e-6) else normals.T
 
 
 def _cached_normals(mesh: Any) -> Any:
@@ -349,9 +355,9 @@ def _join(parts: list[_Part]) -> _Part:
 
 def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     """Drop what has no area, then normals, tangents and the arrays for the device."""
-    faces = part.faces
-    corners = part.vertices[_compacted(faces, len(part.vertices))[0]].T
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    index, faces = compacted(part.faces.T, len(part.vertices))
+    world = part.vertices.T.take(index, axis=1)
+    low, high = world.min(axis=1), world.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
     # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
@@ -359,10 +365,9 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     if not np.isfinite(radius):
         raise ValueError("mesh must have a finite size, got coordinates that overflow")
     # float32 first: what has no area in the kernels shall have none here.
-    vertices = ((part.vertices - centre) / radius).astype(np.float32).astype(np.float64)
-    edges = np.roll(vertices[faces], -1, axis=1) - vertices[faces]
-    twice_area = _length(np.cross(edges[:, 0], edges[:, 1]))
-    keep = twice_area > ZERO_AREA * _length(edges).max(axis=1) ** 2
+    vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
+    geometry = FaceGeometry(vertices, faces)
+    keep = geometry.has_area
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ValueError(f"mesh must have a face with an area, got {dropped} without")
@@ -370,57 +375,56 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
         warnings.warn(
             f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=4
         )
-        faces = faces[keep]
+        used, faces = compacted(faces[:, keep], len(index))
+        index, vertices = index[used], vertices[:, used]
+        geometry = FaceGeometry(vertices, faces)
 
-    # One handedness a face: a vertex that mirrored and unmirrored faces share is split in two.
-    mirrored = np.zeros(len(faces), dtype=np.int64)
-    if given is None and part.uvs is not None:
-        mirrored = _mirrored(part.uvs, faces, len(vertices))
-    used, faces = _compacted(faces * 2 + mirrored[:, None], 2 * len(vertices))
-    index = used // 2
-    handedness = np.where(used % 2 == 1, -1.0, 1.0)
-    vertices = vertices[index]
-    uvs = None if part.uvs is None else part.uvs[index]
+    uvs = None if part.uvs is None else part.uvs.T.take(index, axis=1)
+    handedness = np.ones(len(index))
+    if given is None:
+        assert uvs is not None  # noqa: S101 - told to mypy; refused above
+        texture_geometry = TextureGeometry(uvs, faces)
+        mirrored = texture_geometry.mirrored(faces, len(index))
+        if mirrored.any():
+            # One handedness a face: a vertex that mirrored and unmirrored faces share is split in two.
+            used, faces = compacted(faces * 2 + mirrored, 2 * len(index))
+            handedness = np.where(used % 2 == 1, -1.0, 1.0)
+            used //= 2
+            index, vertices, uvs = index[used], vertices[:, used], uvs[:, used]
 
-    weld = _weld(vertices)
-    angles = _corner_angles(vertices, faces)
-    normals = _normals(vertices, faces, angles, weld, None if part.normals is None else part.normals[index])
+    welded, order = weld(vertices)
+    own = None if part.normals is None else part.normals.T.take(index, axis=1)
+    normals = vertex_normals(geometry, faces, welded, own)
     if given is not None:
         scale = np.max(np.abs(given), initial=0.0)
-        field = _unit(_tangential(given[part.source[index]] / (scale if scale > 0.0 else 1.0), normals))
-        field = _fill(field, normals, faces, weld, "tangents")
+        field = given.T.take(part.source[index], axis=1) / (scale if scale > 0.0 else 1.0)
+        name = "tangents"
     else:
-        assert uvs is not None  # noqa: S101 - told to mypy; refused above
-        field = _tangents_from_uvs(vertices, faces, angles, uvs, normals)
-        field = _join_seams(field, weld, handedness)
-        field = _fill(_unit(_tangential(field, normals)), normals, faces, weld, "mesh's texture coordinates")
+        field = tangents_from_uvs(geometry, texture_geometry, faces, normals)
+        field = join_seams(field, welded, order, handedness)
+        name = "mesh's texture coordinates"
+    field = fill(unit(tangential(field, normals)), normals, faces, welded, name)
 
     has_colour = part.texture is not None or part.colours is not None
     texture = np.zeros((1, 1, 3), np.float32) if part.texture is None else part.texture
     colours = None if part.colours is None else part.colours[index]
     if colours is not None and np.all(colours == colours[0]) and part.texture is None:
         texture, colours = colours[:1].reshape(1, 1, 3).astype(np.float32), None
+    uvs = np.zeros((2, len(index))) if uvs is None else np.nan_to_num(uvs)
     return Surface(
-        vertices=vertices.astype(np.float32),
-        faces=faces.astype(np.int32),
-        normals=normals.astype(np.float32),
-        tangents=field.astype(np.float32),
+        vertices=vertices.T.astype(np.float32, order="C"),
+        faces=faces.T.astype(np.int32, order="C"),
+        normals=normals.T.astype(np.float32, order="C"),
+        tangents=field.T.astype(np.float32, order="C"),
         handedness=handedness.astype(np.float32),
-        uvs=np.zeros((len(vertices), 2), np.float32) if uvs is None else np.nan_to_num(uvs).astype(np.float32),
+        uvs=uvs.T.astype(np.float32, order="C"),
         texture=texture,
         vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=has_colour,
-        is_convex=_is_convex(vertices, faces, weld),
+        is_convex=is_convex(vertices, faces, geometry.normals, welded),
         centre=centre,
         radius=radius,
     )
-
-
-def _compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which of 0 … count − 1 are there, in order, and the indices among these."""
-    taken = np.zeros(count, dtype=np.bool_)
-    taken[indices] = True
-    return np.flatnonzero(taken), (np.cumsum(taken) - 1)[indices]
 
 
 def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
@@ -435,217 +439,3 @@ def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
         raise ValueError(f"mesh has neither texture coordinates nor tangents=; {HOW_TO_GET_TANGENTS}")
     elif np.any(np.isnan(part.uvs)):
         raise ValueError(f"mesh has a geometry without texture coordinates; {HOW_TO_GET_TANGENTS}")
-
-
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scalar products along the last axis."""
-    return np.asarray(np.einsum("...i,...i->...", a, b))
-
-
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths along the last axis."""
-    return np.asarray(np.sqrt(_dot(vectors, vectors)))
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors at unit length; those that are zero but for rounding become zero."""
-    length = _length(vectors)[..., None]
-    return np.asarray(np.where(length > 1e-9, vectors / np.where(length > 1e-9, length, 1.0), 0.0))
-
-
-def _tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The part of each vector at right angles to the unit normal."""
-    return np.asarray(vectors - _dot(vectors, normals)[:, None] * normals)
-
-
-def _sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Sums of ``values`` (k, 3) by ``index`` (k,), shape (count, 3)."""
-    return np.stack([np.bincount(index, values[:, c], count) for c in range(values.shape[1])], axis=1)
-
-
-def _weld(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
-    """A number for each vertex, (n,), the same for those at one position."""
-    cells = np.round(vertices / WELD).astype(np.int64)
-    # The unit sphere's cells fit in 21 bits an axis and sign: one integer sorts faster than rows.
-    key = ((cells[:, 0] + 2**20) * 2**21 + (cells[:, 1] + 2**20)) * 2**21 + (cells[:, 2] + 2**20)
-    return np.asarray(np.unique(key, return_inverse=True)[1])
-
-
-def _corner_angles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Angle of each face at each of its corners [radians], shape (m, 3)."""
-    corners = vertices[faces]
-    ahead = np.roll(corners, -1, axis=1) - corners
-    behind = np.roll(corners, 1, axis=1) - corners
-    return np.asarray(np.arctan2(_length(np.cross(ahead, behind)), _dot(ahead, behind)))
-
-
-def _angle_weighted(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], angles: NDArray[np.float64], group: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angle-weighted sums of face normals over groups of vertices, (n, 3), and of the weights, (n,)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    length = _length(cross)[:, None]
-    face_normals = np.where(length > 0.0, cross / np.where(length > 0.0, length, 1.0), 0.0)
-    corner_group = group[faces.ravel()]
-    count = int(group.max()) + 1
-    total = _sum_at(corner_group, (angles[:, :, None] * face_normals[:, None]).reshape(-1, 3), count)
-    return total[group], np.asarray(np.bincount(corner_group, angles.ravel(), count)[group], dtype=np.float64)
-
-
-def _normals(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    angles: NDArray[np.float64],
-    weld: NDArray[np.int64],
-    own: NDArray[np.float64] | None,
-) -> NDArray[np.float64]:
-    """Unit vertex normals, shape (n, 3): given ones, on the side that the winding faces, else computed ones."""
-    total, weight = _angle_weighted(vertices, faces, angles, weld)
-    cancelled = _length(total) <= 1e-6 * weight
-    if cancelled.any():
-        # Two faces back to back cancel out at a welded vertex but not at their own vertices.
-        apart, _ = _angle_weighted(vertices, faces, angles, np.arange(len(vertices)))
-        total = np.where(cancelled[:, None], apart, total)
-    computed = _unit(total)
-    if own is None:
-        return computed
-    own = _unit(np.nan_to_num(own))
-    # The vertex's own faces tell its side: under an overhang most of those at its position look the other way.
-    beside, _ = _angle_weighted(vertices, faces, angles, np.arange(len(vertices)))
-    own = np.where(_dot(own, beside)[:, None] < 0.0, -own, own)
-    return np.where(np.any(own != 0.0, axis=1, keepdims=True), own, computed)
-
-
-def _uv_edges(
-    uvs: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Two edges of each face in the texture, (m, 2) each, and their determinant, (m,), zero where degenerate."""
-    one = uvs[faces[:, 1]] - uvs[faces[:, 0]]
-    two = uvs[faces[:, 2]] - uvs[faces[:, 0]]
-    determinant = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    longest = np.maximum(_dot(one, one), _dot(two, two))
-    return one, two, np.where(np.abs(determinant) > ZERO_AREA * longest, determinant, 0.0)
-
-
-def _mirrored(uvs: NDArray[np.float64], faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """1 for faces whose texture is mirrored, else 0, (m,); degenerate ones follow a neighbour."""
-    determinant = _uv_edges(uvs, faces)[2]
-    votes = np.bincount(faces.ravel(), np.repeat(np.sign(determinant), 3), count)
-    return np.where(determinant == 0.0, votes[faces].sum(axis=1) < 0.0, determinant < 0.0).astype(np.int64)
-
-
-def _tangents_from_uvs(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    angles: NDArray[np.float64],
-    uvs: NDArray[np.float64],
-    normals: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """∂P/∂u, angle-weighted over the faces of each vertex, shape (n, 3)."""
-    one, two, determinant = _uv_edges(uvs, faces)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    along_u = (b - a) * two[:, 1:] - (c - a) * one[:, 1:]
-    # Only the direction counts; scaling by the largest component keeps the texture's scale out of _unit's bound.
-    size = np.max(np.abs(along_u), axis=1, keepdims=True)
-    along_u = along_u / np.where(size > 0.0, size, 1.0) * np.sign(determinant)[:, None]
-    corner = faces.ravel()
-    # Turned into each vertex's tangent plane before the mean, so that curvature does not shorten a face's share.
-    turned = _unit(_tangential(np.repeat(_unit(along_u), 3, axis=0), normals[corner]))
-    return _sum_at(corner, angles.reshape(-1, 1) * turned, len(vertices))
-
-
-def _join_seams(
-    field: NDArray[np.float64], weld: NDArray[np.int64], handedness: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Add to each vertex's tangent those of the vertices at its position that agree in direction and handedness."""
-    unit = _unit(field)
-    key = weld * 2 + (handedness < 0.0)
-    order = np.argsort(key, kind="stable")
-    ordered = key[order]
-    result = field.copy()
-    # Vertices at one position are neighbours in this order: compare each with the next, the one after that, …
-    start = np.flatnonzero(ordered[1:] == ordered[:-1])
-    step = 1
-    while len(start):
-        a, b = order[start], order[start + step]
-        agree = _dot(unit[a], unit[b]) > SEAM_COSINE
-        # Within one step each vertex appears once on either side.
-        result[a[agree]] += field[b[agree]]
-        result[b[agree]] += field[a[agree]]
-        step += 1
-        start = start[start + step < len(ordered)]
-        start = start[ordered[start + step] == ordered[start]]
-    return result
-
-
-def _fill(
-    field: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    weld: NDArray[np.int64],
-    name: str,
-) -> NDArray[np.float64]:
-    """Give vertices without a tangent the mean of their neighbours', ring by ring."""
-    missing = ~np.any(field != 0.0, axis=1)
-    if not np.any(missing):
-        return field
-    if np.all(missing):
-        raise ValueError(f"{name} must define a direction along the surface, got none at any vertex")
-    warnings.warn(
-        f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(field)} vertices; "
-        "filled from their neighbours",
-        WarpdiffWarning,
-        stacklevel=5,
-    )
-    count = int(weld.max()) + 1
-    corners = weld[faces]
-    start = np.concatenate([corners[:, k] for k in (0, 1, 2, 0, 1, 2)])
-    end = np.concatenate([corners[:, k] for k in (1, 2, 0, 2, 0, 1)])
-    at = _unit(_sum_at(weld, field, count))
-    while True:
-        known = np.any(at != 0.0, axis=1)
-        useful = known[start] & ~known[end]
-        new = _unit(_sum_at(end[useful], at[start[useful]], count))
-        if not np.any(new):
-            break
-        at = at + new
-    # What no neighbour reaches takes the whole mesh's mean.
-    at = np.where(np.any(at != 0.0, axis=1)[:, None], at, field.sum(axis=0))
-    return np.where(missing[:, None], _unit(_tangential(at[weld], normals)), field)
-
-
-def _is_convex(vertices: NDArray[np.float64], faces: NDArray[np.int64], weld: NDArray[np.int64]) -> bool:
-    """Whether the faces lie in a plane or bound one convex body.
-
-    That is: closed, bent outwards at every edge, and a sphere by Euler's count.
-    """
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    outward = _unit_rows(np.cross(b - a, c - a))
-    if np.all(np.abs((vertices - a[0]) @ outward[0]) <= 1e-6):
-        return True
-    # Most bodies are not, which a few faces tell: something lies above them.
-    some = np.arange(0, len(faces), len(faces) // 16 + 1)
-    if np.any(vertices @ outward[some].T > _dot(a[some], outward[some]) + 1e-5):
-        return False
-    welded = weld[faces]
-    count = int(weld.max()) + 1
-    start = np.concatenate([welded[:, k] for k in range(3)])
-    end = np.concatenate([welded[:, (k + 1) % 3] for k in range(3)])
-    opposite = np.concatenate([faces[:, (k + 2) % 3] for k in range(3)])
-    forward, backward = start * count + end, end * count + start
-    order, reverse = np.argsort(forward), np.argsort(backward)
-    edges = forward[order]
-    if np.any(edges[1:] == edges[:-1]) or not np.array_equal(edges, backward[reverse]):
-        return False
-    if count - len(edges) // 2 + len(faces) != 2:
-        return False
-    # The face beyond each edge must not rise above the plane of the one on this side.
-    face = np.tile(np.arange(len(faces)), 3)
-    rise = vertices[opposite[reverse]] - a[face[order]]
-    return bool(np.all(_dot(rise, outward[face[order]]) <= 1e-6))
-
-
-def _unit_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Nonzero vectors of any size at unit length."""
-    return np.asarray(vectors / _length(vectors)[:, None])
