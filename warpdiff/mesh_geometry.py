@@ -37,10 +37,10 @@ class FaceGeometry:
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
         """Work out the edges of ``faces``, shape (3, m), between ``vertices``, shape (3, n)."""
-        corners = vertices.take(faces, axis=1)
-        self.edges = np.empty_like(corners)
-        for k in range(3):
-            np.subtract(corners[:, (k + 1) % 3], corners[:, k], out=self.edges[:, k])
+        self.edges = np.empty((3, *faces.shape))
+        for edges, component in zip(self.edges, vertices, strict=True):
+            corners = component.take(faces)
+            np.subtract(corners[[1, 2, 0]], corners, out=edges)
         one, two, three = (self.edges[:, k] for k in range(3))
         self.cross = np.stack([one[i - 2] * two[i - 1] - one[i - 1] * two[i - 2] for i in range(3)])
         self.twice_area = length(self.cross)
@@ -182,8 +182,11 @@ def tangents_from_uvs(
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
     # Turned into each vertex's tangent plane before the mean, so that curvature does not shorten a face's share: at
     # unit length there. The component along the normal can be taken off the sum.
-    squared = 1.0 - dot(along_u[:, None], normals.take(faces, axis=1)) ** 2
-    weights = np.where(squared > 1e-12, geometry.angles / np.sqrt(np.maximum(squared, 1e-12)), 0.0)
+    cosines = np.zeros(faces.shape)
+    for component, normal in zip(along_u, normals, strict=True):
+        cosines += component * normal.take(faces)
+    sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
+    weights = np.divide(geometry.angles, sines, out=np.zeros_like(sines), where=sines > 1e-6)
     total = np.stack([sum_at(faces, weights * component, normals.shape[1]) for component in along_u])
     return tangential(total, normals)
 
@@ -209,8 +212,7 @@ def join_seams(
         agree = dot(directions.take(a, axis=1), directions.take(b, axis=1)) > SEAM_COSINE
         agree &= handedness[a] == handedness[b]
         a, b = a[agree], b[agree]
-        for total, component in zip(result, field, strict=True):
-            total += sum_at(a, component[b], count) + sum_at(b, component[a], count)
+        result += [sum_at(a, component[b], count) + sum_at(b, component[a], count) for component in field]
         step += steps
     return result
 
@@ -240,7 +242,7 @@ def fill(
     end = corners[[1, 2, 0, 2, 0, 1]].ravel()
     at = unit(np.stack([sum_at(welded, component, count) for component in field]))
     while True:
-        known = at.any(axis=0)
+        known = (at != 0.0).any(axis=0)
         useful = known[start] & ~known[end]
         new = unit(np.stack([sum_at(end[useful], component[start[useful]], count) for component in at]))
         if not new.any():
@@ -272,14 +274,21 @@ def is_convex(
     start = welded[faces]
     end = start[[1, 2, 0]]
     count = int(welded.max()) + 1
-    forward, backward = (start * count + end).ravel(), (end * count + start).ravel()
-    order, reverse = np.argsort(forward), np.argsort(backward)
-    edges = forward[order]
-    if np.any(edges[1:] == edges[:-1]) or not np.array_equal(edges, backward[reverse]):
+    edges = (np.minimum(start, end) * count + np.maximum(start, end)).ravel()
+    order = np.argsort(edges)
+    edges = edges[order]
+    one, other = order[::2], order[1::2]
+    # Each edge belongs to two faces, which run along it in opposite directions.
+    if len(edges) % 2 or np.any(edges[::2] != edges[1::2]) or np.any(edges[2::2] == edges[1:-1:2]):
         return False
-    if count - len(edges) // 2 + number != 2:
+    ascends = (start < end).ravel()
+    if np.any(ascends[one] == ascends[other]) or count - len(one) + number != 2:
         return False
     # The face beyond each edge must not rise above the plane of the one on this side.
-    face = order % number
-    rise = vertices.take(faces[[2, 0, 1]].ravel()[reverse], axis=1) - vertices.take(faces[0, face], axis=1)
-    return bool(np.all(dot(rise, outward.take(face, axis=1)) <= 1e-6))
+    level = dot(outward, vertices.take(faces[0], axis=1))
+    opposite = faces[[2, 0, 1]].ravel()
+    for here, beyond in ((one, other), (other, one)):
+        face = here % number
+        if np.any(dot(outward.take(face, axis=1), vertices.take(opposite[beyond], axis=1)) > level[face] + 1e-6):
+            return False
+    return True

@@ -231,8 +231,15 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     normals = np.asarray(normals, dtype=np.float64)
     normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
     corners = np.ascontiguousarray(faces.T)
-    computed = unit(FaceGeometry(vertices.T, corners).angle_weighted_normals(corners, len(vertices)))
-    return None if np.allclose(normals, computed, atol=1e-6) else normals.T
+    # A few faces' vertices are enough to tell most.
+    some = np.zeros(len(vertices), dtype=np.bool_)
+    some[faces[:: len(faces) // 16 + 1]] = True
+    for at in (some, np.ones_like(some)):
+        beside = corners.compress(at.take(corners).any(axis=0), axis=1)
+        computed = unit(FaceGeometry(vertices.T, beside).angle_weighted_normals(beside, len(vertices)))
+        if not np.allclose(normals[:, at], computed[:, at], atol=1e-6):
+            return normals.T
+    return None
 
 
 def _cached_normals(mesh: Any) -> Any:
