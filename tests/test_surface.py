@@ -77,6 +77,20 @@ def test_given_normals_are_kept_and_those_trimesh_worked_out_are_not():
     np.testing.assert_allclose(before[1], before[3], atol=1e-7)
 
 
+@pytest.mark.parametrize("vertex", [0, 80, 161])
+def test_a_single_normal_that_was_given_is_kept(vertex):
+    mesh = mesh_of(
+        trimesh.creation.icosphere(subdivisions=2).vertices, trimesh.creation.icosphere(subdivisions=2).faces
+    )
+    computed = prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02)).normals
+    normals = np.array(mesh.vertex_normals)
+    normals[vertex] += 0.1 * normals[vertex, [1, 2, 0]]
+    mesh.vertex_normals = normals
+    expected = computed.copy()
+    expected[vertex] = normals[vertex] / np.linalg.norm(normals[vertex])
+    np.testing.assert_allclose(prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02)).normals, expected, atol=1e-6)
+
+
 def test_a_surface_is_found_again_while_nothing_of_its_mesh_changed():
     texture = Image.fromarray(np.full((4, 4, 3), 200, dtype=np.uint8))
     upwards = np.tile([[0.0, 0.0, 1.0]], (4, 1))
@@ -154,6 +168,27 @@ def test_seams_join_where_the_direction_goes_on(angle_deg, joined):
     across = np.degrees(np.arccos(np.clip(tangents[1] @ tangents[4], -1, 1)))
     assert across == pytest.approx(0.0 if joined else angle_deg, abs=0.1)
     assert np.degrees(np.arccos(np.clip(tangents[0] @ tangents[5], -1, 1))) == pytest.approx(angle_deg, abs=0.1)
+
+
+def test_of_many_tangents_at_one_position_those_that_agree_are_joined():
+    # Triangles around a point, each with vertices and a direction of its own, some mirrored.
+    rng = np.random.default_rng(3)
+    count = 40
+    turn = 2.0 * math.pi * np.arange(count) / count
+    rim = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
+    vertices = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1, axis=0)], axis=1)
+    angle = rng.uniform(-math.pi, math.pi, count)
+    side = np.where(rng.random(count) < 0.3, -1.0, 1.0)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    across = np.stack([-np.sin(angle), np.cos(angle)], axis=1) * side[:, None]
+    uv = np.einsum("fcx,fkx->fck", vertices[..., :2], np.stack([along, across], axis=1))
+    surface = prepare_surface(mesh_of(vertices.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), uv.reshape(-1, 2)))
+    np.testing.assert_array_equal(surface.handedness[::3], side)
+    agree = (along @ along.T > math.cos(math.radians(30.0))) & (side[:, None] == side)
+    assert agree.sum() > 3 * count
+    expected = agree @ along
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(surface.tangents[::3, :2], expected, atol=1e-6)
 
 
 def test_given_tangents_win_and_are_made_tangential():
@@ -264,6 +299,39 @@ def test_scenes_with_two_textures_are_refused():
         prepare_surface(mixed)
 
 
+def folded(mesh):
+    """The mesh without its normals, its texture mirrored about a line along it."""
+    uv = np.array(mesh.visual.uv)
+    return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
+
+
+# Of 25 faces around: of 24 the tangents at a tip would lie at the very 30° within which they are joined.
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        meshes.tube(segments_along=40, segments_around=25),
+        folded(meshes.tube(segments_along=40, segments_around=25)),
+        meshes.disc(segments=48, rings=3),
+    ],
+    ids=["given normals", "folded", "flat"],
+)
+def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
+    before = prepare_surface(mesh)
+    turn = trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))
+    moved = mesh.copy(include_cache=True)
+    moved.apply_transform(trimesh.transformations.translation_matrix([3, -2, 1]) @ turn @ np.diag([4.0, 4, 4, 1]))
+    after = prepare_surface(moved)
+    world = before.vertices * before.radius + before.centre
+    np.testing.assert_allclose(
+        after.vertices * after.radius + after.centre, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6
+    )
+    # Positions in float32 turn an edge by this much.
+    for name in ("normals", "tangents"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
+    for name in ("faces", "handedness", "uvs", "is_convex"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+
+
 def test_files(tmp_path, fuze_path):
     with pytest.raises(FileNotFoundError, match="mesh: there is no file"):
         prepare_surface(tmp_path / "absent.obj")
@@ -280,6 +348,23 @@ def test_files(tmp_path, fuze_path):
     np.testing.assert_allclose(np.sum(surface.tangents * surface.normals, axis=1), 0.0, atol=1e-6)
 
 
+def nearly_convex(fault):
+    """A body that only few of its faces tell from a convex one."""
+    if fault == "flipped":
+        box = trimesh.creation.box().subdivide().subdivide()
+        # Within a side, where its neighbours lie in its plane.
+        within = np.flatnonzero(np.all(np.count_nonzero(np.abs(box.triangles) == 0.5, axis=2) == 1, axis=1))
+        faces = np.array(box.faces)
+        faces[within[1]] = faces[within[1], ::-1]
+        return mesh_of(box.vertices, faces)
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    far = np.argmin(np.max(ball.vertices @ ball.triangles_center[::81].T, axis=1))
+    if fault == "dented":
+        return mesh_of(np.where(np.arange(len(ball.vertices))[:, None] == far, 0.99, 1.0) * ball.vertices, ball.faces)
+    speck = trimesh.creation.icosahedron().apply_scale(1e-3).apply_translation(1.003 * ball.vertices[far])
+    return trimesh.util.concatenate([ball, speck])
+
+
 @pytest.mark.parametrize(
     ("mesh", "convex"),
     [
@@ -294,6 +379,7 @@ def test_files(tmp_path, fuze_path):
             False,
         ),
         (trimesh.creation.annulus(0.5, 1.0, 1.0), False),
+        *((nearly_convex(fault), False) for fault in ("flipped", "dented", "speck")),
     ],
 )
 def test_convexity(mesh, convex):
