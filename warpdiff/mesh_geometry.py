@@ -180,8 +180,8 @@ def tangents_from_uvs(
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
-    # Turned into each vertex's tangent plane before the mean, so that curvature does not shorten a face's share: at
-    # unit length there. The component along the normal can be taken off the sum.
+    # Each face's direction counts by what it is at unit length in the vertex's tangent plane, so that curvature does
+    # not shorten its share. What lies along the normal is taken off the sum.
     cosines = np.zeros(faces.shape)
     for component, normal in zip(along_u, normals, strict=True):
         cosines += component * normal.take(faces)
@@ -271,7 +271,7 @@ def is_convex(
     number = faces.shape[1]
     if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
         return False
-    start = welded[faces]
+    start = welded.take(faces)
     end = start[[1, 2, 0]]
     count = int(welded.max()) + 1
     edges = (np.minimum(start, end) * count + np.maximum(start, end)).ravel()

@@ -382,8 +382,8 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
         warnings.warn(
             f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=4
         )
-        used, faces = compacted(faces[:, keep], len(index))
-        index, vertices = index[used], vertices[:, used]
+        used, faces = compacted(faces.compress(keep, axis=1), len(index))
+        index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
     uvs = None if part.uvs is None else part.uvs.T.take(index, axis=1)
@@ -397,7 +397,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
             used, faces = compacted(faces * 2 + mirrored, 2 * len(index))
             handedness = np.where(used % 2 == 1, -1.0, 1.0)
             used //= 2
-            index, vertices, uvs = index[used], vertices[:, used], uvs[:, used]
+            index, vertices, uvs = index[used], vertices.take(used, axis=1), uvs.take(used, axis=1)
 
     welded, order = weld(vertices)
     own = None if part.normals is None else part.normals.T.take(index, axis=1)
