@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import checks, validity
+from warpdiff.linear_algebra import on_one_thread
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
@@ -213,10 +214,12 @@ class HeightField:
         # Tensor products of bases that are orthonormal on the samples are orthonormal, so projections are the
         # least-squares solution, with no system to solve and none to be ill-conditioned.
         along_y, along_x = (_polynomials(n, order) for n in self.shape)
-        coefficients = along_y.T @ self._heights_um @ along_x
-        degree = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1]))
-        coefficients[degree > order] = 0.0
-        return HeightField(self._heights_um - along_y @ coefficients @ along_x.T, self.pitch_um)
+        with on_one_thread():
+            coefficients = along_y.T @ self._heights_um @ along_x
+            degree = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1]))
+            coefficients[degree > order] = 0.0
+            trend = along_y @ coefficients @ along_x.T
+        return HeightField(self._heights_um - trend, self.pitch_um)
 
     def despiked(self, threshold: float = 3.0, *, size_um: float = 1.0) -> HeightField:
         """Remove dust grains and bright scratches: what stands out of the surface is replaced from its surroundings.

@@ -21,6 +21,7 @@ from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS, check_cycles
 from warpdiff.heightfield import HeightField
+from warpdiff.linear_algebra import on_one_thread
 from warpdiff.polar import MAX_NODES, MIN_NODES
 from warpdiff.scope import CROWD, Pilots, Scope, hemisphere_pairs
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
@@ -407,6 +408,7 @@ def broadcast_directions(
     return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
 
 
+@on_one_thread()
 def plan_for(
     hf: HeightField,
     scope: Scope,

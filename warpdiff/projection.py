@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff import spectrum
+from warpdiff.linear_algebra import on_one_thread
 from warpdiff.polar import LOG_RED, node_count
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ class Projection:
     weights: NDArray[np.float32]
 
 
+@on_one_thread()
 def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     """The projection for a plan's nodes and tolerance."""
     # The range of |w| whose |κ| at all wavelengths are within the terms'.

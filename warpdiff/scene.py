@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.kernels import raycast
+from warpdiff.linear_algebra import on_one_thread
 
 if TYPE_CHECKING:
     from warpdiff.surface import Surface
@@ -104,6 +105,7 @@ def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
     return result
 
 
+@on_one_thread()
 def lies_ahead(surface: Surface, view: View) -> bool:
     """Whether all of the surface is in front of the eye."""
     frame = view.frame()

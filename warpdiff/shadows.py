@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.device import launch
+from warpdiff.linear_algebra import on_one_thread
 from warpdiff.recent import found_again
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
     across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
     across /= np.linalg.norm(across)
     up = np.cross(towards, across)
-    seen = np.stack([across, up]) @ surface.vertices.T * float(shadows.STEPS)
+    with on_one_thread():
+        seen = np.stack([across, up]) @ surface.vertices.T * float(shadows.STEPS)
     # What a kernel rounds otherwise is within a step or two.
     low, high = np.floor(seen.min(axis=1)) - 2.0, np.ceil(seen.max(axis=1)) + 2.0
     wide, tall = high - low

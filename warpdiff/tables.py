@@ -13,6 +13,7 @@ import numpy as np
 from warpdiff import coefficients, disk, fourier, interpolation, spectrum
 from warpdiff.coefficients import Coefficients
 from warpdiff.expansions import EXPANSIONS, check_cycles
+from warpdiff.linear_algebra import on_one_thread
 from warpdiff.recent import found_again
 
 if TYPE_CHECKING:
@@ -135,6 +136,7 @@ def coefficients_for(
         terms = coefficients.series_terms(hf, (low, high))
     key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
 
+    @on_one_thread()
     def arrays() -> dict[str, Any]:
         if method in EXPANSIONS:
             made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
