@@ -35,8 +35,8 @@ def test_scope_and_pilots_are_those_of_all(coherence, share, device, rng):
         for each, dtype in zip((deflections, to_lights, gains), dtypes, strict=True)
     ]
     for threads in (1, 3):
-        summary = Survey(hf, coherence, *arrays, device=resolve_device(device))
-        launch_in_turn([summary.step], count, device=resolve_device(device), threads=threads)
+        summary = Survey(hf, coherence, count, device=resolve_device(device))
+        launch_in_turn([summary.step(*arrays)], count, device=resolve_device(device), threads=threads)
         scope, lit, some = summary.found()
         assert lit == np.count_nonzero(gains)
         for name in ("max_uv", "max_lateral", "min_w", "max_w"):

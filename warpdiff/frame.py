@@ -134,7 +134,7 @@ class Frame:
         self._size = size = view.width * view.height
 
         self._blurred = means and samples == 1
-        self._nearest = wp.empty(0, dtype=wp.uint64, device=device)
+        self._nearest = self._no_faces = wp.empty(0, dtype=wp.uint64, device=device)
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         dtypes = (wp.vec3f, wp.float64, wp.bool)
         # XYZ, coverage, and what any light reaches.
@@ -250,10 +250,9 @@ class Frame:
         # A few rays a pixel see what all do.
         surveyed = min(self._samples, _SURVEYED)
         for sample in range(surveyed):
-            self.cast(sample)
             for which in range(len(self._to_lights)):
-                summary = Survey(hf, window, *self._seen.directions, device=self._device)
-                self.deflect(sample, which, summary.step)
+                summary = Survey(hf, window, self._size, device=self._device)
+                self.deflect(sample, which, summary)
                 found, lit, pilots = summary.found(CROWD if piloted and sample == 0 else 0)
                 scope = scope.joined(found)
                 count += lit
@@ -269,10 +268,8 @@ class Frame:
         count = len(self._to_lights)
         for sample in range(self._samples):
             for which in range(count):
-                if self._now[0] != sample:
-                    self.cast(sample)
                 # The survey has left behind what a single pass needs.
-                if self._now[1] != which:
+                if self._now != (sample, which):
                     self.deflect(sample, which)
                 yield which, _share(progress, sample * count + which, self._samples * count)
 
@@ -290,7 +287,7 @@ class Frame:
             self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
             return
         if footprint:
-            self._cast(0, 1)
+            launch_in_turn(self._cast(0, 1), self._size, least_slice=_SLICE, **self._options)
             self._spreads = [
                 self.spread(which, self._spreads[which] if which < len(self._spreads) else None)
                 for which in range(len(self._to_lights))
@@ -441,12 +438,26 @@ class Frame:
             added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[which], progress=share)
             self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
 
-    def cast(self, sample: int) -> None:
-        """Send one ray through every pixel."""
-        self._cast(sample, self._samples)
-        self._now = sample, None
+    def _meet(self) -> None:
+        """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
+        from warpdiff.kernels import raycast
 
-    def _cast(self, sample: int, samples: int) -> None:
+        self._nearest.fill_(raycast.UNSEEN)
+        inputs, faces = [self._camera, self._scene.bare], self._scene.face_count
+        launch(
+            raycast.cover, faces, inputs, [self._nearest], least_slice=_FACES, in_runs=True, meanwhile=self._prepare,
+            **self._options,
+        )  # fmt: skip
+
+    def _prepare(self) -> None:
+        """Make what rays need, on this thread."""
+        self._seen.pixels.nearest = self._nearest
+        if self._casts_shadows and 0 not in self._grids:
+            pixels = self._scene.pixels_within(self._surface, self._view)
+            self._grids[0] = self._grid_for(0, pixels, device=self._device, threads=1)
+
+    def _cast(self, sample: int, samples: int) -> list[Step]:
+        """What sends one ray through every pixel."""
         from warpdiff.kernels import raycast
 
         self.begin()
@@ -454,18 +465,11 @@ class Frame:
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1:
             sampling.places = self._places
-        if self._covers:
-            self._nearest.fill_(raycast.UNSEEN)
-            inputs, faces = [self._camera, self._scene.bare], self._scene.face_count
-            # A frame's first faces are met while there is yet to be room for the rest.
-            launch(
-                raycast.cover, faces, inputs, [self._nearest], least_slice=_FACES, in_runs=True,
-                meanwhile=lambda: self._seen, **self._options,
-            )  # fmt: skip
-        self._seen.pixels.nearest = self._nearest
-        steps = self._steps_of_rays(sampling, self._seen.pixels)
-        meanwhile = self._prepare_grid if self._covers and self._casts_shadows else None
-        launch_in_turn(steps, self._size, least_slice=_SLICE, meanwhile=meanwhile, **self._options)
+        if self._covers and samples == 1:
+            self._meet()
+        else:
+            self._seen.pixels.nearest = self._no_faces
+        return self._steps_of_rays(sampling, self._seen.pixels)
 
     def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
         """What finds where rays meet the mesh, and how it lies there."""
@@ -494,15 +498,22 @@ class Frame:
             return no_grid(self._scene)
         return grid_for(self._surface, self._scene, self._to_lights[which], **options)
 
-    def _prepare_grid(self) -> None:
-        """Make the first light's on this thread, once faces are met."""
-        met = int(np.count_nonzero(~self._nearest.numpy()))
-        self._grids[0] = self._grid_for(0, met, device=self._device, threads=1)
+    def deflect(self, sample: int, which: int, summary: Survey | None = None) -> None:
+        """Compute the deflections and gains of a sample under one light, add its pigment, and sum up, if that is asked.
 
-    def deflect(self, sample: int, which: int, *after: Step) -> None:
-        """Compute the deflections and gains of a sample under one light, add its pigment, and what comes after."""
-        steps = self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
-        launch_in_turn([*steps, *after], self._size, least_slice=_SLICE, **self._options)
+        Rays are cast first, if they are another sample's.
+        """
+        steps: list[Step] = []
+        if self._now[0] != sample:
+            steps = self._cast(sample, self._samples)
+            if self._casts_shadows and which not in self._grids:
+                # Whether a grid is worth it, those that meet the mesh tell.
+                launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
+                steps = []
+        steps += self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
+        if summary is not None:
+            steps.append(summary.step(*self._seen.directions))
+        launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
         self._now = sample, which
 
     def _deflect(

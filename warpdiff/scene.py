@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import weakref
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,8 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
+        low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        self._box = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
         self._mesh: wp.Mesh | None = None
         self._once = threading.Lock()
         self.grids: dict[tuple[float, ...], Any] = {}
@@ -71,6 +74,19 @@ class SceneArrays:
         """The struct for :func:`warpdiff.kernels.raycast.cast`, whose rays may go through the hierarchy."""
         self.build()
         return self.bare
+
+    def pixels_within(self, surface: Surface, view: View) -> int:
+        """About how many pixels see a surface that lies ahead: half of those within its box."""
+        frame = view.frame()
+        seen = self._box * surface.radius + surface.centre - frame.origin
+        depth = np.ones(len(seen)) if frame.orthographic else -(seen @ frame.back)
+        if depth.min() <= 0.0:
+            return view.width * view.height
+        shares = [
+            np.ptp(np.clip(seen @ axis / (half * depth), -1.0, 1.0)) / 2.0
+            for axis, half in ((frame.right, frame.half_width), (frame.up, frame.half_height))
+        ]
+        return int(view.width * view.height * shares[0] * shares[1] / 2.0)
 
     @property
     def mesh_id(self) -> int:

@@ -24,34 +24,35 @@ class Survey:
     """The scope of the lit ones among deflections, their number, and some of them, equally far apart in their order.
 
     They are those of ``Scope.of`` and ``Pilots.among``.
-
-    Attributes:
-        step: What is to be launched over the deflections before ``found``.
     """
 
     def __init__(
         self,
         hf: HeightField,
         coherence: Coherence,
-        deflections: wp.array,
-        to_lights: wp.array,
-        gains: wp.array,
+        size: int,
         *,
         device: wp.Device,
     ) -> None:
+        """Make room for the summary of ``size`` deflections."""
         import warp as wp
 
-        from warpdiff.kernels import directions
-
-        self._seen = deflections, to_lights, gains
         self._device = device
-        blocks = -(-len(gains) // _BLOCK)
+        blocks = -(-size // _BLOCK)
         self._counts = wp.empty(blocks, dtype=wp.int32, device=device)
         self._ranges = wp.empty(blocks, dtype=wp.vec4d, device=device)
         copies = coherence.kind == "replicas"
         per_uv = (hf.size_um[1], hf.size_um[0]) if copies else (1.0, 1.0)
-        inputs = [*self._seen, wp.vec2d(*per_uv), coherence.kind == "source", _BLOCK]
-        self.step = Step(directions.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=_BLOCK)
+        self._scope = [wp.vec2d(*per_uv), coherence.kind == "source"]
+        self._seen: tuple[wp.array, wp.array, wp.array]
+
+    def step(self, deflections: wp.array, to_lights: wp.array, gains: wp.array) -> Step:
+        """What is to be launched over the deflections before ``found``."""
+        from warpdiff.kernels import directions
+
+        self._seen = deflections, to_lights, gains
+        inputs = [*self._seen, *self._scope, _BLOCK]
+        return Step(directions.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=_BLOCK)
 
     def found(self, most: int = CROWD) -> tuple[Scope, int, Pilots]:
         """The scope, the number of lit deflections, and at most so many pilots among them."""
