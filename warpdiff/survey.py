@@ -64,7 +64,7 @@ class Survey:
         count = int(counts.sum(dtype=np.int64))
         if not count:
             return Scope(0.0, 0.0, 0.0, 0.0), 0, Pilots.none()
-        # Blocks without any change neither.
+        # Blocks without lit ones neither raise a maximum nor lower a minimum.
         ranges = self._ranges.numpy()
         uv2, lateral2, _, max_w = ranges.max(axis=0)
         scope = Scope(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
