@@ -181,10 +181,18 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
     # A GPU's frames are recorded, and stay there.
     for tolerance in plans:
         drawn(f"tolerance {tolerance:g}, distance 0.25, a Renderer", tolerance)
+    table_of_times(whole, shares, rounds, device)
+    # By themselves, as memory of large frames goes back to the system: the next frame would wait for its pages.
     for size in ((320, 240), (1280, 960)) if device.is_cpu else ((1920, 1080), (3840, 2160)):
+        whole.clear()
         name = f"tolerance 0.01, distance 0.25, {size[0]} × {size[1]}"
         frame(name, 1e-2, 0.25, size)
         drawn(f"{name}, a Renderer", 1e-2, size)
+        table_of_times(whole, shares, rounds, device)
+
+
+def table_of_times(whole: dict[str, Any], shares: dict[str, float], rounds: int, device: Any) -> None:
+    """Print the times of frames and how much of them is filled."""
     print("\n| frame, 640 × 480 | share filled | ms, median | least |\n| --- | --- | --- | --- |")
     for name, (median, least) in taken_ms(whole, rounds, device).items():
         print(f"| {name} | {shares[name]:.2f} | {median:.0f} | {least:.0f} |", flush=True)
