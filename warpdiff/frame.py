@@ -438,6 +438,11 @@ class Frame:
             added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[which], progress=share)
             self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
 
+    def cast(self, sample: int) -> None:
+        """Send one ray through every pixel."""
+        launch_in_turn(self._cast(sample, self._samples), self._size, least_slice=_SLICE, **self._options)
+        self._now = sample, None
+
     def _meet(self) -> None:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
         from warpdiff.kernels import raycast
@@ -505,11 +510,12 @@ class Frame:
         """
         steps: list[Step] = []
         if self._now[0] != sample:
-            steps = self._cast(sample, self._samples)
-            if self._casts_shadows and which not in self._grids:
+            prepared = which in self._grids or (self._covers and which == 0)
+            if self._casts_shadows and not prepared:
                 # Whether a grid is worth it, those that meet the mesh tell.
-                launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
-                steps = []
+                self.cast(sample)
+            else:
+                steps = self._cast(sample, self._samples)
         steps += self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
         if summary is not None:
             steps.append(summary.step(*self._seen.directions))
