@@ -117,7 +117,7 @@ class View:
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
 
     def frame(self) -> ViewFrame:
-        """The camera's origin and axes, in float64."""
+        """The camera's origin and axes, in float64, not to be written to."""
         return self._frame
 
     @functools.cached_property
@@ -125,11 +125,14 @@ class View:
         origin = np.array(self.eye)
         back = checks.directions(origin - np.array(self.target), "eye - target")[0][0]
         right = checks.directions(np.cross(checks.directions(self.up, "up")[0][0], back), "up")[0][0]
+        up = np.cross(back, right)
+        for each in (origin, right, up, back):
+            each.setflags(write=False)
         half_height = float(np.tan(np.radians(self.fov_y_deg) / 2.0)) if self.extent_y is None else self.extent_y / 2.0
         return ViewFrame(
             origin=origin,
             right=right,
-            up=np.cross(back, right),
+            up=up,
             back=back,
             half_width=half_height * self.width / self.height,
             half_height=half_height,
