@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # Where a node's row and weights are known, in the code of look-ups.
 _KNOWN = "const float* row = all_rows + (long long)row_at * WIDTH;"
 _LIST = """
-                    int* const entry = (int*)entries_out.data + 4LL * count_out[0]++;
+                    int* const entry = (int*)entries_out.data + 4LL * ((int*)count_out.data)[0]++;
                     entry[0] = begin + pixels[of];
                     entry[1] = row_at;
                     entry[2] = 2 * reach_of[s] + 1;
@@ -71,20 +71,10 @@ _SUMS = """
 def _kernels(functions: int) -> types.SimpleNamespace:
     """The kernels that list and sum rows of a table with so many functions of w."""
     colours, blending, width = lookup.lookup(functions).Colours, lookup.Blending, 3 * functions
-    parts = (CHUNKS_OF_ROWS, lookup._WEIGH, lookup._PLACE_OF, lookup._MIRROR, lookup._MEANS)
-    code = "".join(parts)
-    if code.count(_KNOWN) != 1:
+    if lookup.MEANS.count(_KNOWN) != 1:
         raise RuntimeError("the look-ups' code has changed: say anew where a node's row is known")
-    numbers = {
-        "SOURCE": 0,
-        "RUN": lookup.RUN,
-        "AHEAD": lookup._AHEAD,
-        "REACH": lookup.REACH,
-        "PARTS": lookup.MOST_PARTS,
-    }
-    code = code.replace(_KNOWN, _LIST.replace("count_out[0]", "((int*)count_out.data)[0]") + _KNOWN)
 
-    @wp.func_native(filled(code, WIDTH=width, **numbers))
+    @wp.func_native(lookup.native_code(lookup.MEANS.replace(_KNOWN, _LIST + _KNOWN), functions=functions))
     def list_means(
         table: colours,
         deflections: wp.array(dtype=wp.vec3d),

@@ -260,8 +260,6 @@ _MEANS = """
     const bool with_footprints = footprints.shape[0] > 0;
     auto larger = [](float a, float b) { return a > b ? a : b; };
     auto smaller = [](float a, float b) { return a < b ? a : b; };
-    auto larger_of = [](int a, int b) { return a > b ? a : b; };
-    auto smaller_of = [](int a, int b) { return a < b ? a : b; };
 
     // Covariance of (u, v), and along it and across, relative to |(u, v)|, within the narrowest lobe to its size.
     float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
@@ -309,8 +307,6 @@ _MEANS = """
         ratio2[i] = larger(x * x * xx[i] + 2.0f * x * y * xy[i] + y * y * yy[i], 0.0f);
     }
 
-    const float least_uv = table.least_uv, per_log = table.per_log, node_of_one = table.node_of_one;
-    const float per_variance = blending.per_variance;
     chunk sum[CHUNKS];
     for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
     int pixel = 0, part = 0;
@@ -381,21 +377,21 @@ _MEANS = """
             const float a2 = of_angle2[k] * turn_share * turn_share, r2 = of_ratio2[k] * ratio_share * ratio_share;
             const float b = of_both[k] * turn_share * ratio_share;
             // The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
-            float log2, turn;
-            place_of(at_u[k], at_v[k], least_uv, log2, turn);
+            float log2;
+            place_of(at_u[k], at_v[k], table.least_uv, log2, turns[k]);
             log2 += 0.721347520f * (a2 - r2);
-            turns[k] = turn - b * (0.5f / PI);
-            places[k] = log2 * (float)size + node_of_one;
+            turns[k] -= b * (0.5f / PI);
+            places[k] = log2 * (float)size + table.node_of_one;
             // What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
             // spline between nodes has a variance of a quarter.
-            const float variance = r2 * per_log * per_log;
-            turn_of[k] = b * per_log / (variance + 0.25f);
-            aside2[k] = larger(a2 - turn_of[k] * b * per_log, 0.0f);
+            const float variance = r2 * table.per_log * table.per_log;
+            turn_of[k] = b * table.per_log / (variance + 0.25f);
+            aside2[k] = larger(a2 - turn_of[k] * b * table.per_log, 0.0f);
             // Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
             const float nearest = wp::rint(places[k]), wide2 = variance + 0.25f;
-            const int step = (int)(variance * per_variance + 0.5f), in_table = smaller_of(step, entries - 1);
+            const int step = (int)(variance * blending.per_variance + 0.5f), in_table = wp::min(step, entries - 1);
             const int fraction = (int)((places[k] - nearest + 0.5f) * (float)fractions);
-            const int row = in_table * fractions + larger_of(smaller_of(fraction, fractions - 1), 0);
+            const int row = in_table * fractions + wp::clamp(fraction, 0, fractions - 1);
             falloffs[k] = step < entries ? 0.0f : 0.5f / wide2;
             ratios[k] = row * all_taps + REACH - (int)nearest;
             steps[k] = step;
@@ -405,9 +401,9 @@ _MEANS = """
         for (int k = 0; k < filled; ++k) {
             const int nearest = (int)wp::rint(places[k]), all_nodes = octaves * size;
             const int reach = steps[k] < entries ? reaches[steps[k]] : wide[k];
-            const int begin_of = larger_of(nearest - reach, 0);
-            begins[k] = smaller_of(begin_of, all_nodes - 1);
-            ends[k] = begin_of < all_nodes ? smaller_of(nearest + reach + 1, all_nodes) : begins[k];
+            const int begin_of = wp::max(nearest - reach, 0);
+            begins[k] = wp::min(begin_of, all_nodes - 1);
+            ends[k] = begin_of < all_nodes ? wp::min(nearest + reach + 1, all_nodes) : begins[k];
         }
         for (int k = 0, node = begins[0]; k < filled;) {
             // Segments: nodes of a part that lie in one octave.
@@ -507,6 +503,8 @@ _MEANS = """
         }
     }
 """
+# All that means take.
+MEANS = _WEIGH + _PLACE_OF + _MIRROR + _MEANS
 
 
 # Coefficients of the quadratic spline around a turn, for a ray: sums over as many on either side as count.
@@ -582,6 +580,14 @@ _RAYS = """
 """
 
 
+def native_code(code: str, *, functions: int, source: bool = False, reach: int = REACH) -> str:
+    """Code for a table with so many functions of w."""
+    return filled(
+        CHUNKS_OF_ROWS + code, WIDTH=3 * functions, SOURCE=int(source), RUN=RUN, AHEAD=_AHEAD, REACH=reach,
+        PARTS=MOST_PARTS,
+    )  # fmt: skip
+
+
 @functools.cache
 def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     """The struct of a table of colours with so many functions of w, and the kernels that do not depend on its making.
@@ -623,13 +629,9 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
         near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
 
-    def native(code: str, reach: int = REACH) -> str:
-        return filled(
-            CHUNKS_OF_ROWS + code, WIDTH=width, SOURCE=int(source), RUN=RUN, AHEAD=_AHEAD, REACH=reach,
-            PARTS=MOST_PARTS,
-        )  # fmt: skip
+    native = functools.partial(native_code, functions=functions, source=source)
 
-    @wp.func_native(native(CYCLIC + _RAYS + _COEFFICIENTS, FILTER_REACH))
+    @wp.func_native(native(CYCLIC + _RAYS + _COEFFICIENTS, reach=FILTER_REACH))
     def put_coefficients(
         values: wp.array(dtype=row_t),
         table: Colours,
@@ -697,7 +699,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Add the XYZ of a run of deflections times their gains."""
 
-    @wp.func_native(native(_WEIGH + _PLACE_OF + _MIRROR + _MEANS))
+    @wp.func_native(native(MEANS))
     def add_means(
         table: Colours,
         deflections: wp.array(dtype=wp.vec3d),
