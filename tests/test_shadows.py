@@ -13,7 +13,7 @@ from warpdiff.bench.brute_force import intersect
 from warpdiff.device import launch
 from warpdiff.kernels import raycast
 from warpdiff.kernels.shadows import hide
-from warpdiff.scene import SceneArrays
+from warpdiff.scene import SceneArrays, pixels_within
 from warpdiff.surface import prepare_surface
 
 
@@ -187,7 +187,7 @@ def test_a_grid_is_for_more_rays_than_a_few():
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_how_many_pixels_see_a_surface_is_known_before_rays_are_cast(orthographic):
     mesh = meshes.tube(segments_along=24, segments_around=16)
-    surface, scene = prepare_surface(mesh), scene_of(prepare_surface(mesh))
+    surface = prepare_surface(mesh)
     hf, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.3, 0.5, 1.0))
     plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
     for distance in (0.6, 1.0, 4.0):
@@ -199,6 +199,6 @@ def test_how_many_pixels_see_a_surface_is_known_before_rays_are_cast(orthographi
             else wd.View(eye, (0.1, 0.0, 0.0), **size)
         )
         met = np.count_nonzero(wd.shade(mesh, hf, light, view, plan=plan).mask)
-        assert met / 2.5 < scene.pixels_within(surface, view) < 2.5 * met
+        assert met / 2.5 < pixels_within(surface, view) < 2.5 * met
     # From within its box.
-    assert scene.pixels_within(surface, wd.View((0.0, 0.0, 0.01), (1.0, 0.0, 0.0), width=120, height=90)) == 120 * 90
+    assert pixels_within(surface, wd.View((0.0, 0.0, 0.01), (1.0, 0.0, 0.0), width=120, height=90)) == 120 * 90

@@ -59,6 +59,12 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
         return [_loading[kernel.module] for kernel in kernels]
 
 
+def load_now(kernels: Sequence[Any], device: wp.Device) -> None:
+    """Wait for kernels: threads must not race to compile."""
+    for loaded in load(kernels, device):
+        loaded.result()
+
+
 @dataclass(frozen=True)
 class Step:
     """A kernel with its arguments.
@@ -86,14 +92,16 @@ class Step:
         first, count = first // self.block, -(-count // self.block)
         alone = self.in_runs and device.is_cpu
         indices = [first, count if alone else 1] if self.in_runs else [first]
-        options: dict[str, Any] = {"dim": 1 if alone else count, "outputs": self.outputs, "device": device}
-        if not device.is_cpu:
-            wp.launch(self.kernel, inputs=[*self.inputs, *indices], **options)
-            return
-        # A slice's launch takes a third of the time if only what is new of it is looked at.
         thread = threading.get_ident()
         if thread not in self._recorded:
-            self._recorded[thread] = wp.launch(self.kernel, inputs=[*self.inputs, *indices], record_cmd=True, **options)
+            size, inputs = 1 if alone else count, [*self.inputs, *indices]
+            launched = wp.launch(
+                self.kernel, dim=size, inputs=inputs, outputs=self.outputs, device=device, record_cmd=device.is_cpu
+            )
+            if not device.is_cpu:
+                return
+            self._recorded[thread] = launched
+        # A slice's launch takes a third of the time if only what is new of it is looked at.
         recorded = self._recorded[thread]
         for place, index in enumerate(indices, start=len(self.inputs)):
             recorded.set_param_at_index(place, index)
@@ -147,9 +155,7 @@ def launch_in_turn(
         return
     block = math.lcm(*(step.block for step in steps))
     slices = list(slices_of(size, least=least_slice, most=_MOST_SLICE, threads=threads, block=block))
-    # Threads must not race to compile.
-    for loaded in load([step.kernel for step in steps], device):
-        loaded.result()
+    load_now([step.kernel for step in steps], device)
 
     def run(part: range) -> None:
         for step in steps:

@@ -134,7 +134,7 @@ class Frame:
         self._size = size = view.width * view.height
 
         self._blurred = means and samples == 1
-        self._nearest = self._no_faces = wp.empty(0, dtype=wp.uint64, device=device)
+        self._nearest = wp.empty(0, dtype=wp.uint64, device=device)
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         dtypes = (wp.vec3f, wp.float64, wp.bool)
         # XYZ, coverage, and what any light reaches.
@@ -287,7 +287,7 @@ class Frame:
             self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
             return
         if footprint:
-            launch_in_turn(self._cast(0, 1), self._size, least_slice=_SLICE, **self._options)
+            self._launch(self._cast(0, 1))
             self._spreads = [
                 self.spread(which, self._spreads[which] if which < len(self._spreads) else None)
                 for which in range(len(self._to_lights))
@@ -440,8 +440,12 @@ class Frame:
 
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""
-        launch_in_turn(self._cast(sample, self._samples), self._size, least_slice=_SLICE, **self._options)
+        self._launch(self._cast(sample, self._samples))
         self._now = sample, None
+
+    def _launch(self, steps: Sequence[Step]) -> None:
+        """Launch what finds rays and directions over all pixels."""
+        launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
 
     def _meet(self) -> None:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
@@ -456,9 +460,11 @@ class Frame:
 
     def _prepare(self) -> None:
         """Make what rays need, on this thread."""
+        from warpdiff import scene
+
         self._seen.pixels.nearest = self._nearest
         if self._casts_shadows and 0 not in self._grids:
-            pixels = self._scene.pixels_within(self._surface, self._view)
+            pixels = scene.pixels_within(self._surface, self._view)
             self._grids[0] = self._grid_for(0, pixels, device=self._device, threads=1)
 
     def _cast(self, sample: int, samples: int) -> list[Step]:
@@ -470,10 +476,10 @@ class Frame:
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1:
             sampling.places = self._places
-        if self._covers and samples == 1:
+        if self._covers:
             self._meet()
         else:
-            self._seen.pixels.nearest = self._no_faces
+            self._seen.pixels.nearest = self._nearest
         return self._steps_of_rays(sampling, self._seen.pixels)
 
     def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
@@ -510,16 +516,15 @@ class Frame:
         """
         steps: list[Step] = []
         if self._now[0] != sample:
-            prepared = which in self._grids or (self._covers and which == 0)
-            if self._casts_shadows and not prepared:
+            steps = self._cast(sample, self._samples)
+            if self._casts_shadows and which not in self._grids:
                 # Whether a grid is worth it, those that meet the mesh tell.
-                self.cast(sample)
-            else:
-                steps = self._cast(sample, self._samples)
+                self._launch(steps)
+                steps = []
         steps += self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
         if summary is not None:
             steps.append(summary.step(*self._seen.directions))
-        launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
+        self._launch(steps)
         self._now = sample, which
 
     def _deflect(
@@ -552,10 +557,9 @@ class Frame:
             result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
         self._now = self._now[0], None
         steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0, shadows=False)
-        launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
+        self._launch(steps)
         # A pixel's neighbours lie in other slices.
-        step = self._spread(self._seen, self._view.width, self._view.height, self._deviation, result)
-        launch_in_turn([step], self._size, least_slice=_SLICE, **self._options)
+        self._launch([self._spread(self._seen, self._view.width, self._view.height, self._deviation, result)])
         return result
 
     @staticmethod

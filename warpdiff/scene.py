@@ -56,8 +56,6 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-        self._box = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
         self._mesh: wp.Mesh | None = None
         self._once = threading.Lock()
         self.grids: dict[tuple[float, ...], Any] = {}
@@ -74,19 +72,6 @@ class SceneArrays:
         """The struct for :func:`warpdiff.kernels.raycast.cast`, whose rays may go through the hierarchy."""
         self.build()
         return self.bare
-
-    def pixels_within(self, surface: Surface, view: View) -> int:
-        """About how many pixels see a surface that lies ahead: half of those within its box."""
-        frame = view.frame()
-        seen = self._box * surface.radius + surface.centre - frame.origin
-        depth = np.ones(len(seen)) if frame.orthographic else -(seen @ frame.back)
-        if depth.min() <= 0.0:
-            return view.width * view.height
-        shares = [
-            np.ptp(np.clip(seen @ axis / (half * depth), -1.0, 1.0)) / 2.0
-            for axis, half in ((frame.right, frame.half_width), (frame.up, frame.half_height))
-        ]
-        return int(view.width * view.height * shares[0] * shares[1] / 2.0)
 
     @property
     def mesh_id(self) -> int:
@@ -127,6 +112,21 @@ def lies_ahead(surface: Surface, view: View) -> bool:
     frame = view.frame()
     depth = (frame.origin - surface.centre) / surface.radius @ frame.back
     return bool(depth - np.max(surface.vertices @ frame.back.astype(np.float32)) > _LEAST_DEPTH)
+
+
+def pixels_within(surface: Surface, view: View) -> int:
+    """About how many pixels see a surface that lies ahead: half of those within its box, around its centre."""
+    frame = view.frame()
+    sides = surface.radius * np.abs(surface.vertices).max(axis=0).astype(np.float64)
+    seen = sides * list(itertools.product((-1.0, 1.0), repeat=3)) + surface.centre - frame.origin
+    depth = np.ones(len(seen)) if frame.orthographic else -(seen @ frame.back)
+    if depth.min() <= 0.0:
+        return view.width * view.height
+    shares = [
+        np.ptp(np.clip(seen @ axis / (half * depth), -1.0, 1.0)) / 2.0
+        for axis, half in ((frame.right, frame.half_width), (frame.up, frame.half_height))
+    ]
+    return int(view.width * view.height * shares[0] * shares[1] / 2.0)
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:

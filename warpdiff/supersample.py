@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import Step, launch, launch_in_turn, load, side_by_side, slices_of
+from warpdiff.device import Step, launch, launch_in_turn, load_now, side_by_side, slices_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -194,8 +194,7 @@ def batches(
         ends = np.cumsum(np.bincount(here[steep] - 2, minlength=len(KINDS)))
         listed[index] = np.split(steep[order] + np.int32(part.start), ends[:-1])
 
-    for loaded in load([directions.classify], device):
-        loaded.result()
+    load_now([directions.classify], device)
     side_by_side(list_up, range(len(slices)), threads=threads)
     found = [Batch(kind, np.concatenate([each[kind.index] for each in listed])) for kind in KINDS]
     return sum(lit), [batch for batch in found if len(batch.pixels)]
