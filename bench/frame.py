@@ -169,6 +169,13 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
         )
         shares[name] = float(renderer.image().mask.mean())
 
+    def print_times() -> None:
+        """Time these frames together, and forget them."""
+        print("\n| frame, 640 × 480 or as told | share filled | ms, median | least |\n| --- | --- | --- | --- |")
+        for name, (median, least) in taken_ms(whole, rounds, device).items():
+            print(f"| {name} | {shares[name]:.2f} | {median:.0f} | {least:.0f} |", flush=True)
+        whole.clear()
+
     for tolerance in plans:
         for distance in (0.25, 0.5, 1.0, 2.0, 4.0):
             frame(f"tolerance {tolerance:g}, distance {distance:g}", tolerance, distance)
@@ -181,21 +188,13 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
     # A GPU's frames are recorded, and stay there.
     for tolerance in plans:
         drawn(f"tolerance {tolerance:g}, distance 0.25, a Renderer", tolerance)
-    table_of_times(whole, shares, rounds, device)
+    print_times()
     # By themselves, as memory of large frames goes back to the system: the next frame would wait for its pages.
     for size in ((320, 240), (1280, 960)) if device.is_cpu else ((1920, 1080), (3840, 2160)):
-        whole.clear()
         name = f"tolerance 0.01, distance 0.25, {size[0]} × {size[1]}"
         frame(name, 1e-2, 0.25, size)
         drawn(f"{name}, a Renderer", 1e-2, size)
-        table_of_times(whole, shares, rounds, device)
-
-
-def table_of_times(whole: dict[str, Any], shares: dict[str, float], rounds: int, device: Any) -> None:
-    """Print the times of frames and how much of them is filled."""
-    print("\n| frame, 640 × 480 | share filled | ms, median | least |\n| --- | --- | --- | --- |")
-    for name, (median, least) in taken_ms(whole, rounds, device).items():
-        print(f"| {name} | {shares[name]:.2f} | {median:.0f} | {least:.0f} |", flush=True)
+        print_times()
 
 
 def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device: Any) -> None:
@@ -246,23 +245,22 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device:
             calls[name] = lambda _, workers=workers: launch(
                 multiply_adds.multiply_add_rate, workers, [RATE_ROUNDS], [sums], threads=workers, **rate
             )
+    times = taken_ms(calls, rounds, device)
     print("\n| kernel | µs a lit pixel, median | least |\n| --- | --- | --- |")
-    for name, (median, least) in taken_ms(calls, rounds, device).items():
-        if name == "rate of all":
-            together = threads / least
-        elif name == "rate":
-            per_second = multiply_adds.SUMS * RATE_ROUNDS / (1e-3 * least)
-            width = rows.numbers
-            a_row = 1e9 * width / 16 / per_second
-            a_pixel = rows.entries[:, 2].sum() / len(lit)
-            print(
-                f"\nA core does {per_second / 1e9:.1f} G multiply-adds of 16 floats a second: the 9 rows of {width} "
-                f"numbers that a point takes are {9 * a_row:.1f} ns, the {a_pixel:.0f} of the last footprints "
-                f"{a_pixel * a_row:.1f} ns. {threads} cores do {together * least:.2f} times as many."
-            )
-        else:
+    for name, (median, least) in times.items():
+        if not name.startswith("rate"):
             count = len(some) if name.startswith("published") else len(lit)
-            print(f"| {name} | {1e3 * median / count:.3f} | {1e3 * least / count:.3f} |", flush=True)
+            print(f"| {name} | {1e3 * median / count:.3f} | {1e3 * least / count:.3f} |")
+    if device.is_cpu:
+        (_, of_one), (_, of_all) = times["rate"], times["rate of all"]
+        per_second = multiply_adds.SUMS * RATE_ROUNDS / (1e-3 * of_one)
+        a_row = 1e9 * rows.numbers / 16 / per_second
+        a_pixel = rows.entries[:, 2].sum() / len(lit)
+        print(
+            f"\nA core does {per_second / 1e9:.1f} G multiply-adds of 16 floats a second: the 9 rows of {rows.numbers} "
+            f"numbers that a point takes are {9 * a_row:.1f} ns, the {a_pixel:.0f} of the last footprints "
+            f"{a_pixel * a_row:.1f} ns. {threads} cores do {threads * of_one / of_all:.2f} times as many."
+        )
 
 
 def main() -> None:
