@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import time
 import warnings
 from pathlib import Path
@@ -134,9 +135,11 @@ def row(name: str, image: wd.Image, exact: wd.Image, scene: Scene) -> None:
 def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any) -> None:
     """Times of whole frames, near and far, large and small, and on one thread."""
     plans = {t: wd.plan(hf, tolerance=t, method="low-rank/table") for t in (3e-2, 1e-2)}
-    poses = [mesh.copy() for _ in range(rounds + 1)]
+    # More than are kept, so that no frame finds what another one has made ready.
+    poses = [mesh.copy() for _ in range(16)]
     for k, each in enumerate(poses):
         each.apply_translation((1e-3 * k, 0.0, 0.0))
+    moved = itertools.cycle(poses)
     still = mesh.copy()
     whole: dict[str, Any] = {}
     shares: dict[str, float] = {}
@@ -152,7 +155,7 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
         plan = dataclasses.replace(plans[tolerance], footprint=True)
 
         def call(k: int) -> wd.Image:
-            body = poses[k % len(poses)] if moves else still
+            body = next(moved) if moves else still
             light = wd.DirectionalLight((0.1 + 0.02 * k, 0.9, 1.2))
             view = camera(distance, 0.03 * k, size)
             return wd.shade(body, hf, light, view, plan=plan, threads=workers, device=device)

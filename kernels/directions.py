@@ -52,10 +52,19 @@ _DEFLECT = """
     float* const gains = (float*)gains_out.data;
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
+    const bool sums = coverage_out.shape[0] > 0;
+    float* const xyz = (float*)xyz_out.data;
+    double* const coverage = (double*)coverage_out.data;
+    bool* const lit = (bool*)lit_out.data;
     for (int from = begin; from < end; from += ABREAST) {
         const int count = wp::min(end - from, ABREAST);
         int hits = 0;
         for (int i = 0; i < count; ++i) hits |= hit[from + i];
+        if (sums && begins) {
+            memset(xyz + 3LL * from, 0, 3 * count * sizeof(float));
+            memset(coverage + from, 0, count * sizeof(double));
+            memset(lit + from, 0, count * sizeof(bool));
+        }
         if (hits == 0) {
             memset(deflections + 3LL * from, 0, 3 * count * sizeof(double));
             memset(to_lights + 3LL * from, 0, 3 * count * sizeof(float));
@@ -117,6 +126,11 @@ _DEFLECT = """
             to_lights[at + 2] = is_lit ? (float)light_z[i] : 0.0f;
             gains[k] = is_lit ? gain[i] : 0.0f;
         }
+        if (!sums) continue;
+        for (int i = 0; i < count; ++i) {
+            coverage[from + i] += hit[from + i] != 0 ? counted : 0.0;
+            lit[from + i] |= gains[from + i] > 0.0f;
+        }
     }
 """
 
@@ -127,14 +141,19 @@ def deflect(
     towards: wp.vec3d,
     reflection: Reflection,
     scale: wp.float64,
+    counted: wp.float64,
+    begins: wp.bool,
     hidden: wp.array(dtype=wp.bool),
     begin: wp.int32,
     end: wp.int32,
     deflections_out: wp.array(dtype=wp.vec3d),
     to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
+    xyz_out: wp.array(dtype=wp.vec3f),
+    coverage_out: wp.array(dtype=wp.float64),
+    lit_out: wp.array(dtype=wp.bool),
 ):
-    """Deflections, directions to the light and gains of pixels one after the other."""
+    """Deflections, directions to the light and gains of pixels one after the other, and what of them is summed up."""
 
 
 @wp.func
@@ -178,27 +197,22 @@ def deflect_pixels(
     scale = weight * strength[0]
     thread, _ = wp.tid()
     begin = first + thread * run
-    deflect(pixels, to_light, reflection, scale, hidden, begin, begin + run, deflections_out, to_lights_out, gains_out)
-    if xyz_out.shape[0] == 0:
+    deflect(
+        pixels, to_light, reflection, scale, counted, begins, hidden, begin, begin + run,
+        deflections_out, to_lights_out, gains_out, xyz_out, coverage_out, lit_out,
+    )  # fmt: skip
+    if strength[1] == wp.float64(0.0) or xyz_out.shape[0] == 0:
         return
     for i in range(begin, begin + run):
-        if begins:
-            xyz_out[i] = wp.vec3f()
-            coverage_out[i] = wp.float64(0.0)
-            lit_out[i] = False
-        if pixels.hit[i] != 0:
-            coverage_out[i] += counted
         if gains_out[i] > 0.0:
-            lit_out[i] = True
-            if strength[1] > wp.float64(0.0):
-                cos_i = wp.float64(to_lights_out[i][2])
-                normal = reflection.normal_reflectance
-                one = wp.float64(1.0)
-                cos_r = -deflections_out[i][2] - cos_i
-                under = (one - schlick(cos_i, normal)) * (one - schlick(cos_r, normal)) * cos_i
-                base = wp.vec3d(pixels.base_colour[i])
-                colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[which])
-                xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * under * colour)
+            cos_i = wp.float64(to_lights_out[i][2])
+            normal = reflection.normal_reflectance
+            one = wp.float64(1.0)
+            cos_r = -deflections_out[i][2] - cos_i
+            under = (one - schlick(cos_i, normal)) * (one - schlick(cos_r, normal)) * cos_i
+            base = wp.vec3d(pixels.base_colour[i])
+            colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[which])
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * under * colour)
 
 
 @wp.kernel

@@ -22,7 +22,7 @@ UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 LEAST_COSINE = wp.constant(wp.float32(0.01))
 # The least square of a tangent's part at right angles to the normal.
 LEAST_TANGENT = wp.constant(wp.float32(1.0e-10))
-# Of a pixel that ``stand`` takes by itself.
+# Of a pixel that ``cast`` or ``stand`` takes by itself.
 SPECIAL = wp.constant(2)
 
 # Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),
@@ -80,7 +80,7 @@ class Pixels:
     """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
 
     nearest: wp.array(dtype=wp.uint64)  # what :func:`cover` found; empty asks the hierarchy
-    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face are then left as they are
+    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; what else there is of it is then of no account
     face: wp.array(dtype=wp.int32)  # the face that is met, or −1
     place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner
     tangent: wp.array(dtype=wp.vec3f)  # t, unit
@@ -322,41 +322,249 @@ def cover(
 
 
 @wp.func
-def meet(p0: wp.vec3f, p1: wp.vec3f, p2: wp.vec3f, origin: wp.vec3d, along: wp.vec3d) -> wp.vec3d:
-    """Where a ray meets a face's plane: shares of the second and the third corner, and the distance.
+def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, ray: wp.int32):
+    """Send a ray through the hierarchy."""
+    pixels.hit[ray] = 0
+    pixels.face[ray] = -1
+    pixel = ray
+    offset = pixel_offset(sampling.sample, sampling.samples, sampling.seed, pixel)
+    rays = sampling.places.shape[0]
+    if sampling.tiles.shape[0] > 0:
+        pixel = sampling.tiles[ray // rays]
+        if pixel < 0:
+            return
+        offset = sampling.places[ray % rays]
+    elif rays > 0:
+        offset = sampling.places[sampling.sample]
 
-    The shares are (−1, −1) where it does not.
-    """
-    edge1 = wp.vec3d(p1) - wp.vec3d(p0)
-    edge2 = wp.vec3d(p2) - wp.vec3d(p0)
+    # In float64 up to where it comes near the mesh: the eye may be thousands of radii away.
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    half = wp.float64(0.5)
+    column = wp.float64(pixel % camera.width) + half + offset[0]
+    row = wp.float64(pixel // camera.width) + half + offset[1]
+    x = camera.axes[4][0] * (two * column / wp.float64(camera.width) - one)
+    y = camera.axes[4][1] * (one - two * row / wp.float64(camera.height))
+    across = x * camera.axes[1] + y * camera.axes[2]
+    origin = camera.axes[0]
+    along = across - camera.axes[3]
+    if camera.orthographic:
+        origin = camera.axes[0] + across
+        along = -camera.axes[3]
+    along = wp.normalize(along)
+    direction = wp.vec3f(along)
+    # The mesh lies in the unit sphere: most rays beside it end here.
+    ahead = -wp.dot(origin, along)
+    closest = origin + ahead * along
+    if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
+        return
+    near = wp.max(ahead - two, wp.float64(0.0))
+    start = wp.vec3f(origin + near * along)
+    query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
+    if not query.result:
+        return
+    # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
+    b0 = query.u
+    b1 = query.v
+    # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
+    # 1e-5, which a window of many wavelengths sees in what lies between its orders.
+    p0 = wp.vec3d(surface.positions[surface.faces[query.face, 0]])
+    edge1 = wp.vec3d(surface.positions[surface.faces[query.face, 1]]) - p0
+    edge2 = wp.vec3d(surface.positions[surface.faces[query.face, 2]]) - p0
     across_edge2 = wp.cross(along, edge2)
     determinant = wp.dot(edge1, across_edge2)
-    result = wp.vec3d(-wp.float64(1.0), -wp.float64(1.0), wp.float64(0.0))
     if determinant != wp.float64(0.0):
-        from_corner = origin - wp.vec3d(p0)
-        across_edge1 = wp.cross(from_corner, edge1)
-        share1 = wp.dot(from_corner, across_edge2) / determinant
-        share2 = wp.dot(along, across_edge1) / determinant
-        result = wp.vec3d(share1, share2, wp.dot(edge2, across_edge1) / determinant)
-    return result
+        from_corner = origin - p0
+        share1 = wp.clamp(wp.dot(from_corner, across_edge2) / determinant, wp.float64(0.0), one)
+        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
+        share2 = wp.clamp(share2, wp.float64(0.0), one - share1)
+        b0 = wp.float32(one - share1 - share2)
+        b1 = wp.float32(share1)
+    pixels.hit[ray] = 1
+    pixels.face[ray] = query.face
+    pixels.place[ray] = wp.vec2f(b0, b1)
+    pixels.to_view[ray] = -direction
 
 
 @wp.func
-def is_within(place: wp.vec3d) -> wp.bool:
-    """Whether shares of two corners are those of a point in the face."""
-    zero = wp.float64(0.0)
-    return place[0] >= zero and place[1] >= zero and place[0] + place[1] <= wp.float64(1.0)
+def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
+    """The base colour of what a ray has met."""
+    i0 = surface.faces[pixels.face[ray], 0]
+    i1 = surface.faces[pixels.face[ray], 1]
+    i2 = surface.faces[pixels.face[ray], 2]
+    b0 = pixels.place[ray][0]
+    b1 = pixels.place[ray][1]
+    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
+    colour = wp.vec3f(-1.0, -1.0, -1.0)
+    if surface.has_vertex_colours:
+        c0 = surface.vertex_colours[i0]
+        c1 = surface.vertex_colours[i1]
+        c2 = surface.vertex_colours[i2]
+        colour = b0 * c0 + b1 * c1 + b2 * c2
+    if colour[0] < 0.0:
+        # A plain colour is a texture of one texel.
+        colour = surface.texture[0, 0]
+        if surface.texture.shape[0] * surface.texture.shape[1] > 1:
+            uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
+            colour = sample_texture(surface.texture, uv)
+    pixels.base_colour[ray] = colour
 
 
-@wp.func
-def touch(faces: wp.array2d(dtype=wp.int32), one: wp.int32, other: wp.int32) -> wp.bool:
-    """Whether two faces have a corner in common."""
-    result = bool(False)
-    for j in range(3):
-        for k in range(3):
-            if faces[one, j] == faces[other, k]:
-                result = True
-    return result
+# Rays with a face each side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a
+# time. Rays that meet none of the faces that are known are marked.
+_MEET_KNOWN = """
+#if defined(__CUDA_ARCH__)
+    constexpr int ABREAST = 1;
+#else
+    constexpr int ABREAST = 32;
+#endif
+    const double* const axes = (const double*)camera.axes.data;
+    const int* const faces = (const int*)surface.faces.data;
+    const float* const positions = (const float*)surface.positions.data;
+    const unsigned long long* const nearest = (const unsigned long long*)pixels.nearest.data;
+    const int* const tiles = (const int*)sampling.tiles.data;
+    const double* const places = (const double*)sampling.places.data;
+    const int* const centres = (const int*)sampling.faces.data;
+    int* const hit = (int*)pixels.hit.data;
+    int* const face_at = (int*)pixels.face.data;
+    float* const place_at = (float*)pixels.place.data;
+    float* const view_at = (float*)pixels.to_view.data;
+    const bool is_seen = pixels.nearest.shape[0] > 0, orthographic = camera.orthographic;
+    const int width = camera.width, size = (int)sampling.faces.shape[0];
+    const double per_width = 2.0 * axes[12] / width, per_height = 2.0 * axes[13] / camera.height;
+    // Rays that are to meet faces: where they are in the picture, and their pixels' own faces.
+    int rays[ABREAST], met[ABREAST], own[ABREAST], number = 0;
+    double right[ABREAST], down[ABREAST];
+    // The last ray, the nearest face that it has met, and how far away that is.
+    int now = -1, face = -1, centre = -1, left = 0;
+    double distance = 0.0;
+    auto settle = [&]() {
+        if (face == centre || face < 0) return;
+        // Beside a face that does not touch the pixel's own an edge of the body may lie between.
+        for (int j = 0; centre >= 0 && j < 3; ++j)
+            for (int k = 0; k < 3; ++k)
+                if (faces[3LL * face + j] == faces[3LL * centre + k]) return;
+        hit[now] = SPECIAL;
+        face_at[now] = -1;
+        ++left;
+    };
+    auto meet = [&]() {
+        float corner[3][3][ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            const int* const corners = faces + 3LL * (i < number ? met[i] : 0);
+            for (int which = 0; which < 3; ++which)
+                for (int c = 0; c < 3; ++c) corner[which][c][i] = positions[3LL * corners[which] + c];
+        }
+        float views[3][ABREAST], places[2][ABREAST];
+        double distances[ABREAST];
+        bool within[ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            // In float64, as the eye may be thousands of radii away.
+            const double x = per_width * right[i] - axes[12], y = axes[13] - per_height * down[i];
+            double along[3], edge1[3], edge2[3], away[3], across1[3], across2[3];
+            for (int c = 0; c < 3; ++c) {
+                const double across = x * axes[3 + c] + y * axes[6 + c];
+                along[c] = (orthographic ? 0.0 : across) - axes[9 + c];
+                away[c] = axes[c] + (orthographic ? across : 0.0) - corner[0][c][i];
+                edge1[c] = (double)corner[1][c][i] - corner[0][c][i];
+                edge2[c] = (double)corner[2][c][i] - corner[0][c][i];
+            }
+            const double per_length = 1.0
+                / wp::sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+            for (int c = 0; c < 3; ++c) {
+                along[c] *= per_length;
+                views[c][i] = -(float)along[c];
+            }
+            across2[0] = along[1] * edge2[2] - along[2] * edge2[1];
+            across2[1] = along[2] * edge2[0] - along[0] * edge2[2];
+            across2[2] = along[0] * edge2[1] - along[1] * edge2[0];
+            across1[0] = away[1] * edge1[2] - away[2] * edge1[1];
+            across1[1] = away[2] * edge1[0] - away[0] * edge1[2];
+            across1[2] = away[0] * edge1[1] - away[1] * edge1[0];
+            const double determinant = edge1[0] * across2[0] + edge1[1] * across2[1] + edge1[2] * across2[2];
+            const double inverse = determinant == 0.0 ? 0.0 : 1.0 / determinant;
+            const double share1 = inverse * (away[0] * across2[0] + away[1] * across2[1] + away[2] * across2[2]);
+            const double share2 = inverse * (along[0] * across1[0] + along[1] * across1[1] + along[2] * across1[2]);
+            const double kept1 = wp::min(wp::max(share1, 0.0), 1.0), kept2 = wp::min(wp::max(share2, 0.0), 1.0 - kept1);
+            places[0][i] = (float)(1.0 - kept1 - kept2);
+            places[1][i] = (float)kept1;
+            distances[i] = inverse * (edge2[0] * across1[0] + edge2[1] * across1[1] + edge2[2] * across1[2]);
+            within[i] = determinant != 0.0 && share1 >= 0.0 && share2 >= 0.0 && share1 + share2 <= 1.0;
+        }
+        for (int i = 0; i < number; ++i) {
+            if (rays[i] != now) {
+                settle();
+                now = rays[i];
+                centre = own[i];
+                face = -1;
+            }
+            if (!is_seen && !(within[i] && (face < 0 || distances[i] < distance))) continue;
+            face = met[i];
+            distance = distances[i];
+            const long long at = now;
+            left -= hit[at] == SPECIAL;
+            hit[at] = 1;
+            face_at[at] = face;
+            for (int c = 0; c < 2; ++c) place_at[2 * at + c] = places[c][i];
+            for (int c = 0; c < 3; ++c) view_at[3 * at + c] = views[c][i];
+        }
+        number = 0;
+    };
+    auto ask = [&](int ray, int guess, int in_centre, double x, double y) {
+        rays[number] = ray;
+        met[number] = guess;
+        own[number] = in_centre;
+        right[number] = x;
+        down[number] = y;
+        if (++number == ABREAST) meet();
+    };
+    for (int i = 0; i < ABREAST; ++i) right[i] = down[i] = 0.0;
+    if (is_seen) {
+        int row = begin / width, column = begin % width;
+        for (int ray = begin; ray < end; ++ray) {
+            hit[ray] = 0;
+            face_at[ray] = -1;
+            const int seen = (int)(unsigned int)nearest[ray];
+            if (nearest[ray] != UNSEEN) ask(ray, seen, seen, column + 0.5, row + 0.5);
+            if (++column == width) {
+                column = 0;
+                ++row;
+            }
+        }
+    } else {
+        const int of_tile = (int)sampling.places.shape[0];
+        for (int ray = begin; ray < end;) {
+            const int pixel = tiles[ray / of_tile], row = pixel / width, column = pixel % width;
+            for (int which = ray % of_tile; which < of_tile && ray < end; ++which, ++ray) {
+                hit[ray] = pixel < 0 ? 0 : SPECIAL;
+                face_at[ray] = -1;
+                if (pixel < 0) continue;
+                ++left;
+                // The faces in the centres of the pixel and of those on the ray's side.
+                const double x = places[2 * which], y = places[2 * which + 1];
+                const int aside = x < 0.0 ? -1 : 1, below = y < 0.0 ? -width : width;
+                const int beside[4] = {pixel, pixel + aside, pixel + below, pixel + aside + below};
+                int guesses[4];
+                for (int k = 0; k < 4; ++k) {
+                    guesses[k] = beside[k] >= 0 && beside[k] < size ? centres[beside[k]] : -1;
+                    bool is_new = guesses[k] >= 0;
+                    for (int j = 0; j < k; ++j) is_new &= guesses[j] != guesses[k];
+                    if (is_new) ask(ray, guesses[k], guesses[0], column + 0.5 + x, row + 0.5 + y);
+                }
+            }
+        }
+    }
+    meet();
+    settle();
+    return left;
+"""
+
+
+@wp.func_native(filled(_MEET_KNOWN, UNSEEN=f"{int(UNSEEN)}ULL", SPECIAL=int(SPECIAL)))
+def meet_known(
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
+) -> wp.int32:
+    """Where rays one after the other meet the faces that their pixels see, or those beside; how many meet none."""
 
 
 @wp.kernel
@@ -379,118 +587,18 @@ def cast(
         first: The first thread's pixel, or ray of a tile.
         run: How many a thread takes.
     """
-    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        pixels.hit[ray] = 0
-        pixels.face[ray] = -1
-        pixel = ray
-        offset = pixel_offset(sampling.sample, sampling.samples, sampling.seed, pixel)
-        rays = sampling.places.shape[0]
-        if sampling.tiles.shape[0] > 0:
-            pixel = sampling.tiles[ray // rays]
-            if pixel < 0:
-                continue
-            offset = sampling.places[ray % rays]
-        elif rays > 0:
-            offset = sampling.places[sampling.sample]
-        face = wp.int32(-1)
-        if pixels.nearest.shape[0] > 0:
-            if pixels.nearest[pixel] == UNSEEN:
-                continue
-            face = wp.int32(pixels.nearest[pixel] & wp.uint64(0xFFFFFFFF))
-
-        # The ray, in float64 up to where it comes near the mesh: the eye may be thousands of radii away.
-        one = wp.float64(1.0)
-        two = wp.float64(2.0)
-        half = wp.float64(0.5)
-        column = wp.float64(pixel % camera.width) + half + offset[0]
-        row = wp.float64(pixel // camera.width) + half + offset[1]
-        x = camera.axes[4][0] * (two * column / wp.float64(camera.width) - one)
-        y = camera.axes[4][1] * (one - two * row / wp.float64(camera.height))
-        across = x * camera.axes[1] + y * camera.axes[2]
-        origin = camera.axes[0]
-        along = across - camera.axes[3]
-        if camera.orthographic:
-            origin = camera.axes[0] + across
-            along = -camera.axes[3]
-        along = wp.normalize(along)
-        direction = wp.vec3f(along)
-        place = wp.vec3d()
-        is_met = bool(False)
-        if sampling.faces.shape[0] > 0:
-            # The nearest of the faces in the centres of the pixel and of those on the ray's side, if it is the pixel's
-            # or touches it: elsewhere an edge of the body may lie between.
-            aside = wp.int32(wp.sign(offset[0]))
-            below = camera.width * wp.int32(wp.sign(offset[1]))
-            centre = sampling.faces[pixel]
-            for corner in range(4):
-                beside = pixel + aside * (corner % 2) + below * (corner // 2)
-                guess = wp.int32(-1)
-                if beside >= 0 and beside < sampling.faces.shape[0]:
-                    guess = sampling.faces[beside]
-                if guess >= 0 and (guess != centre or corner == 0):
-                    q0 = surface.positions[surface.faces[guess, 0]]
-                    q1 = surface.positions[surface.faces[guess, 1]]
-                    q2 = surface.positions[surface.faces[guess, 2]]
-                    met = meet(q0, q1, q2, origin, along)
-                    if is_within(met) and (face < 0 or met[2] < place[2]):
-                        face = guess
-                        place = met
-            is_met = face >= 0
-            if is_met and face != centre:
-                is_met = touch(surface.faces, face, centre)
-                if not is_met:
-                    face = -1
-        b0 = wp.float32(1.0)
-        b1 = wp.float32(0.0)
-        if face < 0:
-            # The mesh lies in the unit sphere: most rays beside it end here.
-            ahead = -wp.dot(origin, along)
-            closest = origin + ahead * along
-            if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
-                continue
-            near = wp.max(ahead - two, wp.float64(0.0))
-            start = wp.vec3f(origin + near * along)
-            query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
-            if not query.result:
-                continue
-            face = query.face
-            # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
-            b0 = query.u
-            b1 = query.v
-        i0 = surface.faces[face, 0]
-        i1 = surface.faces[face, 1]
-        i2 = surface.faces[face, 2]
-        p0 = surface.positions[i0]
-        p1 = surface.positions[i1]
-        p2 = surface.positions[i2]
-        # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal
-        # by 1e-5, which a window of many wavelengths sees in what lies between its orders.
-        if not is_met:
-            place = meet(p0, p1, p2, origin, along)
-        if place[0] != -one or place[1] != -one:
-            share1 = wp.clamp(place[0], wp.float64(0.0), one)
-            share2 = wp.clamp(place[1], wp.float64(0.0), one - share1)
-            b0 = wp.float32(one - share1 - share2)
-            b1 = wp.float32(share1)
-        pixels.hit[ray] = 1
-        pixels.face[ray] = face
-        pixels.place[ray] = wp.vec2f(b0, b1)
-        pixels.to_view[ray] = -direction
-        if pixels.base_colour.shape[0] > 0:
-            b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
-            colour = wp.vec3f(-1.0, -1.0, -1.0)
-            if surface.has_vertex_colours:
-                c0 = surface.vertex_colours[i0]
-                c1 = surface.vertex_colours[i1]
-                c2 = surface.vertex_colours[i2]
-                colour = b0 * c0 + b1 * c1 + b2 * c2
-            if colour[0] < 0.0:
-                # A plain colour is a texture of one texel.
-                colour = surface.texture[0, 0]
-                if surface.texture.shape[0] * surface.texture.shape[1] > 1:
-                    uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
-                    colour = sample_texture(surface.texture, uv)
-            pixels.base_colour[ray] = colour
+    begin = first + wp.tid() * run
+    is_known = pixels.nearest.shape[0] > 0 or sampling.faces.shape[0] > 0
+    left = run
+    if is_known:
+        left = meet_known(camera, surface, sampling, pixels, begin, begin + run)
+    if left == 0 and pixels.base_colour.shape[0] == 0:
+        return
+    for ray in range(begin, begin + run):
+        if not is_known or pixels.hit[ray] == SPECIAL:
+            trace(camera, surface, sampling, pixels, ray)
+        if pixels.base_colour.shape[0] > 0 and pixels.hit[ray] != 0:
+            paint(surface, pixels, ray)
 
 
 # Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time. Those
@@ -510,6 +618,7 @@ _STAND = """
     float* const outs[4] = {(float*)pixels.tangent.data, (float*)pixels.bitangent.data, (float*)pixels.normal.data,
         (float*)pixels.shadow_origin.data};
     const bool smooth = surface.smooth;
+    int specials = 0;
     for (int from = begin; from < end; from += ABREAST) {
         const int count = wp::min(end - from, ABREAST);
         int hits = 0;
@@ -517,18 +626,19 @@ _STAND = """
         if (hits == 0) continue;
         // What each corner has, and the pixel; where nothing is met, that of any face.
         float corner[3][3][3][ABREAST], view[3][ABREAST], b0[ABREAST], b1[ABREAST], handed[ABREAST];
+        bool met[ABREAST];
         for (int i = 0; i < ABREAST; ++i) {
             const int k = from + (i < count ? i : 0);
-            const bool met = hit[k] != 0;
-            const int* const corners = faces + 3LL * (met ? ((const int*)pixels.face.data)[k] : 0);
+            met[i] = hit[k] != 0;
+            const int* const corners = faces + 3LL * (met[i] ? ((const int*)pixels.face.data)[k] : 0);
             for (int which = 0; which < 3; ++which) {
                 const long long at = 3LL * corners[which];
                 for (int what = 0; what < 3; ++what)
                     for (int c = 0; c < 3; ++c) corner[what][which][c][i] = of_corners[what][at + c];
             }
-            for (int c = 0; c < 3; ++c) view[c][i] = met ? views[3LL * k + c] : 0.0f;
-            b0[i] = met ? places[2LL * k] : 0.0f;
-            b1[i] = met ? places[2LL * k + 1] : 0.0f;
+            for (int c = 0; c < 3; ++c) view[c][i] = met[i] ? views[3LL * k + c] : 0.0f;
+            b0[i] = met[i] ? places[2LL * k] : 0.0f;
+            b1[i] = met[i] ? places[2LL * k + 1] : 0.0f;
             handed[i] = ((const float*)surface.handedness.data)[corners[0]];
         }
         float out[4][3][ABREAST];
@@ -599,13 +709,17 @@ _STAND = """
             out[1][1][i] = handed[i] * (normal[2] * tangent[0] - normal[0] * tangent[2]);
             out[1][2][i] = handed[i] * (normal[0] * tangent[1] - normal[1] * tangent[0]);
         }
+        // Zeros between pixels that meet it: to skip these takes longer.
+        for (int what = 0; what < 4; ++what)
+            for (int i = 0; i < count; ++i)
+                for (int c = 0; c < 3; ++c) outs[what][3LL * (from + i) + c] = met[i] ? out[what][c][i] : 0.0f;
         for (int i = 0; i < count; ++i) {
-            if (hit[from + i] == 0) continue;
-            hit[from + i] = special[i] ? SPECIAL : 1;
-            for (int what = 0; what < 4; ++what)
-                for (int c = 0; c < 3; ++c) outs[what][3LL * (from + i) + c] = out[what][c][i];
+            const bool is_special = met[i] && special[i];
+            hit[from + i] = is_special ? SPECIAL : hit[from + i];
+            specials += is_special;
         }
     }
+    return specials;
 """
 
 
@@ -618,8 +732,8 @@ _STAND = """
         LIFT=f"{float(LIFT)}f",
     )
 )
-def stand_abreast(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32):
-    """Shading frames of pixels one after the other, and where their shadow rays start."""
+def stand_abreast(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
+    """Shading frames of pixels one after the other, and where their shadow rays start; returns how many are left."""
 
 
 @wp.kernel
@@ -643,7 +757,8 @@ def stand(
         run: How many a thread takes.
     """
     begin = first + wp.tid() * run
-    stand_abreast(surface, pixels, begin, begin + run)
+    if stand_abreast(surface, pixels, begin, begin + run) == 0:
+        return
     for ray in range(begin, begin + run):
         if pixels.hit[ray] == SPECIAL:
             pixels.hit[ray] = 1

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # In front of the eye, in units of the surface.
 _LEAST_DEPTH = 1e-3
+# Faces in a leaf of the hierarchy.
+_LEAF = 4
 _kept: weakref.WeakKeyDictionary[Surface, dict[Any, SceneArrays]] = weakref.WeakKeyDictionary()
 
 
@@ -64,7 +66,14 @@ class SceneArrays:
         """Build the hierarchy, unless it is there; pictures of points, found face by face, need none."""
         with self._once:
             if self._mesh is None:
-                self._mesh = wp.Mesh(points=self.bare.positions, indices=self.bare.faces.flatten())
+                # On the CPU this one is made in a third of the time, for rays as fast.
+                kind = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
+                self._mesh = wp.Mesh(
+                    points=self.bare.positions,
+                    indices=self.bare.faces.flatten(),
+                    bvh_constructor=kind[0],
+                    bvh_leaf_size=kind[1],
+                )
                 self.bare.mesh_id = self._mesh.id
 
     @property
