@@ -365,6 +365,88 @@ def spread_pixels(
         footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
 
 
+# Parts of rows, one after the other, with the rows above and below and what is beside their ends.
+_CLASSIFY = """
+#if defined(__CUDA_ARCH__)
+    constexpr int ABREAST = 1;
+#else
+    constexpr int ABREAST = 32;
+#endif
+    const float* const gain = (const float*)gains.data;
+    for (int from = begin, count; from < end; from += count) {
+        const int column = from % width, row = from / width;
+        count = wp::min(wp::min(end - from, ABREAST), width - column);
+        unsigned char* const classes = (unsigned char*)classes_out.data + from;
+        bool any = false;
+        for (int i = 0; i < count; ++i) any |= gain[from + i] > 0.0f;
+        if (!any) {
+            memset(classes, 0, count);
+            continue;
+        }
+        // Above, here and below, from one pixel further to the left to one further to the right.
+        float colour[3][3][ABREAST + 2];
+        bool lit[3][ABREAST + 2], there[3][ABREAST + 2];
+        for (int line = 0; line < 3; ++line) {
+            const bool inside = row + line > 0 && row + line <= height;
+            for (int j = 0; j < count + 2; ++j) {
+                const long long k = from + (line - 1LL) * width + j - 1;
+                there[line][j] = inside && column + j > 0 && column + j <= width;
+                lit[line][j] = there[line][j] && gain[k] > 0.0f;
+                for (int c = 0; c < 3; ++c)
+                    colour[c][line][j] = lit[line][j] ? ((const float*)colours.data)[3 * k + c] : 0.0f;
+            }
+        }
+        const float least = *(const float*)floor.data;
+        float largest[ABREAST];
+        bool beside_dark[ABREAST];
+        int exceeded[ABREAST];
+        for (int i = 0; i < count; ++i) {
+            largest[i] = 0.0f;
+            beside_dark[i] = false;
+            exceeded[i] = 0;
+        }
+        auto compare = [&](int line, int shift) {
+            for (int i = 0; i < count; ++i) {
+                const int j = i + 1, at = j + shift;
+                const float x = colour[0][line][at] - colour[0][1][j], y = colour[1][line][at] - colour[1][1][j];
+                const float z = colour[2][line][at] - colour[2][1][j], apart = x * x + y * y + z * z;
+                largest[i] = lit[line][at] && apart > largest[i] ? apart : largest[i];
+                beside_dark[i] |= there[line][at] && !lit[line][at];
+            }
+        };
+        compare(0, 0);
+        compare(1, -1);
+        compare(1, 1);
+        compare(2, 0);
+        for (int k = 0; k < (int)bounds.shape[0]; ++k) {
+            const float bound = ((const float*)bounds.data)[k];
+            for (int i = 0; i < count; ++i) {
+                const float x = colour[0][1][i + 1], y = colour[1][1][i + 1], z = colour[2][1][i + 1];
+                const float size = wp::sqrt(x * x + y * y + z * z);
+                exceeded[i] += wp::sqrt(largest[i]) > bound * (size > least ? size : least);
+            }
+        }
+        for (int i = 0; i < count; ++i)
+            classes[i] = !lit[1][i + 1] ? 0 : exceeded[i] == 0 ? 1 : 2 * exceeded[i] + beside_dark[i];
+    }
+"""
+
+
+@wp.func_native(_CLASSIFY)
+def classes_of(
+    colours: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    width: wp.int32,
+    height: wp.int32,
+    floor: wp.array(dtype=wp.float32),
+    bounds: wp.array(dtype=wp.float32),
+    begin: wp.int32,
+    end: wp.int32,
+    classes_out: wp.array(dtype=wp.uint8),
+):
+    """Classes of pixels one after the other."""
+
+
 @wp.kernel
 def classify(
     # In:
@@ -386,38 +468,8 @@ def classify(
     more.
     """
     thread, _ = wp.tid()
-    for i in range(first + thread * run, first + (thread + 1) * run):
-        result = wp.int32(0)
-        if gains[i] > 0.0:
-            largest = wp.float32(0.0)
-            beside_dark = wp.int32(0)
-            column = i % width
-            for side in range(4):
-                beside = i + 1
-                inside = column + 1 < width
-                if side == 1:
-                    beside = i - 1
-                    inside = column > 0
-                if side == 2:
-                    beside = i + width
-                    inside = beside < gains.shape[0]
-                if side == 3:
-                    beside = i - width
-                    inside = beside >= 0
-                if inside:
-                    if gains[beside] > 0.0:
-                        largest = wp.max(largest, wp.length_sq(colours[beside] - colours[i]))
-                    else:
-                        beside_dark = 1
-            contrast = wp.sqrt(largest) / wp.max(wp.length(colours[i]), floor[0])
-            for k in range(bounds.shape[0]):
-                if contrast > bounds[k]:
-                    result += 2
-            if result > 0:
-                result += beside_dark
-            else:
-                result = wp.int32(1)
-        classes_out[i] = wp.uint8(result)
+    begin = first + thread * run
+    classes_of(colours, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out)
 
 
 @wp.kernel

@@ -244,15 +244,25 @@ def beside(a: wp.vec3d, b: wp.vec3d, is_first: wp.bool, x: wp.float64, y: wp.flo
 
 
 @wp.func
-def clipped(span: wp.vec2d, a: wp.vec3d, b: wp.vec3d, side: wp.float64, y: wp.float64) -> wp.vec2d:
+def per_row(a: wp.vec3d, b: wp.vec3d) -> wp.float64:
+    """By how much an edge moves along a row from one row to the next; 0 for one along rows."""
+    down = b[1] - a[1]
+    result = wp.float64(0.0)
+    if down != wp.float64(0.0):
+        result = (b[0] - a[0]) / down
+    return result
+
+
+@wp.func
+def clipped(span: wp.vec2d, a: wp.vec3d, b: wp.vec3d, slope: wp.float64, side: wp.float64, y: wp.float64) -> wp.vec2d:
     """The part of a row's span that may lie inside an edge."""
-    rise = -side * (b[1] - a[1])
-    value = side * ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (span[0] - a[0]))
+    rise = side * (a[1] - b[1])
+    crossing = a[0] + slope * (y - a[1])
     result = span
     if rise > wp.float64(0.0):
-        result[0] = wp.max(span[0], span[0] - value / rise)
+        result[0] = wp.max(span[0], crossing)
     elif rise < wp.float64(0.0):
-        result[1] = wp.min(span[1], span[0] - value / rise)
+        result[1] = wp.min(span[1], crossing)
     return result
 
 
@@ -298,11 +308,20 @@ def cover(
         most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
         if low_y > high_y or least_x > most_x:
             continue
+        slope0 = per_row(p1, p2)
+        slope1 = per_row(p2, p0)
+        slope2 = per_row(p0, p1)
+        one = wp.float64(1.0)
+        near0 = one / p0[2]
+        near1 = one / p1[2]
+        near2 = one / p2[2]
         for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
             y = wp.float64(row) + half
             # A pixel's width of slack: what counts is tested below.
             span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
-            span = clipped(clipped(clipped(span, p1, p2, side, y), p2, p0, side, y), p0, p1, side, y)
+            span = clipped(span, p1, p2, slope0, side, y)
+            span = clipped(span, p2, p0, slope1, side, y)
+            span = clipped(span, p0, p1, slope2, side, y)
             start = wp.max(wp.floor(span[0] - half), least_x)
             end = wp.min(wp.ceil(span[1] - half), most_x)
             for column in range(wp.int32(start), wp.int32(end) + 1):
@@ -316,7 +335,7 @@ def cover(
                     if camera.orthographic:
                         depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
                     else:
-                        depth = total / (e0 / p0[2] + e1 / p1[2] + e2 / p2[2])
+                        depth = total / (e0 * near0 + e1 * near1 + e2 * near2)
                     distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
                     keep_nearest(nearest_out, row * camera.width + column, distance, face)
 
