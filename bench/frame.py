@@ -135,12 +135,16 @@ def row(name: str, image: wd.Image, exact: wd.Image, scene: Scene) -> None:
 def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any) -> None:
     """Times of whole frames, near and far, large and small, and on one thread."""
     plans = {t: wd.plan(hf, tolerance=t, method="low-rank/table") for t in (3e-2, 1e-2)}
-    # More than are kept, so that no frame finds what another one has made ready.
+    # More than are kept, and lights that are never the same: no frame finds what another one has made ready.
     poses = [mesh.copy() for _ in range(16)]
     for k, each in enumerate(poses):
         each.apply_translation((1e-3 * k, 0.0, 0.0))
-    moved = itertools.cycle(poses)
+    moved, lit = itertools.cycle(poses), itertools.count()
     still = mesh.copy()
+
+    def light(k: int) -> wd.DirectionalLight:
+        return wd.DirectionalLight((0.1 + 0.02 * k + 1e-6 * next(lit), 0.9, 1.2))
+
     whole: dict[str, Any] = {}
     shares: dict[str, float] = {}
 
@@ -156,9 +160,8 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
 
         def call(k: int) -> wd.Image:
             body = next(moved) if moves else still
-            light = wd.DirectionalLight((0.1 + 0.02 * k, 0.9, 1.2))
             view = camera(distance, 0.03 * k, size)
-            return wd.shade(body, hf, light, view, plan=plan, threads=workers, device=device)
+            return wd.shade(body, hf, light(k), view, plan=plan, threads=workers, device=device)
 
         whole[name] = call
         shares[name] = float(call(0).mask.mean())
@@ -167,9 +170,7 @@ def speed(hf: wd.HeightField, mesh: Any, rounds: int, threads: int, device: Any)
         plan = dataclasses.replace(plans[tolerance], footprint=True)
         view = camera(0.25, 0.0, size)
         renderer = wd.Renderer(still, hf, LIGHT, view, plan=plan, threads=threads, device=device)
-        whole[name] = lambda k: renderer.draw(
-            wd.DirectionalLight((0.1 + 0.02 * k, 0.9, 1.2)), camera(0.25, 0.03 * k, size)
-        )
+        whole[name] = lambda k: renderer.draw(light(k), camera(0.25, 0.03 * k, size))
         shares[name] = float(renderer.image().mask.mean())
 
     def print_times() -> None:

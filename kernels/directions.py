@@ -8,7 +8,7 @@ import warp as wp
 from warpdiff import optics
 from warpdiff.kernels import spectral
 from warpdiff.kernels.native import filled
-from warpdiff.kernels.raycast import Pixels
+from warpdiff.kernels.scene import Pixels
 
 wp.set_module_options(spectral.OPTIONS)
 

@@ -9,7 +9,8 @@ import warp as wp
 
 from warpdiff.kernels import spectral
 from warpdiff.kernels.native import filled, take_number
-from warpdiff.kernels.raycast import Pixels, occluded
+from warpdiff.kernels.raycast import occluded
+from warpdiff.kernels.scene import Pixels
 
 wp.set_module_options(spectral.OPTIONS)
 

@@ -11,7 +11,8 @@ from conftest import at_angle, hemisphere
 
 import warpdiff as wd
 from warpdiff import optics
-from warpdiff.kernels import directions, raycast
+from warpdiff.kernels import directions
+from warpdiff.kernels.scene import Pixels
 
 KINDS = ["averaged", "centred", "source", "replicas"]
 
@@ -59,7 +60,7 @@ def kernel_gain(lights, views, normal, masking, device):
 
     given = directions.Lights()
     given.to_lights, given.strengths = array(lights, wp.vec3d), array(np.tile([1.0, 0.0], (count, 1)), wp.vec2d)
-    pixels = raycast.Pixels()
+    pixels = Pixels()
     pixels.hit = array(np.ones(count), wp.int32)
     for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):
         setattr(pixels, name, array(np.tile(axis, (count, 1))))

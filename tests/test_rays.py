@@ -16,6 +16,7 @@ from trimesh.visual.material import SimpleMaterial
 from warpdiff import meshes
 from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff.kernels import raycast
+from warpdiff.kernels.scene import Pixels, Sampling
 from warpdiff.scene import SceneArrays, camera, lies_ahead, needs_shadow_rays
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
@@ -26,10 +27,10 @@ OUTPUTS = ("hit", "face", "tangent", "bitangent", "normal", "to_view", "shadow_o
 def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None, covers=False):
     """The kernels' outputs by name, (height * width, ...) each, by rays or face by face."""
     scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
-    sampling = raycast.Sampling()
+    sampling = Sampling()
     sampling.sample, sampling.samples, sampling.seed = sample, samples, seed
     count = view.width * view.height
-    pixels = raycast.Pixels()
+    pixels = Pixels()
     for name in OUTPUTS:
         dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
         setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
@@ -209,7 +210,7 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
     scene = SceneArrays(surface, device="cpu")
     view = View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=60, height=44)
     face = cast(surface, view, scene=scene, covers=True)["face"]
-    sampling = raycast.Sampling()
+    sampling = Sampling()
     tiles = np.flatnonzero(face >= 0)
     places = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
     sampling.tiles = wp.array(tiles, dtype=wp.int32, device="cpu")
@@ -218,7 +219,7 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
     found = []
     for tried in (face, face[:0]):
         sampling.faces = wp.array(tried, dtype=wp.int32, device="cpu")
-        pixels = raycast.Pixels()
+        pixels = Pixels()
         pixels.nearest = wp.empty(0, dtype=wp.uint64, device="cpu")
         for name in OUTPUTS:
             dtype = wp.int32 if name in ("hit", "face") else wp.vec3f

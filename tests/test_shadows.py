@@ -11,7 +11,8 @@ import warpdiff as wd
 from warpdiff import frame, meshes, shadows
 from warpdiff.bench.brute_force import intersect
 from warpdiff.device import launch
-from warpdiff.kernels import raycast
+from warpdiff.kernels.scene import Pixels
+from warpdiff.kernels.shading_frames import LIFT
 from warpdiff.kernels.shadows import hide
 from warpdiff.scene import SceneArrays, pixels_within
 from warpdiff.surface import prepare_surface
@@ -63,13 +64,13 @@ def points_on(surface, light, count, rng):
     corners = surface.vertices[surface.faces[face]].astype(np.float64)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal *= np.where(normal @ light < 0.0, -1.0, 1.0)[:, None] / np.linalg.norm(normal, axis=1, keepdims=True)
-    return (np.einsum("kc,kcd->kd", shares, corners) + float(raycast.LIFT) * normal).astype(np.float32)
+    return (np.einsum("kc,kcd->kd", shares, corners) + float(LIFT) * normal).astype(np.float32)
 
 
 def hidden(grid, light, origins, threads=1):
     """What the kernel finds of rays from origins that face the light."""
     to_lights = wp.array([light], dtype=wp.vec3d, device="cpu")
-    pixels = raycast.Pixels()
+    pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
     pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")

@@ -59,12 +59,12 @@ class _Seen:
         """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
         import warp as wp
 
-        from warpdiff.kernels import raycast
+        from warpdiff.kernels.scene import Pixels
 
         def empty(dtype: Any, size: int = rays) -> Any:
             return wp.empty(size, dtype=dtype, device=device)
 
-        pixels = raycast.Pixels()
+        pixels = Pixels()
         pixels.nearest = empty(wp.uint64, 0)
         pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
@@ -404,10 +404,11 @@ class Frame:
         colours: wp.array,
     ) -> list[Step]:
         """What sets the colours of some pixels to the means over tiles of rays, which add to zeros in their room."""
-        from warpdiff.kernels import directions, raycast
+        from warpdiff.kernels import directions
+        from warpdiff.kernels.scene import Sampling
 
         tile, seen = kind.tile, room.seen
-        sampling = raycast.Sampling()
+        sampling = Sampling()
         sampling.tiles = tiles
         sampling.places, weights = tile.on(self._device)
         if not kind.shadows:
@@ -469,10 +470,10 @@ class Frame:
 
     def _cast(self, sample: int, samples: int) -> list[Step]:
         """What sends one ray through every pixel."""
-        from warpdiff.kernels import raycast
+        from warpdiff.kernels.scene import Sampling
 
         self.begin()
-        sampling = raycast.Sampling()
+        sampling = Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1:
             sampling.places = self._places

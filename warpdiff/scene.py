@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.kernels import raycast
+from warpdiff.kernels.scene import Camera, SurfaceArrays
 from warpdiff.linear_algebra import on_one_thread
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class SceneArrays:
             device: A Warp device or its name; ``None`` is Warp's default.
         """
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
-        arrays = raycast.SurfaceArrays()
+        arrays = SurfaceArrays()
         arrays.positions = wp.array(surface.vertices, dtype=wp.vec3f, device=device)
         arrays.faces = wp.array(surface.faces, dtype=wp.int32, device=device)
         arrays.normals = wp.array(surface.normals, dtype=wp.vec3f, device=device)
@@ -98,12 +98,12 @@ def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
 
 
 def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
-    """The :class:`warpdiff.kernels.raycast.Camera` of a view, in the units of the surface.
+    """The :class:`warpdiff.kernels.scene.Camera` of a view, in the units of the surface.
 
     Its ``axes``, (5,) of ``wp.vec3d``, are set.
     """
     frame = view.frame()
-    result = raycast.Camera()
+    result = Camera()
     scale = surface.radius if frame.orthographic else 1.0
     halves = (frame.half_width / scale, frame.half_height / scale, 0.0)
     origin = (frame.origin - surface.centre) / surface.radius

@@ -1,0 +1,67 @@
+"""A view, a surface, and what of it pixels see, as kernels take them.
+
+Positions are in units in which the mesh fills the unit sphere about the origin: there float32 is as fine for a mesh of
+a nanometre as for one of a kilometre, wherever either lies.
+"""
+
+import warp as wp
+
+# Of a pixel that is yet to be taken by itself.
+SPECIAL = wp.constant(2)
+
+
+@wp.struct
+class Camera:
+    """A view. The fields are those of ``warpdiff.view.ViewFrame``, in the surface's units."""
+
+    # Origin, right, up, back, half the width and height: in an array, so that a recorded picture finds the next ones.
+    # An array of structs would take half a second longer to compile.
+    axes: wp.array(dtype=wp.vec3d)
+    orthographic: wp.bool
+    width: wp.int32
+    height: wp.int32
+
+
+@wp.struct
+class Sampling:
+    """Which of how many samples of every pixel; a single one lies in the pixel's centre. Or tiles of some pixels."""
+
+    sample: wp.int32
+    samples: wp.int32
+    seed: wp.int32
+    tiles: wp.array(dtype=wp.int32)  # pixels met by a tile of rays each, one after the other, −1 by none; empty is off
+    places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
+    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first; or empty
+
+
+@wp.struct
+class SurfaceArrays:
+    """A mesh with what is interpolated on it. The fields are those of ``warpdiff.surface.Surface``."""
+
+    mesh_id: wp.uint64
+    positions: wp.array(dtype=wp.vec3f)
+    faces: wp.array2d(dtype=wp.int32)
+    normals: wp.array(dtype=wp.vec3f)
+    tangents: wp.array(dtype=wp.vec3f)
+    handedness: wp.array(dtype=wp.float32)
+    uvs: wp.array(dtype=wp.vec2f)
+    vertex_colours: wp.array(dtype=wp.vec3f)
+    texture: wp.array2d(dtype=wp.vec3f)
+    has_vertex_colours: wp.bool
+    smooth: wp.bool
+
+
+@wp.struct
+class Pixels:
+    """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
+
+    nearest: wp.array(dtype=wp.uint64)  # what :func:`cover` found; empty asks the hierarchy
+    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; what else there is of it is then of no account
+    face: wp.array(dtype=wp.int32)  # the face that is met, or −1
+    place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner
+    tangent: wp.array(dtype=wp.vec3f)  # t, unit
+    bitangent: wp.array(dtype=wp.vec3f)  # b, unit
+    normal: wp.array(dtype=wp.vec3f)  # the shading normal n, unit, n·ωr >= 0.01
+    to_view: wp.array(dtype=wp.vec3f)  # ωr, unit
+    shadow_origin: wp.array(dtype=wp.vec3f)  # where shadow rays start
+    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB; empty is not asked for
