@@ -29,25 +29,26 @@ PICTURE = HIDE + (
 )
 
 
-# Twice, as a first time would compile; a process holds some 250 MB of libraries before.
+# A process holds some 250 MB of libraries before.
 PRECOMPUTE = HIDE + (
-    "import time, resource, warpdiff as wd\n"
-    "for _ in range(2):\n"
-    "    scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2)\n"
-    "    begin = time.perf_counter()\n"
-    "    plan = wd.plan(scan, method='low-rank/table', coherence=wd.Coherence(sys.argv[2]))\n"
-    "    taken = time.perf_counter() - begin\n"
-    "    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024\n"
+    "import time, resource, warpdiff as wd; "
+    "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
+    "begin = time.perf_counter(); "
+    "plan = wd.plan(scan, method='low-rank/table', coherence=wd.Coherence(sys.argv[2])); "
+    "taken = time.perf_counter() - begin; "
+    "peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024; "
     "print(f'| {sys.argv[2]}: coefficients, search and table | {taken:.2f} | {peak:.0f} |')"
 )
 
 
 def precompute(scan: Path) -> None:
-    """Print what comes before the first picture of a scan."""
-    print("\n| scan | s | MB of the process, at most |\n| --- | --- | --- |", flush=True)
+    """Print what comes before the first picture of a scan, in a process that finds its kernels compiled."""
+    print("\n| scan | s | MiB of the process, at most |\n| --- | --- | --- |", flush=True)
     environment = os.environ | {"WARPDIFF_CACHE_DIR": ""}
     for kind in ("averaged", "centred"):
-        subprocess.run([sys.executable, "-W", "ignore", "-c", PRECOMPUTE, str(scan), kind], env=environment, check=True)
+        command = [sys.executable, "-W", "ignore", "-c", PRECOMPUTE, str(scan), kind]
+        subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command, env=environment, check=True)
 
 
 def seconds(code: str, cache: Path) -> tuple[float, float]:

@@ -113,6 +113,7 @@ def coefficients_for(
     *,
     terms: int,
     threads: int,
+    keeps: bool = True,
 ) -> tuple[Coefficients, Block, Grid]:
     """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
 
@@ -124,6 +125,7 @@ def coefficients_for(
         reach: Coefficients (y, x) on either side of a direction that may be looked up.
         terms: Number of terms of a series; a fitted basis finds its own.
         threads: Transforms to run side by side.
+        keeps: Whether they are kept in memory; those that are kept are found in either case.
     """
     reached = Reached.by(scope)
     low, high = reached.kappa_low, reached.kappa_high
@@ -141,14 +143,20 @@ def coefficients_for(
         if method in EXPANSIONS:
             made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
         else:
-            series, _, _ = coefficients_for(hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads)
+            # Taken once: the truth's series has other terms and another reach.
+            series, _, _ = coefficients_for(
+                hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads, keeps=False
+            )
             made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
         return vars(made)
 
     def make() -> Coefficients:
         return Coefficients(**disk.kept_on_disk((key, hf.pitch_um), hf.heights_um, arrays))
 
-    return found_again(kept(hf).coefficients, key, make, most=KEPT), block, grid
+    held = kept(hf).coefficients
+    if not keeps and key not in held:
+        return make(), block, grid
+    return found_again(held, key, make, most=KEPT), block, grid
 
 
 def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
@@ -196,7 +204,7 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
         basis[:, :terms] = found.basis[:, :terms]
         held[key] = (
-            wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
+            wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device, copy=False),
             wp.array(basis, dtype=kernels.row, device=device),
             found,
         )
