@@ -204,7 +204,7 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
         basis[:, :terms] = found.basis[:, :terms]
         held[key] = (
-            wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device, copy=False),
+            wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
             wp.array(basis, dtype=kernels.row, device=device),
             found,
         )
