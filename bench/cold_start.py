@@ -29,7 +29,7 @@ PICTURE = HIDE + (
 )
 
 
-# A process holds some 250 MB of libraries before.
+# A process holds some 240 MiB of libraries before.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "

@@ -464,8 +464,8 @@ def classify(
 
     One where it exceeds none; 0 is not lit.
 
-    Contrast is the largest difference from those beside it, relative to the pixel itself, or to ``floor``, if that is
-    more.
+    Contrast is the largest difference from those beside it in the picture, of which there are whole rows, relative to
+    the pixel itself, or to ``floor``, if that is more.
     """
     thread, _ = wp.tid()
     begin = first + thread * run

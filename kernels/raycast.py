@@ -473,7 +473,7 @@ _MEET_KNOWN = """
             }
         }
     }
-    meet();
+    if (number > 0) meet();
     settle();
     return left;
 """

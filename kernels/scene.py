@@ -31,7 +31,7 @@ class Sampling:
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels met by a tile of rays each, one after the other, −1 by none; empty is off
     places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
-    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first; or empty
+    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first by tiles; or empty
 
 
 @wp.struct
@@ -55,8 +55,8 @@ class SurfaceArrays:
 class Pixels:
     """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
 
-    nearest: wp.array(dtype=wp.uint64)  # what :func:`cover` found; empty asks the hierarchy
-    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; what else there is of it is then of no account
+    nearest: wp.array(dtype=wp.uint64)  # what ``cover`` found of pixels' centres; empty asks the hierarchy
+    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face is then of no account
     face: wp.array(dtype=wp.int32)  # the face that is met, or −1
     place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner
     tangent: wp.array(dtype=wp.vec3f)  # t, unit

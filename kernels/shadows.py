@@ -150,7 +150,8 @@ def fill(
                 grid.tops[place] = top
 
 
-# Pixels side by side, of which those in one cell meet its list together; a GPU takes one at a time.
+# Pixels side by side, of which those in one cell meet its list together; a GPU takes one at a time. Places and cells
+# are those of ``seen`` and ``cell_of``, and sides of edges those of ``left_of``, by which lists are made.
 _LOOK_UP = """
 #if defined(__CUDA_ARCH__)
     constexpr int ABREAST = 1;
@@ -196,13 +197,16 @@ _LOOK_UP = """
             for (int next = starts[here]; next < starts[here + 1];) {
                 // Those that rise above any of the pixels: told apart without branches, which none could foresee.
                 int above[MOST], number = 0;
+                float top[MOST];
                 const int stop = wp::min(next + MOST, starts[here + 1]);
                 for (; next < stop; ++next) {
                     above[number] = faces[next];
+                    top[number] = tops[next];
                     number += tops[next] > least;
                 }
                 for (int which = 0; which < number; ++which) {
                     const float* const of_face = corners + 9LL * above[which];
+                    const float most = top[which];
                     const double x0 = of_face[0], y0 = of_face[1], z0 = of_face[2];
                     const double x1 = of_face[3], y1 = of_face[4], z1 = of_face[5];
                     const double x2 = of_face[6], y2 = of_face[7], z2 = of_face[8];
@@ -213,7 +217,8 @@ _LOOK_UP = """
                         const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
                         const int below = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0)
                             & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-                        hidden[j] |= below & (cell[j] == here);
+                        // What lies in a face's plane is not to depend on what is beside it and lower.
+                        hidden[j] |= below & (cell[j] == here) & (most > z[j]);
                     }
                 }
             }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import warp as wp
 import warpdiff as wd
 from warpdiff import meshes, supersample
 from warpdiff.integration import Integrator
+from warpdiff.kernels import directions
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
@@ -226,3 +228,35 @@ def test_tiles_stand_for_the_filter(tile, angle_deg):
     total = (np.exp(-2.0 * (whole[:, None] ** 2 + y**2)) * (whole[:, None] ** 2 + y**2 <= 1.5**2)).sum()
     exact *= np.sqrt(2.0 * np.pi) / (total * (whole[1] - whole[0]))
     np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
+
+
+def classes_by_hand(colours, gains, floor, bounds):
+    """What ``classify`` finds of a picture, pixel by pixel."""
+    height, width = gains.shape
+    found = np.zeros((height, width), np.uint8)
+    for row, column in zip(*np.nonzero(gains > 0.0), strict=True):
+        contrast, dark = 0.0, 0
+        for y, x in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+            if 0 <= y < height and 0 <= x < width:
+                if gains[y, x] > 0.0:
+                    contrast = max(contrast, np.linalg.norm(colours[y, x] - colours[row, column]))
+                else:
+                    dark = 1
+        exceeded = sum(contrast > bound * max(np.linalg.norm(colours[row, column]), floor) for bound in bounds)
+        found[row, column] = 2 * exceeded + dark if exceeded else 1
+    return found
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
+@pytest.mark.parametrize("slices", [1, 6])
+def test_steep_pixels_are_told_by_those_beside_them(size, slices, rng):
+    colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
+    # Some rows see nothing at all.
+    gains = (rng.uniform(size=size) - 0.3 - (np.arange(size[0]) % 4 == 3)[:, None]).astype(np.float32)
+    bounds = np.array([0.5, 1.5], np.float32)
+    found = wp.empty(gains.size, dtype=wp.uint8, device="cpu")
+    given = [wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"), wp.array(gains.ravel(), device="cpu")]
+    given += [size[1], *(wp.array(each, dtype=wp.float32, device="cpu") for each in ([0.8], bounds))]
+    for begin, end in itertools.pairwise(np.linspace(0, gains.size, slices + 1).astype(int)):
+        wp.launch(directions.classify, (1, 1), [*given, int(begin), int(end - begin)], [found], device="cpu")
+    np.testing.assert_array_equal(found.numpy().reshape(size), classes_by_hand(colours, gains, 0.8, bounds))

@@ -417,3 +417,21 @@ def test_a_maps_pixels_may_be_means(rough):
     np.testing.assert_allclose(means.xyz, fine.xyz.reshape(12, 3, 12, 3, 3).mean(axis=(1, 3)), rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(means.coverage, fine.mask.reshape(12, 3, 12, 3).mean(axis=(1, 3)), rtol=1e-6)
     assert np.any((means.coverage > 0.0) & (means.coverage < 1.0))
+
+
+@pytest.mark.parametrize("height_um", [0.3, 0.31])
+def test_no_series_is_made_twice(height_um, monkeypatch):
+    made = []
+    of_series = coefficients.of_series
+
+    def counted(hf, method, grid, block, kappas, *, terms, threads):
+        made.append((method, block, kappas, terms))
+        return of_series(hf, method, grid, block, kappas, terms=terms, threads=threads)
+
+    monkeypatch.setattr(coefficients, "of_series", counted)
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
+    hf = wd.HeightField(surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um)
+    wd.plan(hf, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
+    assert len(made) == len(set(made))
+    assert tables.kept(hf).fitted_to == {}

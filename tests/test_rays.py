@@ -36,10 +36,10 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
     pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
     pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
-    inputs = [camera_of(view, surface), scene.arrays]
+    inputs = [camera_of(view, surface), built(scene)]
     launches = [
         (raycast.cast, count, [*inputs, sampling, pixels], []),
-        (raycast.stand, count, [scene.arrays, pixels], []),
+        (raycast.stand, count, [built(scene), pixels], []),
     ]
     if covers:
         assert lies_ahead(surface, view)
@@ -48,6 +48,12 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
             wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
+
+
+def built(scene):
+    """The struct of a scene with its hierarchy."""
+    scene.build()
+    return scene.bare
 
 
 def camera_of(view, surface):
@@ -211,13 +217,14 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
     view = View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=60, height=44)
     face = cast(surface, view, scene=scene, covers=True)["face"]
     sampling = Sampling()
-    tiles = np.flatnonzero(face >= 0)
+    # And pixels that are none, and such as see nothing in their centres.
+    tiles = np.concatenate([np.flatnonzero(face >= 0), [-1, -1], np.flatnonzero(face < 0)[:40]])
     places = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
     sampling.tiles = wp.array(tiles, dtype=wp.int32, device="cpu")
     sampling.places = wp.array(places, dtype=wp.vec2d, device="cpu")
     count = len(tiles) * len(places)
     found = []
-    for tried in (face, face[:0]):
+    for tried, slices in ((face, 1), (face[:0], 1), (face, 50)):
         sampling.faces = wp.array(tried, dtype=wp.int32, device="cpu")
         pixels = Pixels()
         pixels.nearest = wp.empty(0, dtype=wp.uint64, device="cpu")
@@ -225,10 +232,15 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
             dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
             setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
         pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
-        inputs = [camera_of(view, surface), scene.arrays, sampling, pixels, 0, count]
-        wp.launch(raycast.cast, dim=1, inputs=inputs, device="cpu")
+        inputs = [camera_of(view, surface), built(scene), sampling, pixels]
+        # Some of them begin within a tile.
+        for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
+            wp.launch(raycast.cast, dim=1, inputs=[*inputs, int(begin), int(end - begin)], device="cpu")
         found.append(pixels.face.numpy())
-    alone = np.repeat(face[tiles], len(places))
+        np.testing.assert_array_equal(pixels.hit.numpy(), found[-1] >= 0)
+    np.testing.assert_array_equal(found[2], found[0])
+    alone = np.repeat(np.where(tiles < 0, -1, face[tiles]), len(places))
+    assert np.all(found[0][np.repeat(tiles < 0, len(places))] == -1)
     assert np.count_nonzero(found[1] != alone) > 100
     # Rays through an edge may take either face.
     assert np.mean(found[0] != found[1]) < 1e-3
@@ -356,7 +368,7 @@ def shadow_rays(
 def shadowed(scene, origins, direction):
     result = wp.zeros(len(origins), dtype=wp.int32, device="cpu")
     start = wp.array(origins, dtype=wp.vec3f, device="cpu")
-    inputs = [scene.mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
+    inputs = [built(scene).mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
     wp.launch(shadow_rays, dim=len(origins), inputs=inputs, outputs=[result], device="cpu")
     return result.numpy() == 1
 

@@ -122,6 +122,53 @@ def test_faces_leave_no_gap_where_they_meet(rng):
             assert not np.any(hidden(grid, light, places + 0.3 * light))
 
 
+def test_pixels_do_not_hide_those_beside_them(rng):
+    # Points in the plane of a sheet are not hidden by it, whatever lies below them in the same cell.
+    sheet = lid(2.0)
+    for _ in range(4):
+        sheet = sheet.subdivide()
+    surface = given(sheet)
+    height = np.float32(0.1234567)
+    surface.vertices[:, 2] = height
+    light = unit((0.0, 0.0, 1.0))
+    grid = grid_of(surface, scene_of(surface), light)
+    assert grid.starts.shape[0] > 0
+    above = np.column_stack([rng.uniform(-0.5, 0.5, (4000, 2)), np.full(4000, height)]).astype(np.float32)
+    both = np.repeat(above, 2, axis=0)
+    both[1::2, 2] -= 0.1
+    assert not np.any(hidden(grid, light, above))
+    found = hidden(grid, light, both)
+    assert not np.any(found[::2])
+    assert np.all(found[1::2])
+
+
+def test_lists_of_many_faces_hide_what_is_below(rng):
+    # Sheets one above the other: more faces in a cell than are looked at together, and several pixels in it.
+    sheets = [lid(2.0).subdivide().subdivide().apply_translation((0.0, 0.0, 0.01 * k)) for k in range(5)]
+    surface = given(trimesh.util.concatenate(sheets))
+    light = unit((0.0, 0.0, 1.0))
+    scene = scene_of(surface)
+    grid = grid_of(surface, scene, light)
+    assert np.diff(grid.starts.numpy()).max() > 32
+    places = rng.uniform(-0.3, 0.3, (500, 3)).astype(np.float32)
+    found = hidden(grid, light, places)
+    assert 0 < np.count_nonzero(found) < len(found)
+    np.testing.assert_array_equal(found, hidden(shadows.no_grid(scene), light, places))
+
+
+def test_many_rays_have_a_hierarchy_of_their_own():
+    scene = scene_of(given(trimesh.creation.icosphere(subdivisions=2)))
+    scene.build(few=True)
+    quick = scene.bare.mesh_id
+    scene.build(few=True)
+    assert scene.bare.mesh_id == quick
+    scene.build()
+    good = scene.bare.mesh_id
+    assert good != quick
+    scene.build(few=True)
+    assert scene.bare.mesh_id == good
+
+
 def test_threads_make_the_same_grid(rng):
     surface = given(meshes.tube(segments_along=96, segments_around=64))
     light = unit((0.3, 0.5, 0.8))

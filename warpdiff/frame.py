@@ -374,8 +374,8 @@ class Frame:
 
     def _prepare_tiles(self, integrator: Integrator) -> None:
         """Make what each thread meets tiles with, here, as other threads' memory is given back each time."""
-        # Their rays may go through the hierarchy.
-        self._scene.build()
+        # Few of their rays go through the hierarchy.
+        self._scene.build(few=True)
         while self._rooms.qsize() < self._threads:
             self._rooms.put(_Room.by(supersample.MOST_RAYS, integrator, device=self._device))
 
@@ -415,7 +415,7 @@ class Frame:
             sampling.faces = self._seen.pixels.face
         deflections, to_lights, gains = seen.directions
         return [
-            *self._steps_of_rays(sampling, seen.pixels),
+            *self._steps_of_rays(sampling, seen.pixels, few=True),
             # The pigment of the pixel's own ray stays.
             *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
             self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
@@ -483,11 +483,13 @@ class Frame:
             self._seen.pixels.nearest = self._nearest
         return self._steps_of_rays(sampling, self._seen.pixels)
 
-    def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
-        """What finds where rays meet the mesh, and how it lies there."""
+    def _steps_of_rays(self, sampling: Any, pixels: Any, *, few: bool = False) -> list[Step]:
+        """What finds where rays meet the mesh, few of them through the hierarchy if so told, and how it lies there."""
         from warpdiff.kernels import raycast
 
-        arrays = self._scene.bare if len(pixels.nearest) else self._scene.arrays
+        if not len(pixels.nearest):
+            self._scene.build(few=few)
+        arrays = self._scene.bare
         return [
             Step(raycast.cast, [self._camera, arrays, sampling, pixels], [], in_runs=True),
             Step(raycast.stand, [arrays, pixels], [], in_runs=True),
@@ -507,7 +509,7 @@ class Frame:
 
     def _grid_for(self, which: int, rays: int, **options: Any) -> Any:
         if not grid_pays(self._scene.face_count, rays):
-            return no_grid(self._scene)
+            return no_grid(self._scene, few=not self._alone)
         return grid_for(self._surface, self._scene, self._to_lights[which], **options)
 
     def deflect(self, sample: int, which: int, summary: Survey | None = None) -> None:

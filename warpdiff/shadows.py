@@ -34,12 +34,16 @@ def grid_pays(faces: int, rays: int) -> bool:
     return faces < rays
 
 
-def no_grid(scene: SceneArrays) -> Any:
-    """The :class:`warpdiff.kernels.shadows.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
+def no_grid(scene: SceneArrays, *, few: bool = False) -> Any:
+    """The :class:`warpdiff.kernels.shadows.ShadowGrid` that has no lists and asks the hierarchy, for any light.
+
+    Or one for ``few`` rays.
+    """
     from warpdiff.kernels import shadows
 
     grid = shadows.ShadowGrid()
-    grid.mesh_id = scene.mesh_id
+    scene.build(few=few)
+    grid.mesh_id = scene.bare.mesh_id
     return grid
 
 

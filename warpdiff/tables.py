@@ -43,6 +43,8 @@ class _Kept:
 
     def __init__(self) -> None:
         self.coefficients: dict[Any, Coefficients] = {}
+        # The series that the last basis was fitted to, until the next series is asked for, which may be the same.
+        self.fitted_to: dict[Any, Coefficients] = {}
         self.rows: dict[Any, tuple[Any, Any, Coefficients]] = {}
         self.prepared: dict[Any, tuple[Any, dict[str, Any]]] = {}
         self.spectra: dict[Any, Any] = {}
@@ -113,7 +115,7 @@ def coefficients_for(
     *,
     terms: int,
     threads: int,
-    keeps: bool = True,
+    to_fit: bool = False,
 ) -> tuple[Coefficients, Block, Grid]:
     """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
 
@@ -125,7 +127,7 @@ def coefficients_for(
         reach: Coefficients (y, x) on either side of a direction that may be looked up.
         terms: Number of terms of a series; a fitted basis finds its own.
         threads: Transforms to run side by side.
-        keeps: Whether they are kept in memory; those that are kept are found in either case.
+        to_fit: Whether they are a series that a basis is to be fitted to, and then of use to the truth at most.
     """
     reached = Reached.by(scope)
     low, high = reached.kappa_low, reached.kappa_high
@@ -143,9 +145,8 @@ def coefficients_for(
         if method in EXPANSIONS:
             made = coefficients.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
         else:
-            # Taken once: the truth's series has other terms and another reach.
             series, _, _ = coefficients_for(
-                hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads, keeps=False
+                hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads, to_fit=True
             )
             made = coefficients.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
         return vars(made)
@@ -153,9 +154,14 @@ def coefficients_for(
     def make() -> Coefficients:
         return Coefficients(**disk.kept_on_disk((key, hf.pitch_um), hf.heights_um, arrays))
 
-    held = kept(hf).coefficients
-    if not keeps and key not in held:
-        return make(), block, grid
+    held, fitted_to = kept(hf).coefficients, kept(hf).fitted_to
+    if to_fit and key not in held:
+        return found_again(fitted_to, key, make, most=1), block, grid
+    if method in EXPANSIONS and key not in held:
+        if key in fitted_to:
+            held[key] = fitted_to[key]
+        # Memory of it would be on top of that of all tables.
+        fitted_to.clear()
     return found_again(held, key, make, most=KEPT), block, grid
 
 
