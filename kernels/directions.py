@@ -7,7 +7,7 @@ import warp as wp
 
 from warpdiff import optics
 from warpdiff.kernels import spectral
-from warpdiff.kernels.native import filled
+from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import Pixels
 
 wp.set_module_options(spectral.OPTIONS)
@@ -37,11 +37,6 @@ class Reflection:
 
 # Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time.
 _DEFLECT = """
-#if defined(__CUDA_ARCH__)
-    constexpr int ABREAST = 1;
-#else
-    constexpr int ABREAST = 32;
-#endif
     const int* const hit = (const int*)pixels.hit.data;
     const float* const frames[3] = {(const float*)pixels.tangent.data, (const float*)pixels.bitangent.data,
         (const float*)pixels.normal.data};
@@ -135,7 +130,7 @@ _DEFLECT = """
 """
 
 
-@wp.func_native(filled(_DEFLECT, HORIZON=optics.HORIZON))
+@wp.func_native(filled(abreast(32) + _DEFLECT, HORIZON=optics.HORIZON))
 def deflect(
     pixels: Pixels,
     towards: wp.vec3d,
@@ -367,11 +362,6 @@ def spread_pixels(
 
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
 _CLASSIFY = """
-#if defined(__CUDA_ARCH__)
-    constexpr int ABREAST = 1;
-#else
-    constexpr int ABREAST = 32;
-#endif
     const float* const gain = (const float*)gains.data;
     for (int from = begin, count; from < end; from += count) {
         const int column = from % width, row = from / width;
@@ -432,7 +422,7 @@ _CLASSIFY = """
 """
 
 
-@wp.func_native(_CLASSIFY)
+@wp.func_native(abreast(32) + _CLASSIFY)
 def classes_of(
     colours: wp.array(dtype=wp.vec3f),
     gains: wp.array(dtype=wp.float32),

@@ -25,6 +25,18 @@ CYCLIC = """
     };
 """
 
+
+def abreast(pixels: int) -> str:
+    """How many pixels go side by side, so that the compiler makes vectors; a GPU takes one at a time."""
+    return f"""
+#if defined(__CUDA_ARCH__)
+    constexpr int ABREAST = 1;
+#else
+    constexpr int ABREAST = {pixels};
+#endif
+"""
+
+
 _TAKE_NUMBER = """
 #if defined(__CUDA_ARCH__)
     return atomicAdd((int*)values.data + index, 1);

@@ -3,7 +3,7 @@
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.native import filled
+from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import SPECIAL, Camera, Pixels, Sampling, SurfaceArrays
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, stand_abreast
 
@@ -332,11 +332,6 @@ def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
 # Rays with a face each side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a
 # time. Rays that meet none of the faces that are known are marked.
 _MEET_KNOWN = """
-#if defined(__CUDA_ARCH__)
-    constexpr int ABREAST = 1;
-#else
-    constexpr int ABREAST = 32;
-#endif
     const double* const axes = (const double*)camera.axes.data;
     const int* const faces = (const int*)surface.faces.data;
     const float* const positions = (const float*)surface.positions.data;
@@ -374,7 +369,7 @@ _MEET_KNOWN = """
             for (int which = 0; which < 3; ++which)
                 for (int c = 0; c < 3; ++c) corner[which][c][i] = positions[3LL * corners[which] + c];
         }
-        float views[3][ABREAST], places[2][ABREAST];
+        float views[3][ABREAST], kept[2][ABREAST];
         double distances[ABREAST];
         bool within[ABREAST];
         for (int i = 0; i < ABREAST; ++i) {
@@ -405,8 +400,8 @@ _MEET_KNOWN = """
             const double share1 = inverse * (away[0] * across2[0] + away[1] * across2[1] + away[2] * across2[2]);
             const double share2 = inverse * (along[0] * across1[0] + along[1] * across1[1] + along[2] * across1[2]);
             const double kept1 = wp::min(wp::max(share1, 0.0), 1.0), kept2 = wp::min(wp::max(share2, 0.0), 1.0 - kept1);
-            places[0][i] = (float)(1.0 - kept1 - kept2);
-            places[1][i] = (float)kept1;
+            kept[0][i] = (float)(1.0 - kept1 - kept2);
+            kept[1][i] = (float)kept1;
             distances[i] = inverse * (edge2[0] * across1[0] + edge2[1] * across1[1] + edge2[2] * across1[2]);
             within[i] = determinant != 0.0 && share1 >= 0.0 && share2 >= 0.0 && share1 + share2 <= 1.0;
         }
@@ -424,7 +419,7 @@ _MEET_KNOWN = """
             left -= hit[at] == SPECIAL;
             hit[at] = 1;
             face_at[at] = face;
-            for (int c = 0; c < 2; ++c) place_at[2 * at + c] = places[c][i];
+            for (int c = 0; c < 2; ++c) place_at[2 * at + c] = kept[c][i];
             for (int c = 0; c < 3; ++c) view_at[3 * at + c] = views[c][i];
         }
         number = 0;
@@ -479,7 +474,7 @@ _MEET_KNOWN = """
 """
 
 
-@wp.func_native(filled(_MEET_KNOWN, UNSEEN=f"{int(UNSEEN)}ULL", SPECIAL=int(SPECIAL)))
+@wp.func_native(filled(abreast(32) + _MEET_KNOWN, UNSEEN=f"{int(UNSEEN)}ULL", SPECIAL=int(SPECIAL)))
 def meet_known(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
 ) -> wp.int32:

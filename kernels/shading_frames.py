@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpdiff.kernels.native import filled
+from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import SPECIAL, Pixels, SurfaceArrays
 
 # How far a shadow ray starts above the surface: some hundred roundings of a position.
@@ -49,11 +49,6 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
 # Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time. Those
 # whose normal has to be turned, or whose tangent vanishes, are marked.
 _STAND = """
-#if defined(__CUDA_ARCH__)
-    constexpr int ABREAST = 1;
-#else
-    constexpr int ABREAST = 32;
-#endif
     int* const hit = (int*)pixels.hit.data;
     const int* const faces = (const int*)surface.faces.data;
     const float* const of_corners[3] = {(const float*)surface.positions.data, (const float*)surface.normals.data,
@@ -170,7 +165,7 @@ _STAND = """
 
 @wp.func_native(
     filled(
-        _STAND,
+        abreast(32) + _STAND,
         LEAST_COSINE=f"{float(LEAST_COSINE)}f",
         LEAST_TANGENT=f"{float(LEAST_TANGENT)}f",
         SPECIAL=int(SPECIAL),

@@ -8,7 +8,7 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
-from warpdiff.kernels.native import filled, take_number
+from warpdiff.kernels.native import abreast, filled, take_number
 from warpdiff.kernels.raycast import occluded
 from warpdiff.kernels.scene import Pixels
 
@@ -153,11 +153,6 @@ def fill(
 # Pixels side by side, of which those in one cell meet its list together; a GPU takes one at a time. Places and cells
 # are those of ``seen`` and ``cell_of``, and sides of edges those of ``left_of``, by which lists are made.
 _LOOK_UP = """
-#if defined(__CUDA_ARCH__)
-    constexpr int ABREAST = 1;
-#else
-    constexpr int ABREAST = 8;
-#endif
     constexpr int MOST = 32;
     const int* const hit = (const int*)pixels.hit.data;
     const float* const normals = (const float*)pixels.normal.data;
@@ -229,7 +224,7 @@ _LOOK_UP = """
 """
 
 
-@wp.func_native(filled(_LOOK_UP, FACING_AWAY=f"{float(FACING_AWAY)}f", STEPS=float(STEPS)))
+@wp.func_native(filled(abreast(8) + _LOOK_UP, FACING_AWAY=f"{float(FACING_AWAY)}f", STEPS=float(STEPS)))
 def look_up(
     grid: ShadowGrid,
     towards: wp.vec3f,

@@ -36,10 +36,10 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
     pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
     pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
-    inputs = [camera_of(view, surface), built(scene)]
+    inputs = [camera_of(view, surface), scene.with_hierarchy()]
     launches = [
         (raycast.cast, count, [*inputs, sampling, pixels], []),
-        (raycast.stand, count, [built(scene), pixels], []),
+        (raycast.stand, count, [scene.with_hierarchy(), pixels], []),
     ]
     if covers:
         assert lies_ahead(surface, view)
@@ -48,12 +48,6 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
             wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
-
-
-def built(scene):
-    """The struct of a scene with its hierarchy."""
-    scene.build()
-    return scene.bare
 
 
 def camera_of(view, surface):
@@ -232,7 +226,7 @@ def test_rays_of_tiles_find_what_hides_their_pixels_face():
             dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
             setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
         pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
-        inputs = [camera_of(view, surface), built(scene), sampling, pixels]
+        inputs = [camera_of(view, surface), scene.with_hierarchy(), sampling, pixels]
         # Some of them begin within a tile.
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
             wp.launch(raycast.cast, dim=1, inputs=[*inputs, int(begin), int(end - begin)], device="cpu")
@@ -368,7 +362,7 @@ def shadow_rays(
 def shadowed(scene, origins, direction):
     result = wp.zeros(len(origins), dtype=wp.int32, device="cpu")
     start = wp.array(origins, dtype=wp.vec3f, device="cpu")
-    inputs = [built(scene).mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
+    inputs = [scene.with_hierarchy().mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
     wp.launch(shadow_rays, dim=len(origins), inputs=inputs, outputs=[result], device="cpu")
     return result.numpy() == 1
 

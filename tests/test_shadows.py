@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -127,9 +129,11 @@ def test_pixels_do_not_hide_those_beside_them(rng):
     sheet = lid(2.0)
     for _ in range(4):
         sheet = sheet.subdivide()
-    surface = given(sheet)
     height = np.float32(0.1234567)
-    surface.vertices[:, 2] = height
+    flat = given(sheet)
+    vertices = flat.vertices.copy()
+    vertices[:, 2] = height
+    surface = dataclasses.replace(flat, vertices=vertices)
     light = unit((0.0, 0.0, 1.0))
     grid = grid_of(surface, scene_of(surface), light)
     assert grid.starts.shape[0] > 0
@@ -156,17 +160,12 @@ def test_lists_of_many_faces_hide_what_is_below(rng):
     np.testing.assert_array_equal(found, hidden(shadows.no_grid(scene), light, places))
 
 
-def test_many_rays_have_a_hierarchy_of_their_own():
-    scene = scene_of(given(trimesh.creation.icosphere(subdivisions=2)))
-    scene.build(few=True)
-    quick = scene.bare.mesh_id
-    scene.build(few=True)
-    assert scene.bare.mesh_id == quick
-    scene.build()
-    good = scene.bare.mesh_id
-    assert good != quick
-    scene.build(few=True)
-    assert scene.bare.mesh_id == good
+def test_rays_have_the_same_hierarchy_whatever_others_had():
+    scenes = [scene_of(given(trimesh.creation.icosphere(subdivisions=2))) for _ in range(2)]
+    for scene, order in zip(scenes, ((True, False), (False, True)), strict=True):
+        found = {few: scene.with_hierarchy(few=few).mesh_id for few in order}
+        assert found[True] != found[False]
+        assert {few: scene.with_hierarchy(few=few).mesh_id for few in order} == found
 
 
 def test_threads_make_the_same_grid(rng):

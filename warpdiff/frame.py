@@ -375,7 +375,7 @@ class Frame:
     def _prepare_tiles(self, integrator: Integrator) -> None:
         """Make what each thread meets tiles with, here, as other threads' memory is given back each time."""
         # Few of their rays go through the hierarchy.
-        self._scene.build(few=True)
+        self._scene.with_hierarchy(few=True)
         while self._rooms.qsize() < self._threads:
             self._rooms.put(_Room.by(supersample.MOST_RAYS, integrator, device=self._device))
 
@@ -487,9 +487,7 @@ class Frame:
         """What finds where rays meet the mesh, few of them through the hierarchy if so told, and how it lies there."""
         from warpdiff.kernels import raycast
 
-        if not len(pixels.nearest):
-            self._scene.build(few=few)
-        arrays = self._scene.bare
+        arrays = self._scene.bare if len(pixels.nearest) else self._scene.with_hierarchy(few=few)
         return [
             Step(raycast.cast, [self._camera, arrays, sampling, pixels], [], in_runs=True),
             Step(raycast.stand, [arrays, pixels], [], in_runs=True),

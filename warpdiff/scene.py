@@ -31,7 +31,7 @@ class SceneArrays:
     The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
 
     Attributes:
-        bare: The struct for :func:`warpdiff.kernels.raycast.cast`, whose rays have a hierarchy once it is built.
+        bare: The struct for kernels that take no hierarchy: faces know their pixels.
         face_count: Number of faces.
         grids: The last lights' grids for shadow rays.
     """
@@ -58,31 +58,32 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        # The last one is in use; those before it may be in launches.
-        self._meshes: list[wp.Mesh] = []
-        self._is_quick = False
+        self._built: dict[bool, tuple[wp.Mesh, Any]] = {}
         self._once = threading.Lock()
         self.grids: dict[tuple[float, ...], Any] = {}
 
-    def build(self, *, few: bool = False) -> None:
-        """Build the hierarchy, unless it is there; pictures of points, found face by face, need none.
+    def with_hierarchy(self, *, few: bool = False) -> Any:
+        """The struct with a hierarchy, built or found again; pictures of points, found face by face, need none.
 
         One for ``few`` rays is made in a third of the time on the CPU. Where faces are of uneven sizes rays through it
-        take up to 1.7 times as long.
+        take up to 1.7 times as long. What was asked for before does not matter: each finds its own.
         """
+        quick = few and bool(self.bare.positions.device.is_cpu)
         with self._once:
-            if self._meshes and (few or not self._is_quick):
-                return
-            self._is_quick = few and bool(self.bare.positions.device.is_cpu)
-            constructor, leaf = ("cubql", _LEAF) if self._is_quick else (None, None)
-            mesh = wp.Mesh(
-                points=self.bare.positions,
-                indices=self.bare.faces.flatten(),
-                bvh_constructor=constructor,
-                bvh_leaf_size=leaf,
-            )
-            self._meshes.append(mesh)
-            self.bare.mesh_id = mesh.id
+            if quick not in self._built:
+                constructor, leaf = ("cubql", _LEAF) if quick else (None, None)
+                mesh = wp.Mesh(
+                    points=self.bare.positions,
+                    indices=self.bare.faces.flatten(),
+                    bvh_constructor=constructor,
+                    bvh_leaf_size=leaf,
+                )
+                arrays = SurfaceArrays()
+                for name in SurfaceArrays.vars:
+                    setattr(arrays, name, getattr(self.bare, name))
+                arrays.mesh_id = mesh.id
+                self._built[quick] = mesh, arrays
+            return self._built[quick][1]
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:

@@ -42,8 +42,7 @@ def no_grid(scene: SceneArrays, *, few: bool = False) -> Any:
     from warpdiff.kernels import shadows
 
     grid = shadows.ShadowGrid()
-    scene.build(few=few)
-    grid.mesh_id = scene.bare.mesh_id
+    grid.mesh_id = scene.with_hierarchy(few=few).mesh_id
     return grid
 
 

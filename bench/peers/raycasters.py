@@ -141,14 +141,13 @@ def query(
 
 def _warp_query(rays: Rays) -> Caster:
     device = resolve_device(None)
-    arrays = scene.arrays_for(rays.surface, smooth=True, device=device)
-    arrays.build()
+    arrays = scene.arrays_for(rays.surface, smooth=True, device=device).with_hierarchy()
     count = len(rays.origins)
     given = [wp.array(each, dtype=wp.vec3f, device=device) for each in (rays.origins, rays.directions)]
     made = [wp.empty(count, dtype=wp.int32, device=device), wp.zeros(count, dtype=wp.vec2f, device=device)]
 
     def trace(threads: int) -> None:
-        launch(query, count, [arrays.bare.mesh_id, *given], made, device=device, threads=threads)
+        launch(query, count, [arrays.mesh_id, *given], made, device=device, threads=threads)
 
     def found() -> Found:
         face, (b0, b1) = made[0].numpy(), made[1].numpy().T
