@@ -22,7 +22,7 @@ _LIST = """
                     int* const entry = (int*)entries_out.data + 4LL * ((int*)count_out.data)[0]++;
                     entry[0] = begin + pixels[of];
                     entry[1] = row_at;
-                    entry[2] = 2 * reach_of[s] + 1;
+                    entry[2] = count_of[s];
                     entry[3] = tap_at;
 """
 # Entries ahead whose outermost rows are asked for: of 1 to 24 none took less time.

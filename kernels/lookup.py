@@ -13,6 +13,7 @@ A source does the same to the lines of an endless surface.
 """
 
 import functools
+import math
 import types
 
 import warp as wp
@@ -22,9 +23,9 @@ from warpdiff.kernels.native import CHUNKS_OF_ROWS, CYCLIC, filled
 
 # Loops that stay loops compile faster.
 OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
-# Rays or nodes on either side of one that a look-up takes from the tables of weights; as many rays are repeated beyond
-# a turn.
-REACH = 6
+# Half of the rays or nodes that a look-up takes at most by the tables of weights; as many rays are repeated on either
+# side of a turn.
+REACH = 7
 # Directions that a thread looks up one after the other on the CPU, at most.
 RUN = 256
 # Of those, or of their segments, how many before its turn one's rows are asked for.
@@ -33,14 +34,16 @@ _AHEAD = 3
 FILTER_REACH = 6
 # Parts of a footprint along its angle.
 MOST_PARTS = 12
+# Of a wide blur nodes count so many deviations out.
+_DEVIATIONS = 3.0
 
 
 @wp.struct
 class Blending:
     """Weights of the rays, or nodes, around a place: the spline between them, blurred by a part of the footprint."""
 
-    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 REACH + 1)
-    reaches: wp.array(dtype=wp.int32)  # rays on either side that count
+    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 REACH)
+    lengths: wp.array(dtype=wp.int32)  # how many of them count, from the first one on
     per_variance: wp.float32  # entries per unit of the variance, in distances of rays squared
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
 
@@ -240,6 +243,11 @@ _MEANS = """
     // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds
     // the mirror direction and is no range of angles.
     constexpr float MOST_TURN = 0.06f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
+    // Beyond a variance of NARROW nodes have the Gaussian itself for weights, out to so many DEVIATIONS, and lie as far
+    // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ), and
+    // rays where these turn from node to node.
+    constexpr float NARROW = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
+    const float per_log = table.per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
     const int size = table.nodes, octaves = table.rays.shape[1], levels = table.rays.shape[0], count = end - begin;
     const int entries = blending.weights.shape[0], fractions = blending.weights.shape[1];
     const int all_taps = blending.weights.shape[2];
@@ -251,7 +259,7 @@ _MEANS = """
     const float* const seen = (const float*)footprints.data + 4LL * begin;
     const float* const taps = (const float*)blending.weights.data;
     const float* const splits = (const float*)blending.parts.data;
-    const int* const reaches = (const int*)blending.reaches.data;
+    const int* const lengths = (const int*)blending.lengths.data;
     const int* const all_rays = (const int*)table.rays.data;
     const int* const firsts = (const int*)table.firsts.data;
     const float* const widths = (const float*)table.widths.data;
@@ -313,9 +321,9 @@ _MEANS = """
     for (;;) {
         // The next parts: where they lie, and their variances in angle and in ln |(u, v)|, and their covariance.
         int pixels[MOST], filled = 0;
-        int begins[MOST], ends[MOST], ratios[MOST], steps[MOST], wide[MOST];
-        float shares[MOST], turns[MOST], places[MOST], falloffs[MOST], turn_of[MOST], aside2[MOST];
-        float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST];
+        int begins[MOST], ends[MOST], ratios[MOST], steps[MOST], aparts[MOST], counted[MOST];
+        float shares[MOST], turns[MOST], places[MOST], deviations[MOST], skews[MOST], turn_of[MOST], aside2[MOST];
+        float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST], spacings[MOST];
         while (filled < MOST && pixel < count) {
             const int i = pixel, all = (int)parts[i];
             const float gain = factors[i];
@@ -384,41 +392,53 @@ _MEANS = """
             places[k] = log2 * (float)size + table.node_of_one;
             // What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
             // spline between nodes has a variance of a quarter.
-            const float variance = r2 * table.per_log * table.per_log;
-            turn_of[k] = b * table.per_log / (variance + 0.25f);
-            aside2[k] = larger(a2 - turn_of[k] * b * table.per_log, 0.0f);
-            // Nodes around the place, by a table of weights or, of a wide blur, by the Gaussian itself.
-            const float nearest = wp::rint(places[k]), wide2 = variance + 0.25f;
-            const int step = (int)(variance * blending.per_variance + 0.5f), in_table = wp::min(step, entries - 1);
-            const int fraction = (int)((places[k] - nearest + 0.5f) * (float)fractions);
-            const int row = in_table * fractions + wp::clamp(fraction, 0, fractions - 1);
-            falloffs[k] = step < entries ? 0.0f : 0.5f / wide2;
-            ratios[k] = row * all_taps + REACH - (int)nearest;
-            steps[k] = step;
-            wide[k] = 1 + (int)(3.2f * wp::sqrt(wide2));
+            const float variance = r2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
+            turn_of[k] = b * per_log / variance;
+            aside2[k] = larger(a2 - turn_of[k] * b * per_log, 0.0f);
+            deviations[k] = deviation;
+            // A sixth of the third moment of ln |(u, v)| in deviations: what is less is further away.
+            skews[k] = 0.5f * (b * b - r2 * r2) * per_log * per_log * per_log / (variance * deviation);
         }
         // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
+        for (int k = 0; k < filled; ++k)
+            spacings[k] = 0.5f * widths[octaves + wp::clamp((int)(places[k] * table.per_octave), 0, octaves - 1)];
         for (int k = 0; k < filled; ++k) {
-            const int nearest = (int)wp::rint(places[k]), all_nodes = octaves * size;
-            const int reach = steps[k] < entries ? reaches[steps[k]] : wide[k];
-            const int begin_of = wp::max(nearest - reach, 0);
-            begins[k] = wp::min(begin_of, all_nodes - 1);
-            ends[k] = begin_of < all_nodes ? wp::min(nearest + reach + 1, all_nodes) : begins[k];
+            // A source's lines are narrower than the rays are apart, and what blurs them has that in it.
+            const float across2 = aside2[k] + (SOURCE ? 1.0e-12f : spacings[k] * spacings[k]);
+            const float variance = deviations[k] * deviations[k];
+            const float most = MOST_APART / wp::sqrt(per_curves2 + turn_of[k] * turn_of[k] / across2 + 1.0f / variance);
+            const bool narrow = variance < NARROW + 0.25f && most < 2.0f;
+            aparts[k] = most < 2.0f ? 1 : most < 4.0f ? 2 : most < 8.0f ? 4 : 8;
+            steps[k] = narrow ? (int)((variance - 0.25f) * blending.per_variance + 0.5f) : -1;
+        }
+        for (int k = 0; k < filled; ++k) counted[k] = lengths[steps[k] < 0 ? 0 : steps[k]];
+        for (int k = 0; k < filled; ++k) {
+            const bool narrow = steps[k] >= 0;
+            const float half = narrow ? 0.5f * (float)(counted[k] - 1) : DEVIATIONS * deviations[k];
+            const float start = places[k] - half, first = narrow ? wp::rint(start) : -wp::floor(-start);
+            const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
+            const int end_of = narrow ? (int)first + counted[k] : (int)wp::floor(places[k] + half) + 1;
+            // Whole multiples, so that pixels beside each other take the same nodes.
+            const int begin_of = (wp::max((int)first, 0) + aparts[k] - 1) & -aparts[k], all = octaves * size;
+            ratios[k] = (steps[k] * fractions + fraction) * all_taps - (int)first;
+            begins[k] = wp::min(begin_of, all - 1);
+            ends[k] = begin_of < all ? wp::clamp(end_of, begins[k], all) : begins[k];
         }
         for (int k = 0, node = begins[0]; k < filled;) {
             // Segments: nodes of a part that lie in one octave.
-            int part_of[SEGMENTS], firsts_of[SEGMENTS], counts[SEGMENTS], segments = 0;
+            int part_of[SEGMENTS], firsts_of[SEGMENTS], apart_of[SEGMENTS], counts[SEGMENTS], segments = 0;
             while (segments < SEGMENTS && k < filled) {
                 const int octave = (int)((float)node * table.per_octave);
-                const int end = wp::min(wp::min(ends[k], (octave + 1) * size), node + AT_ONCE);
+                const int apart = aparts[k], end = wp::min(ends[k], (octave + 1) * size);
                 part_of[segments] = k;
                 firsts_of[segments] = node;
-                counts[segments++] = end - node;
-                node = end;
-                if (node == ends[k] && ++k < filled) node = begins[k];
+                apart_of[segments] = apart;
+                counts[segments] = wp::min((end - node + apart - 1) / apart, AT_ONCE);
+                node += counts[segments++] * apart;
+                if (node >= ends[k] && ++k < filled) node = begins[k];
             }
-            float positions[SEGMENTS], slopes[SEGMENTS], aways[SEGMENTS];
-            int ratio_of[SEGMENTS], rays_of[SEGMENTS], reach_of[SEGMENTS], tap_of[SEGMENTS], row_of[SEGMENTS];
+            float positions[SEGMENTS], slopes[SEGMENTS], aways[SEGMENTS], skew_of[SEGMENTS], per_deviation[SEGMENTS];
+            int rays_of[SEGMENTS], count_of[SEGMENTS], tap_of[SEGMENTS], row_of[SEGMENTS];
             for (int s = 0; s < segments; ++s) {
                 const int of = part_of[s], octave = (int)((float)firsts_of[s] * table.per_octave);
                 // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
@@ -431,30 +451,48 @@ _MEANS = """
                 const float width = widths[at], per_radian = (float)all_rays[at] * (0.5f / PI);
                 const float left = larger(blur2 - width * width, 0.0f) * per_radian * per_radian;
                 const int step = wp::min((int)(left * blending.per_variance + 0.5f), entries - 1);
-                ratio_of[s] = ratios[of] + firsts_of[s];
                 rays_of[s] = all_rays[at];
-                reach_of[s] = reaches[step];
+                count_of[s] = lengths[step];
                 slopes[s] = turn_of[of] * per_radian;
-                positions[s] = turns[of] * (float)all_rays[at];
+                positions[s] = turns[of] * (float)all_rays[at] - 0.5f * (float)(count_of[s] - 1);
                 aways[s] = (float)firsts_of[s] - places[of];
-                tap_of[s] = step * fractions * all_taps + REACH - reach_of[s];
-                row_of[s] = firsts[at] + firsts_of[s] - (octave + reach_of[s]) * size;
+                skew_of[s] = skews[of];
+                per_deviation[s] = 1.0f / deviations[of];
+                tap_of[s] = step * fractions * all_taps;
+                row_of[s] = firsts[at] + firsts_of[s] - octave * size;
             }
+            // The exponential function as the 16th power of four terms of its series.
+            auto weight_at = [&](int s, int m) {
+                const float t = (aways[s] + (float)(m * apart_of[s])) * per_deviation[s], t2 = t * t;
+                const float x = (-0.5f * PER_VARIANCE / 16.0f) * t2;
+                float falloff = 1.0f + x * (1.0f + x * (0.5f + x * (1.0f / 6.0f + x * (1.0f / 24.0f))));
+                falloff *= falloff;
+                falloff *= falloff;
+                falloff *= falloff;
+                falloff *= falloff * PEAK * (float)apart_of[s] * per_deviation[s];
+                return falloff * larger(1.0f + skew_of[s] * t * (t2 - 3.0f), 0.0f);
+            };
             auto node_at = [&](int s, int m, int& row, int& tap) {
                 // Rays around the direction that goes with this node.
-                const float position = positions[s] + slopes[s] * (aways[s] + (float)m), nearest = wp::rint(position);
-                const int fraction = (int)((position - nearest + 0.5f) * (float)fractions), rays = rays_of[s];
-                const int ray = (int)nearest, turned = ray < 0 ? ray + rays : ray >= rays ? ray - rays : ray;
-                row = row_of[s] + wp::clamp(turned, 0, rays) * size + m;
+                const int further = m * apart_of[s], rays = rays_of[s], least = -(count_of[s] / 2);
+                const float position = positions[s] + slopes[s] * (aways[s] + (float)further);
+                const float first = wp::rint(position);
+                const int fraction = (int)((position - first + 0.5f) * (float)fractions), ray = (int)first;
+                const int turned = ray < least ? ray + rays : ray >= rays + least ? ray - rays : ray;
+                row = row_of[s] + wp::clamp(turned, least, rays + least) * size + further;
                 tap = tap_of[s] + wp::clamp(fraction, 0, fractions - 1) * all_taps;
             };
 #if !defined(__CUDA_ARCH__)
             int rows[SEGMENTS][AT_ONCE], taps_of[SEGMENTS][AT_ONCE];
+            float weights[SEGMENTS][AT_ONCE];
             for (int s = 0; s < segments; ++s)
-                for (int m = 0; m < AT_ONCE; ++m) node_at(s, m, rows[s][m], taps_of[s][m]);
+                for (int m = 0; m < AT_ONCE; ++m) {
+                    node_at(s, m, rows[s][m], taps_of[s][m]);
+                    weights[s][m] = weight_at(s, m);
+                }
             // Most rows are those of the part before; at either end new ones come in.
             auto ask = [&](int s) {
-                const long long across = 2 * reach_of[s] * stride;
+                const long long across = (count_of[s] - 1) * stride;
                 for (int m = 0; m < counts[s]; ++m) {
                     const float* const row = all_rows + (long long)rows[s][m] * WIDTH;
                     for (int l = 0; l < WIDTH; l += WIDTH - 1) {
@@ -472,28 +510,28 @@ _MEANS = """
                 if (s + AHEAD < segments) ask(s + AHEAD);
 #endif
                 const int of = part_of[s];
+                const float* const narrow = taps + ratios[of] + firsts_of[s];
                 for (int m = 0; m < counts[s]; ++m) {
 #if defined(__CUDA_ARCH__)
                     int row_at, tap_at;
                     node_at(s, m, row_at, tap_at);
+                    const float weight = steps[of] < 0 ? weight_at(s, m) : narrow[m];
 #else
                     const int row_at = rows[s][m], tap_at = taps_of[s][m];
+                    const float weight = (steps[of] < 0 ? weights[s] : narrow)[m];
 #endif
-                    const float distance = aways[s] + (float)m, falloff = falloffs[of];
-                    const float weight = falloff > 0.0f
-                        ? wp::sqrt(falloff / PI) * wp::exp(-falloff * distance * distance) : taps[ratio_of[s] + m];
                     const float* row = all_rows + (long long)row_at * WIDTH;
                     chunk of_rays[CHUNKS];
                     for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
 #pragma clang loop unroll_count(4)
-                    for (int j = 0; j < 2 * reach_of[s] + 1; ++j) {
+                    for (int j = 0; j < count_of[s]; ++j) {
 #pragma unroll
                         for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
                         row += stride;
                     }
                     for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
                 }
-                if (firsts_of[s] + counts[s] < ends[of]) continue;
+                if (firsts_of[s] + counts[s] * apart_of[s] < ends[of]) continue;
                 const int i = pixels[of];
                 const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
                 // Projected colour curves have shallow negative lobes.
@@ -580,11 +618,22 @@ _RAYS = """
 """
 
 
+def _cut_off(deviations: float) -> tuple[float, float]:
+    """Peak and variance of a normal distribution which, cut so far out, still adds up to 1 and has a variance of 1."""
+    variance = 1.0
+    for _ in range(20):
+        end = deviations / math.sqrt(variance)
+        within = math.erf(end / math.sqrt(2.0))
+        variance = 1.0 / (1.0 - math.sqrt(2.0 / math.pi) * end * math.exp(-0.5 * end * end) / within)
+    return 1.0 / (math.sqrt(2.0 * math.pi * variance) * within), variance
+
+
 def native_code(code: str, *, functions: int, source: bool = False, reach: int = REACH) -> str:
     """Code for a table with so many functions of w."""
+    peak, variance = _cut_off(_DEVIATIONS)
     return filled(
         CHUNKS_OF_ROWS + code, WIDTH=3 * functions, SOURCE=int(source), RUN=RUN, AHEAD=_AHEAD, REACH=reach,
-        PARTS=MOST_PARTS,
+        PARTS=MOST_PARTS, DEVIATIONS=f"{_DEVIATIONS}f", PEAK=f"{peak:.8f}f", PER_VARIANCE=f"{1.0 / variance:.8f}f",
     )  # fmt: skip
 
 

@@ -28,8 +28,13 @@ if TYPE_CHECKING:
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
 _REMAINDERS, _MOST_REMAINDER = 96, 4.4
-# Deviations of the blur that its taps reach.
-_REACHED = 2.7
+# Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is at least so
+# many distances of rays, and of a source's lines, whose flanks are seen for themselves.
+_REACHED, _OWN = 2.5, 1.1
+_REACHED_OF_LINES = 3.1
+# Coefficients of a spline are sums of its values times powers of this, by their distance; the ninth is 1e-6.
+_POLE = 2.0 * math.sqrt(2.0) - 3.0
+_FILTERED = 8
 _POSITIONS = 64
 # Variance within one of several parts of a footprint, times their number.
 _WITHIN = 1.2
@@ -344,16 +349,17 @@ def _fill(
 
 
 @functools.cache
-def blending(device: str) -> Any:
-    """The struct ``Blending`` of the kernels, on the device of a name."""
+def blending(device: str, *, is_lines: bool) -> Any:
+    """The struct ``Blending`` of the kernels for a source's lines or a spectrum, on the device of a name."""
     import warp as wp
 
     from warpdiff.kernels import lookup as kernels
 
     result = kernels.Blending()
-    weights, reaches = _blends(kernels.REACH)
+    reached, weigh = (_REACHED_OF_LINES, _cut_off) if is_lines else (_REACHED, _closest)
+    weights, lengths = _blends(2 * kernels.REACH, reached, weigh)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
-    result.reaches = wp.array(reaches, dtype=wp.int32, device=device)
+    result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
     result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
     result.parts = wp.array(_parts(kernels.MOST_PARTS), dtype=wp.float32, device=device)
     return result
@@ -375,24 +381,60 @@ def _parts(most: int) -> NDArray[np.float64]:
     return result
 
 
-@functools.cache
-def _blends(reach: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Weights of the rays around an angle, (variances, fractions, 2 reach + 1), and how far those reach that count."""
-    # So far out that the widest does not come round, as transforms do.
-    fine = np.arange(-1024, 1024) / 64.0
-    spectrum_of_spline = np.fft.rfft(spline(fine))
-    square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
-    offsets = np.arange(-reach, reach + 1)
-    places = offsets - ((np.arange(_POSITIONS) + 0.5) / _POSITIONS - 0.5)[:, None]
-    weights = np.zeros((_REMAINDERS, _POSITIONS, 2 * reach + 1))
-    reaches = np.zeros(_REMAINDERS, dtype=np.int32)
+def _blends(
+    most: int, reached: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Weights of the rays around a place, (variances, fractions, most), and how many of them count.
+
+    The fraction is how far the place lies from the middle of these. ``weigh`` takes the rays' places from there,
+    (n, m), and the blur's variance.
+    """
+    fractions = (np.arange(_POSITIONS) + 0.5) / _POSITIONS - 0.5
+    weights = np.zeros((_REMAINDERS, _POSITIONS, most))
+    lengths = np.zeros(_REMAINDERS, dtype=np.int32)
     for index in range(_REMAINDERS):
         variance = index / (_REMAINDERS - 1) * _MOST_REMAINDER
-        blurred = np.fft.irfft(spectrum_of_spline * np.exp(-0.5 * square * variance), len(fine))
-        reaches[index] = 1 if index == 0 else min(math.ceil(_REACHED * math.sqrt(variance + 0.25)), reach)
-        weights[index] = np.interp(places, fine, blurred) * (np.abs(offsets) <= reaches[index])
-    weights /= weights.sum(axis=2, keepdims=True)
-    return weights.astype(np.float32), reaches
+        count = min(math.ceil(2.0 * reached * math.sqrt(variance + 0.25)), most)
+        weights[index, :, :count] = weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
+        lengths[index] = count
+    return weights.astype(np.float32), lengths
+
+
+def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """Weights of the spline's coefficients under a Gaussian, which is cut off where they end."""
+    # So far out that the widest does not come round, as transforms do.
+    fine = np.arange(-1024, 1024) / 64.0
+    square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
+    blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
+    weights = np.interp(places, fine, blurred)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """Weights of as few coefficients that make the best of a Gaussian of the spectrum's own blur, wherever it lies.
+
+    Its sum with the weights, a function of where it lies, is the Gaussian that is blurred as closely as can be (least
+    squares), and has its area, mean and variance.
+    """
+    further = np.arange(-_FILTERED, _FILTERED + 1)
+    prefilter = math.sqrt(2.0) * _POLE ** np.abs(further)
+
+    def filtered(at: NDArray[np.float64], filters: NDArray[np.float64], own_variance: float) -> NDArray[np.float64]:
+        """A Gaussian, once it has gone through filters."""
+        away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
+        gaussian = np.exp(-0.5 * away**2 / own_variance)
+        return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * own_variance))
+
+    # Products of two coefficients, and of one and of what is wanted, integrated over where the Gaussian lies.
+    order = np.arange(float(places.shape[1]))
+    products = filtered(order[:, None] - order, np.convolve(prefilter, prefilter), 2.0 * _OWN**2)
+    inverse = np.linalg.inv(products)
+    weights = filtered(places, prefilter, 2.0 * _OWN**2 + variance) @ inverse
+    powers = places[:, None, :] ** np.arange(3)[:, None]
+    lacking = np.array([1.0, 0.0, variance + 0.25]) - np.einsum("nm,nkm->nk", weights, powers)
+    changes = powers @ inverse
+    multipliers = np.linalg.solve(changes @ powers.transpose(0, 2, 1), lacking[..., None])
+    return np.asarray(weights + np.einsum("nk,nkm->nm", multipliers[..., 0], changes))
 
 
 def _kappas(reached: tables.Reached) -> tuple[float, float]:

@@ -30,7 +30,7 @@ class Integrator:
         if plan.nodes:
             import warp as wp
 
-            self._blending = colour_table.blending(device.alias)
+            self._blending = colour_table.blending(device.alias, is_lines=plan.coherence.kind == "source")
             self._no_footprints = wp.empty(0, dtype=wp.vec4f, device=device)
 
     def add(
