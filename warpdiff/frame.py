@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import queue
+import threading
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -81,11 +82,12 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Room:
-    """Arrays for rays of tiles, their colours, and what a table leaves out of these."""
+    """Arrays for rays of tiles, their colours, what a table leaves out of these, and the pixels that have the tiles."""
 
     seen: _Seen
     colours: wp.array
     left_out: wp.array
+    tiles: wp.array
 
     @classmethod
     def by(cls, rays: int, integrator: Integrator, *, device: wp.Device) -> _Room:
@@ -93,7 +95,9 @@ class _Room:
         import warp as wp
 
         left_out = wp.empty(rays * integrator.leaves_out, dtype=wp.float32, device=device)
-        return cls(_Seen.by(rays, device=device, means=True), wp.empty(rays, dtype=wp.vec3f, device=device), left_out)
+        colours = wp.empty(rays, dtype=wp.vec3f, device=device)
+        tiles = wp.empty(rays // min(kind.rays for kind in supersample.KINDS), dtype=wp.int32, device=device)
+        return cls(_Seen.by(rays, device=device, means=True), colours, left_out, tiles)
 
 
 class Frame:
@@ -354,23 +358,32 @@ class Frame:
         colours: wp.array,
     ) -> None:
         """Set the colours of some pixels to the means over tiles of rays."""
-        import warp as wp
-
         parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
         # The largest first, so that threads finish together.
         parts.sort(key=lambda each: -len(each[1]) * each[0].kind.rays)
-        rooms = self._rooms
+        # Of each thread: its room, and what it launches for pixels of a kind, whichever they are.
+        taken: dict[int, tuple[_Room, dict[int, list[Step]]]] = {}
 
         def work(each: tuple[supersample.Batch, range]) -> None:
-            (batch, part), room = each, rooms.get()
-            room.colours.zero_()
-            tiles = wp.array(batch.pixels[part.start : part.stop], dtype=wp.int32, device=self._device)
-            steps = self._steps_of_tiles(integrator, which, illuminant, batch.kind, tiles, room, colours)
-            count = len(part) * batch.kind.rays
-            launch_in_turn(steps, count, least_slice=count, device=self._device, threads=1)
-            rooms.put(room)
+            batch, part = each
+            kind, pixels = batch.kind, batch.pixels[part.start : part.stop]
+            thread = threading.get_ident()
+            if thread not in taken:
+                taken[thread] = self._rooms.get(), {}
+            room, steps = taken[thread]
+            if kind.index not in steps:
+                tiles = room.tiles[: supersample.MOST_RAYS // kind.rays]
+                steps[kind.index] = self._steps_of_tiles(integrator, which, illuminant, kind, tiles, room, colours)
+            count = len(pixels) * kind.rays
+            room.tiles.numpy()[: len(pixels)] = pixels
+            room.colours.numpy()[:count] = 0.0
+            # Look-ups take whole runs.
+            room.seen.gains.numpy()[count:] = 0.0
+            launch_in_turn(steps[kind.index], count, least_slice=count, device=self._device, threads=1)
 
         side_by_side(work, parts, threads=self._threads)
+        for room, _ in taken.values():
+            self._rooms.put(room)
 
     def _prepare_tiles(self, integrator: Integrator) -> None:
         """Make what each thread meets tiles with, here, as other threads' memory is given back each time."""
@@ -419,7 +432,6 @@ class Frame:
             # The pigment of the pixel's own ray stays.
             *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
             self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
-            # Look-ups take whole runs of those that there are gains of.
             *integrator.steps(
                 deflections, to_lights, gains[: len(tiles) * kind.rays], illuminant, room.colours, seen.footprints,
                 room.left_out,
