@@ -401,7 +401,7 @@ _MEANS = """
         }
         // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
         for (int k = 0; k < filled; ++k)
-            spacings[k] = 0.5f * widths[octaves + wp::clamp((int)(places[k] * table.per_octave), 0, octaves - 1)];
+            spacings[k] = widths[octaves + wp::clamp((int)(places[k] * table.per_octave), 0, octaves - 1)];
         for (int k = 0; k < filled; ++k) {
             // A source's lines are narrower than the rays are apart, and what blurs them has that in it.
             const float across2 = aside2[k] + (SOURCE ? 1.0e-12f : spacings[k] * spacings[k]);
