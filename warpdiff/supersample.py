@@ -81,7 +81,7 @@ _TILES = (
 # By their number of rays; other numbers make no grid.
 TILES = {tile.across**2: tile for tile in _TILES}
 # Pixels whose predicted error exceeds the tolerance by these factors take so many rays.
-_TAKEN = ((1.0, TILES[4]), (1.5, TILES[9]), (3.0, TILES[25]))
+_TAKEN = ((1.0, TILES[9]), (3.0, TILES[25]))
 
 
 @functools.cache
