@@ -461,7 +461,7 @@ _MEANS = """
                 tap_of[s] = step * fractions * all_taps;
                 row_of[s] = firsts[at] + firsts_of[s] - octave * size;
             }
-            // The exponential function as the 16th power of four terms of its series.
+            // The exponential function as the 16th power of its series up to the fourth.
             auto weight_at = [&](int s, int m) {
                 const float t = (aways[s] + (float)(m * apart_of[s])) * per_deviation[s], t2 = t * t;
                 const float x = (-0.5f * PER_VARIANCE / 16.0f) * t2;
