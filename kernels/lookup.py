@@ -244,8 +244,8 @@ _MEANS = """
     // the mirror direction and is no range of angles.
     constexpr float MOST_TURN = 0.06f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
     // Beyond a variance of NARROW nodes have the Gaussian itself for weights, out to so many DEVIATIONS, and lie as far
-    // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ), and
-    // rays where these turn from node to node.
+    // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ) and
+    // what else is in them, and rays where these turn from node to node.
     constexpr float NARROW = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
     const float per_log = table.per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
     const int size = table.nodes, octaves = table.rays.shape[1], levels = table.rays.shape[0], count = end - begin;
@@ -317,6 +317,7 @@ _MEANS = """
 
     chunk sum[CHUNKS];
     for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+    float whole = 0.0f;
     int pixel = 0, part = 0;
     for (;;) {
         // The next parts: where they lie, and their variances in angle and in ln |(u, v)|, and their covariance.
@@ -396,8 +397,9 @@ _MEANS = """
             turn_of[k] = b * per_log / variance;
             aside2[k] = larger(a2 - turn_of[k] * b * per_log, 0.0f);
             deviations[k] = deviation;
-            // A sixth of the third moment of ln |(u, v)| in deviations: what is less is further away.
-            skews[k] = 0.5f * (b * b - r2 * r2) * per_log * per_log * per_log / (variance * deviation);
+            // A sixth of the third moment of ln |(u, v)| in deviations, of what goes along it: the lower half reaches
+            // further. What an angle that goes with it adds is not that of rays that lie on a line.
+            skews[k] = -0.5f * r2 * r2 * per_log * per_log * per_log / (variance * deviation);
         }
         // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
         for (int k = 0; k < filled; ++k)
@@ -406,10 +408,10 @@ _MEANS = """
             // A source's lines are narrower than the rays are apart, and what blurs them has that in it.
             const float across2 = aside2[k] + (SOURCE ? 1.0e-12f : spacings[k] * spacings[k]);
             const float variance = deviations[k] * deviations[k];
-            const float most = MOST_APART / wp::sqrt(per_curves2 + turn_of[k] * turn_of[k] / across2 + 1.0f / variance);
-            const bool narrow = variance < NARROW + 0.25f && most < 2.0f;
+            const float sharp = wp::sqrt(per_curves2 + turn_of[k] * turn_of[k] / across2 + 1.0f / variance);
+            const float most = MOST_APART / (sharp + table.wiggles);
             aparts[k] = most < 2.0f ? 1 : most < 4.0f ? 2 : most < 8.0f ? 4 : 8;
-            steps[k] = narrow ? (int)((variance - 0.25f) * blending.per_variance + 0.5f) : -1;
+            steps[k] = variance < NARROW + 0.25f ? (int)((variance - 0.25f) * blending.per_variance + 0.5f) : -1;
         }
         for (int k = 0; k < filled; ++k) counted[k] = lengths[steps[k] < 0 ? 0 : steps[k]];
         for (int k = 0; k < filled; ++k) {
@@ -461,7 +463,7 @@ _MEANS = """
                 tap_of[s] = step * fractions * all_taps;
                 row_of[s] = firsts[at] + firsts_of[s] - octave * size;
             }
-            // The exponential function as the 16th power of its series up to the fourth.
+            // A Gaussian up to a factor, as the 16th power of a series up to the fourth.
             auto weight_at = [&](int s, int m) {
                 const float t = (aways[s] + (float)(m * apart_of[s])) * per_deviation[s], t2 = t * t;
                 const float x = (-0.5f * PER_VARIANCE / 16.0f) * t2;
@@ -469,7 +471,7 @@ _MEANS = """
                 falloff *= falloff;
                 falloff *= falloff;
                 falloff *= falloff;
-                falloff *= falloff * PEAK * (float)apart_of[s] * per_deviation[s];
+                falloff *= falloff;
                 return falloff * larger(1.0f + skew_of[s] * t * (t2 - 3.0f), 0.0f);
             };
             auto node_at = [&](int s, int m, int& row, int& tap) {
@@ -510,15 +512,16 @@ _MEANS = """
                 if (s + AHEAD < segments) ask(s + AHEAD);
 #endif
                 const int of = part_of[s];
-                const float* const narrow = taps + ratios[of] + firsts_of[s];
+                const bool wide = steps[of] < 0;
+                const float* const narrow = taps + (wide ? 0 : ratios[of] + firsts_of[s]);
                 for (int m = 0; m < counts[s]; ++m) {
 #if defined(__CUDA_ARCH__)
                     int row_at, tap_at;
                     node_at(s, m, row_at, tap_at);
-                    const float weight = steps[of] < 0 ? weight_at(s, m) : narrow[m];
+                    const float weight = wide ? weight_at(s, m) : narrow[m];
 #else
                     const int row_at = rows[s][m], tap_at = taps_of[s][m];
-                    const float weight = (steps[of] < 0 ? weights[s] : narrow)[m];
+                    const float weight = (wide ? weights[s] : narrow)[m];
 #endif
                     const float* row = all_rows + (long long)row_at * WIDTH;
                     chunk of_rays[CHUNKS];
@@ -530,13 +533,16 @@ _MEANS = """
                         row += stride;
                     }
                     for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
+                    whole += weight;
                 }
                 if (firsts_of[s] + counts[s] * apart_of[s] < ends[of]) continue;
                 const int i = pixels[of];
                 const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
                 // Projected colour curves have shallow negative lobes.
-                for (int c = 0; c < 3; ++c) out[3 * i + c] += shares[of] * larger(colour[c], 0.0f);
+                const float share = wide ? shares[of] / larger(whole, 1.0e-6f) : shares[of];
+                for (int c = 0; c < 3; ++c) out[3 * i + c] += share * larger(colour[c], 0.0f);
                 for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+                whole = 0.0f;
             }
         }
     }
@@ -618,22 +624,22 @@ _RAYS = """
 """
 
 
-def _cut_off(deviations: float) -> tuple[float, float]:
-    """Peak and variance of a normal distribution which, cut so far out, still adds up to 1 and has a variance of 1."""
+def _variance_before(deviations: float) -> float:
+    """Variance of a normal distribution that has one of 1 once it is cut so far out."""
     variance = 1.0
     for _ in range(20):
         end = deviations / math.sqrt(variance)
         within = math.erf(end / math.sqrt(2.0))
         variance = 1.0 / (1.0 - math.sqrt(2.0 / math.pi) * end * math.exp(-0.5 * end * end) / within)
-    return 1.0 / (math.sqrt(2.0 * math.pi * variance) * within), variance
+    return variance
 
 
 def native_code(code: str, *, functions: int, source: bool = False, reach: int = REACH) -> str:
     """Code for a table with so many functions of w."""
-    peak, variance = _cut_off(_DEVIATIONS)
     return filled(
         CHUNKS_OF_ROWS + code, WIDTH=3 * functions, SOURCE=int(source), RUN=RUN, AHEAD=_AHEAD, REACH=reach,
-        PARTS=MOST_PARTS, DEVIATIONS=f"{_DEVIATIONS}f", PEAK=f"{peak:.8f}f", PER_VARIANCE=f"{1.0 / variance:.8f}f",
+        PARTS=MOST_PARTS, DEVIATIONS=f"{_DEVIATIONS}f",
+        PER_VARIANCE=f"{1.0 / _variance_before(_DEVIATIONS):.8f}f",
     )  # fmt: skip
 
 
@@ -665,6 +671,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         nodes: wp.int32  # nodes an octave
         per_log: wp.float32  # nodes per unit of ln |(u, v)|
         per_octave: wp.float32  # octaves a node
+        wiggles: wp.float32  # what of colours is sharper than the curves, from node to node; see ``colour_table``
         node_of_one: wp.float32  # the node where |(u, v)| is 1
         least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
         spread: wp.float32  # of a single coefficient's lobe in |(u, v)|, at a middle wavelength

@@ -113,8 +113,11 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, blurred, rng):
         np.testing.assert_array_equal(colours(begin, end), together[begin:end])
 
 
-@pytest.mark.parametrize(("widest", "median", "most"), [(0.04, 7e-3, 2.5e-2), (0.12, 1.2e-2, 4e-2)])
-def test_means_are_those_of_points(fingers, rng, widest, median, most):
+@pytest.mark.parametrize(
+    ("widest", "turn", "median", "most"),
+    [(0.04, 0.05, 7e-3, 2.5e-2), (0.12, 0.05, 1.2e-2, 4e-2), (0.05, 0.2, 0.03, 0.2)],
+)
+def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     """Of footprints that are lines, along and aslant, of which wide ones take fewer nodes and have a skew."""
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
@@ -123,7 +126,7 @@ def test_means_are_those_of_points(fingers, rng, widest, median, most):
     angles, sizes = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.5, 0.9, count)
     along = sizes[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     aside = along[:, ::-1] * [-1.0, 1.0]
-    spreads = rng.uniform(0.3 * widest, widest, (count, 1)) * along + rng.uniform(-0.05, 0.05, (count, 1)) * aside
+    spreads = rng.uniform(0.3 * widest, widest, (count, 1)) * along + rng.uniform(-turn, turn, (count, 1)) * aside
 
     def colours(made, uv, footprints):
         xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
@@ -145,6 +148,12 @@ def test_means_are_those_of_points(fingers, rng, widest, median, most):
     relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < median
     assert np.percentile(relative, 90.0) < most
+
+
+def test_nodes_are_skipped_under_smooth_lights_alone():
+    per_log = 32.0 / np.log(2.0)
+    assert all(colour_table._is_smooth(name, per_log) for name in ("D65", "D50", "A", "E"))
+    assert not any(colour_table._is_smooth(name, per_log) for name in ("FL2", "FL11", "HP1"))
 
 
 @pytest.mark.parametrize(("is_lines", "own", "worst"), [(False, 1.1, 0.03), (False, 1.8, 0.015), (True, 0.8, 0.05)])

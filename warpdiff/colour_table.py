@@ -28,14 +28,18 @@ if TYPE_CHECKING:
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
 _REMAINDERS, _MOST_REMAINDER = 96, 4.4
-# Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is at least so
-# many distances of rays, and of a source's lines, whose flanks are seen for themselves.
+# Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is about so many
+# distances of rays in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's lines, whose
+# flanks are seen for themselves.
 _REACHED, _OWN = 2.5, 1.1
 _REACHED_OF_LINES = 3.1
 # Coefficients of a spline are sums of its values times powers of this, by their distance; the ninth is 1e-6.
 _POLE = 2.0 * math.sqrt(2.0) - 3.0
 _FILTERED = 8
 _POSITIONS = 64
+# Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
+# second node takes for none, and so many deviations from what else is in them.
+_LEFT_AT_ALIAS, _SAFE_DEVIATIONS, _NEVER = 0.05, 4.2, 1e6
 # Variance within one of several parts of a footprint, times their number.
 _WITHIN = 1.2
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
@@ -63,6 +67,7 @@ class _Source:
         at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes).
         mirror: Of powers, the mean plane's, which rows leave out, at ``_MIRROR_ENTRIES`` equally spaced |κ|.
         lobe2: Variance of a coefficient's lobe in frequency [1/µm²]; 0 for a source, whose is one of (u, v).
+        phase: How fast powers turn with ln λ at most [rad].
         coherence: What the table is for.
     """
 
@@ -73,6 +78,7 @@ class _Source:
     at_kappas: NDArray[np.float32]
     mirror: NDArray[np.float32]
     lobe2: float
+    phase: float
     coherence: Coherence
 
     @property
@@ -200,7 +206,8 @@ def _source(
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
     layout = Layout.of(plan, reached.frequency)
     lobe2 = 0.0 if plan.coherence.sigma_um is None else 0.5 / tables.falloff_um2(plan.coherence)
-    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, plan.coherence)
+    phase = 2.0 * math.pi * kappas[1] * hf.height_range_um
+    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, phase, plan.coherence)
 
 
 def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -245,6 +252,7 @@ def _coloured(
     table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
+    table.wiggles = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NEVER
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
     table.spread = math.sqrt(source.lobe2) * MIDDLE_UM
@@ -411,7 +419,7 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Weights of as few coefficients that make the best of a Gaussian of the spectrum's own blur, wherever it lies.
+    """Weights of these coefficients that make the best of a Gaussian of the spectrum's own blur, wherever it lies.
 
     Its sum with the weights, a function of where it lies, is the Gaussian that is blurred as closely as can be (least
     squares), and has its area, mean and variance.
@@ -435,6 +443,14 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
     changes = powers @ inverse
     multipliers = np.linalg.solve(changes @ powers.transpose(0, 2, 1), lacking[..., None])
     return np.asarray(weights + np.einsum("nk,nkm->nm", multipliers[..., 0], changes))
+
+
+def _is_smooth(illuminant: str, per_log: float) -> bool:
+    """Whether colours under a light are so smooth in ln λ that every second node tells their mean; lines are not."""
+    products = spectrum.colour_products(illuminant)
+    logs = np.log(np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1))
+    left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
+    return bool(left.max() < _LEFT_AT_ALIAS)
 
 
 def _kappas(reached: tables.Reached) -> tuple[float, float]:
