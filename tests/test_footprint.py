@@ -16,7 +16,8 @@ from warpdiff.kernels import directions
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
-RAYS = 144
+# Of 144, P99 of the best pictures was their own noise: 0.25, and 0.06 against these.
+RAYS = 1024
 
 
 @pytest.fixture(scope="module")
@@ -271,8 +272,7 @@ def test_steep_pixels_take_more_rays(tube, fingers, pictures):
     shares = [each.plan.supersampled for each in (lax, some, blurred)]
     assert 0.0 <= shares[0] < 0.1 < shares[1] < shares[2] <= 1.0
     assert "took more rays" in str(blurred.plan)
-    # Beyond these the reference's own rays err more: against 1,024 of them P99 falls from 0.37 to 0.07 and 0.06.
-    for quantile in (50.0, 90.0, 95.0):
+    for quantile in (50.0, 90.0, 99.0):
         found = [np.percentile(errors(each, exact), quantile) for each in (lax, some, blurred)]
         assert found[2] <= found[1] < 0.8 * found[0]
     np.testing.assert_array_equal(lax.coverage, blurred.coverage)

@@ -33,9 +33,8 @@ _REMAINDERS, _MOST_REMAINDER = 96, 4.4
 # flanks are seen for themselves.
 _REACHED, _OWN = 2.5, 1.1
 _REACHED_OF_LINES = 3.1
-# Coefficients of a spline are sums of its values times powers of this, by their distance; the ninth is 1e-6.
-_POLE = 2.0 * math.sqrt(2.0) - 3.0
-_FILTERED = 8
+# A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
+_PREFILTER = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** np.abs(np.arange(-8, 9))
 _POSITIONS = 64
 # Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
 # second node takes for none, and so many deviations from what else is in them.
@@ -424,25 +423,29 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
     Its sum with the weights, a function of where it lies, is the Gaussian that is blurred as closely as can be (least
     squares), and has its area, mean and variance.
     """
-    further = np.arange(-_FILTERED, _FILTERED + 1)
-    prefilter = math.sqrt(2.0) * _POLE ** np.abs(further)
-
-    def filtered(at: NDArray[np.float64], filters: NDArray[np.float64], own_variance: float) -> NDArray[np.float64]:
-        """A Gaussian, once it has gone through filters."""
-        away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
-        gaussian = np.exp(-0.5 * away**2 / own_variance)
-        return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * own_variance))
-
-    # Products of two coefficients, and of one and of what is wanted, integrated over where the Gaussian lies.
-    order = np.arange(float(places.shape[1]))
-    products = filtered(order[:, None] - order, np.convolve(prefilter, prefilter), 2.0 * _OWN**2)
-    inverse = np.linalg.inv(products)
-    weights = filtered(places, prefilter, 2.0 * _OWN**2 + variance) @ inverse
+    # Products of a coefficient and of what is wanted, integrated over where the Gaussian lies.
+    inverse = _inverse_products(places.shape[1])
+    weights = _filtered(places, _PREFILTER, 2.0 * _OWN**2 + variance) @ inverse
     powers = places[:, None, :] ** np.arange(3)[:, None]
     lacking = np.array([1.0, 0.0, variance + 0.25]) - np.einsum("nm,nkm->nk", weights, powers)
     changes = powers @ inverse
     multipliers = np.linalg.solve(changes @ powers.transpose(0, 2, 1), lacking[..., None])
     return np.asarray(weights + np.einsum("nk,nkm->nm", multipliers[..., 0], changes))
+
+
+@functools.cache
+def _inverse_products(count: int) -> NDArray[np.float64]:
+    """The inverse of the products of two of so many coefficients, integrated over where the Gaussian lies."""
+    order = np.arange(float(count))
+    products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN**2)
+    return np.asarray(np.linalg.inv(products), dtype=np.float64)
+
+
+def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """A Gaussian, once it has gone through filters."""
+    away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
+    gaussian = np.exp(-0.5 * away**2 / variance)
+    return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
 def _is_smooth(illuminant: str, per_log: float) -> bool:
