@@ -462,6 +462,69 @@ def classify(
     classes_of(colours, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out)
 
 
+# Most pixels are of no class from 2 on, eight of them at a time.
+_LIST_STEEP = """
+    const unsigned char* const of_pixels = (const unsigned char*)classes.data;
+    const int kinds = (int)lists_out.shape[0];
+    int* const counts = (int*)counts_out.data + (long long)part * (kinds + 1);
+    for (int kind = 0; kind <= kinds; ++kind) counts[kind] = 0;
+    for (int from = begin; from < end; from += 8) {
+        unsigned long long eight = 0;
+        memcpy(&eight, of_pixels + from, end - from < 8 ? end - from : 8);
+        if ((eight & 0xfefefefefefefefeULL) == 0) {
+            counts[kinds] += (int)((eight * 0x0101010101010101ULL) >> 56);
+            continue;
+        }
+        for (int i = from; i < end && i < from + 8; ++i) {
+            const int kind = of_pixels[i] - 2;
+            counts[kinds] += kind >= -1;
+            if (kind >= 0)
+                ((int*)lists_out.data)[kind * (long long)lists_out.shape[1] + begin + counts[kind]++] = i;
+        }
+    }
+"""
+
+
+@wp.func_native(_LIST_STEEP)
+def list_classes(
+    classes: wp.array(dtype=wp.uint8),
+    begin: wp.int32,
+    end: wp.int32,
+    part: wp.int32,
+    lists_out: wp.array2d(dtype=wp.int32),
+    counts_out: wp.array2d(dtype=wp.int32),
+):
+    """The pixels of each class from 2 on, one after the other."""
+
+
+@wp.kernel
+def list_steep(
+    # In:
+    colours: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    width: wp.int32,
+    floor: wp.array(dtype=wp.float32),
+    bounds: wp.array(dtype=wp.float32),
+    begins: wp.int32,
+    size: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    classes_out: wp.array(dtype=wp.uint8),
+    lists_out: wp.array2d(dtype=wp.int32),
+    counts_out: wp.array2d(dtype=wp.int32),
+):
+    """The pixels of each class of ``classify`` from 2 on in parts of a picture, of a ``size`` but for the last.
+
+    The first part begins at the pixel ``begins``. A part's lists lie in ``lists_out``, (classes, pixels), from its
+    first pixel on; ``counts_out``, (parts, classes + 1), are their lengths, and at the end how many pixels are lit.
+    """
+    thread, _ = wp.tid()
+    begin = first + thread * run
+    classes_of(colours, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out)
+    list_classes(classes_out, begin, begin + run, (begin - begins) // size, lists_out, counts_out)
+
+
 @wp.kernel
 def gather(
     # In:

@@ -3,8 +3,9 @@
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.coverage import cover_run
 from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import SPECIAL, Camera, Pixels, Sampling, SurfaceArrays
+from warpdiff.kernels.scene import SPECIAL, Camera, Pixels, Sampling, SurfaceArrays, Tiles
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, stand_abreast
 
 # Infinities stay defined, by which the hierarchy decides whether a ray hits.
@@ -12,7 +13,7 @@ wp.set_module_options(spectral.OPTIONS)
 
 # Beyond any distance between two points of the unit sphere.
 FAR = wp.constant(wp.float32(4.0))
-# Of a pixel that no face covers.
+# Of a ray that meets no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 # Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),
@@ -99,145 +100,32 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     return (1.0 - fy) * top + fy * bottom
 
 
-# Atomic, as slices of a launch run on several threads.
-_KEEP_NEAREST = """
-    unsigned long long* place = (unsigned long long*)values.data + index;
-    union { float number; unsigned int bits; } key;
-    key.number = distance;
-    unsigned long long candidate = ((unsigned long long)key.bits << 32) | (unsigned int)face;
-#if defined(__CUDA_ARCH__)
-    atomicMin(place, candidate);
-#else
-    unsigned long long found = __atomic_load_n(place, __ATOMIC_RELAXED);
-    while (candidate < found
-        && !__atomic_compare_exchange_n(place, &found, candidate, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
-#endif
-"""
-
-
-@wp.func_native(_KEEP_NEAREST)
-def keep_nearest(values: wp.array(dtype=wp.uint64), index: wp.int32, distance: wp.float32, face: wp.int32):
-    """Keep a face if it is nearer than what is there."""
-
-
-@wp.func
-def in_picture(camera: Camera, position: wp.vec3f) -> wp.vec3d:
-    """Column and row of a point, in pixels, and its distance along the view."""
-    away = wp.vec3d(position) - camera.axes[0]
-    depth = -wp.dot(away, camera.axes[3])
-    scale = wp.float64(1.0)
-    if not camera.orthographic:
-        scale = wp.float64(1.0) / depth
-    x = wp.dot(away, camera.axes[1]) * scale / camera.axes[4][0]
-    y = wp.dot(away, camera.axes[2]) * scale / camera.axes[4][1]
-    half = wp.float64(0.5)
-    one = wp.float64(1.0)
-    return wp.vec3d(half * (one + x) * wp.float64(camera.width), half * (one - y) * wp.float64(camera.height), depth)
-
-
-@wp.func
-def beside(a: wp.vec3d, b: wp.vec3d, is_first: wp.bool, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Twice the area between an edge and a point of the picture; that of the edge reversed is its exact negative."""
-    if is_first:
-        return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-    return (a[1] - b[1]) * (x - b[0]) - (a[0] - b[0]) * (y - b[1])
-
-
-@wp.func
-def per_row(a: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """By how much an edge moves along a row from one row to the next; 0 for one along rows."""
-    down = b[1] - a[1]
-    result = wp.float64(0.0)
-    if down != wp.float64(0.0):
-        result = (b[0] - a[0]) / down
-    return result
-
-
-@wp.func
-def clipped(span: wp.vec2d, a: wp.vec3d, b: wp.vec3d, slope: wp.float64, side: wp.float64, y: wp.float64) -> wp.vec2d:
-    """The part of a row's span that may lie inside an edge."""
-    rise = side * (a[1] - b[1])
-    crossing = a[0] + slope * (y - a[1])
-    result = span
-    if rise > wp.float64(0.0):
-        result[0] = wp.max(span[0], crossing)
-    elif rise < wp.float64(0.0):
-        result[1] = wp.min(span[1], crossing)
-    return result
-
-
 @wp.kernel
 def cover(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
+    tiles: Tiles,
     first: wp.int32,
     run: wp.int32,
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
+    rows_out: wp.array(dtype=wp.int32),
 ):
-    """Which face each pixel's centre sees, face by face, of a mesh that lies wholly in front of the eye.
-
-    A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
+    """Which face the ray through each pixel's centre sees, or each of tiles, of a mesh wholly in front of the eye.
 
     Args:
         camera: The view.
         surface: The mesh.
+        tiles: Pixels with tiles of rays; empty stands for the centres of all pixels.
         first: The first thread's face.
         run: How many a thread takes.
         nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
             kept. All bits set is none.
+        rows_out: The least and the largest row in which a face lies, from those that are there on; or empty.
     """
-    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        i0 = surface.faces[face, 0]
-        i1 = surface.faces[face, 1]
-        i2 = surface.faces[face, 2]
-        p0 = in_picture(camera, surface.positions[i0])
-        p1 = in_picture(camera, surface.positions[i1])
-        p2 = in_picture(camera, surface.positions[i2])
-        zero = wp.float64(0.0)
-        half = wp.float64(0.5)
-        side = wp.float64(1.0)
-        if (p1[0] - p0[0]) * (p2[1] - p0[1]) - (p1[1] - p0[1]) * (p2[0] - p0[0]) < zero:
-            side = wp.float64(-1.0)
-        # Distances from the sphere around the mesh: a float32 of those from a distant eye would tell no faces apart.
-        nearest = wp.max(wp.dot(camera.axes[0], camera.axes[3]) - wp.float64(1.0), zero)
-        low_y = wp.max(wp.ceil(wp.min(wp.min(p0[1], p1[1]), p2[1]) - half), zero)
-        high_y = wp.min(wp.floor(wp.max(wp.max(p0[1], p1[1]), p2[1]) - half), wp.float64(camera.height - 1))
-        least_x = wp.max(wp.ceil(wp.min(wp.min(p0[0], p1[0]), p2[0]) - half), zero)
-        most_x = wp.min(wp.floor(wp.max(wp.max(p0[0], p1[0]), p2[0]) - half), wp.float64(camera.width - 1))
-        if low_y > high_y or least_x > most_x:
-            continue
-        slope0 = per_row(p1, p2)
-        slope1 = per_row(p2, p0)
-        slope2 = per_row(p0, p1)
-        one = wp.float64(1.0)
-        near0 = one / p0[2]
-        near1 = one / p1[2]
-        near2 = one / p2[2]
-        for row in range(wp.int32(low_y), wp.int32(high_y) + 1):
-            y = wp.float64(row) + half
-            # A pixel's width of slack: what counts is tested below.
-            span = wp.vec2d(least_x - half, most_x + wp.float64(1.5))
-            span = clipped(span, p1, p2, slope0, side, y)
-            span = clipped(span, p2, p0, slope1, side, y)
-            span = clipped(span, p0, p1, slope2, side, y)
-            start = wp.max(wp.floor(span[0] - half), least_x)
-            end = wp.min(wp.ceil(span[1] - half), most_x)
-            for column in range(wp.int32(start), wp.int32(end) + 1):
-                x = wp.float64(column) + half
-                e0 = side * beside(p1, p2, i1 < i2, x, y)
-                e1 = side * beside(p2, p0, i2 < i0, x, y)
-                e2 = side * beside(p0, p1, i0 < i1, x, y)
-                total = e0 + e1 + e2
-                if e0 >= zero and e1 >= zero and e2 >= zero and total > zero:
-                    depth = zero
-                    if camera.orthographic:
-                        depth = (e0 * p0[2] + e1 * p1[2] + e2 * p2[2]) / total
-                    else:
-                        depth = total / (e0 * near0 + e1 * near1 + e2 * near2)
-                    distance = wp.max(wp.float32(depth - nearest), wp.float32(0.0))
-                    keep_nearest(nearest_out, row * camera.width + column, distance, face)
+    begin = first + wp.tid() * run
+    cover_run(camera, surface, tiles, begin, begin + run, nearest_out, rows_out)
 
 
 @wp.func
@@ -330,38 +218,24 @@ def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
 
 
 # Rays with a face each side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a
-# time. Rays that meet none of the faces that are known are marked.
-_MEET_KNOWN = """
+# time.
+_MEET = """
     const double* const axes = (const double*)camera.axes.data;
     const int* const faces = (const int*)surface.faces.data;
     const float* const positions = (const float*)surface.positions.data;
     const unsigned long long* const nearest = (const unsigned long long*)pixels.nearest.data;
     const int* const tiles = (const int*)sampling.tiles.data;
     const double* const places = (const double*)sampling.places.data;
-    const int* const centres = (const int*)sampling.faces.data;
     int* const hit = (int*)pixels.hit.data;
     int* const face_at = (int*)pixels.face.data;
     float* const place_at = (float*)pixels.place.data;
     float* const view_at = (float*)pixels.to_view.data;
-    const bool is_seen = pixels.nearest.shape[0] > 0, orthographic = camera.orthographic;
-    const int width = camera.width, size = (int)sampling.faces.shape[0];
+    const bool orthographic = camera.orthographic, of_tiles = sampling.tiles.shape[0] > 0;
+    const int width = camera.width, of_tile = of_tiles ? (int)sampling.places.shape[0] : 1;
     const double per_width = 2.0 * axes[12] / width, per_height = 2.0 * axes[13] / camera.height;
-    // Rays that are to meet faces: where they are in the picture, and their pixels' own faces.
-    int rays[ABREAST], met[ABREAST], own[ABREAST], number = 0;
+    // Rays that meet a face, and where they are in the picture.
+    int rays[ABREAST], met[ABREAST], number = 0;
     double right[ABREAST], down[ABREAST];
-    // The last ray, the nearest face that it has met, and how far away that is.
-    int now = -1, face = -1, centre = -1, left = 0;
-    double distance = 0.0;
-    auto settle = [&]() {
-        if (face == centre || face < 0) return;
-        // Beside a face that does not touch the pixel's own an edge of the body may lie between.
-        for (int j = 0; centre >= 0 && j < 3; ++j)
-            for (int k = 0; k < 3; ++k)
-                if (faces[3LL * face + j] == faces[3LL * centre + k]) return;
-        hit[now] = SPECIAL;
-        face_at[now] = -1;
-        ++left;
-    };
     auto meet = [&]() {
         float corner[3][3][ABREAST];
         for (int i = 0; i < ABREAST; ++i) {
@@ -370,8 +244,6 @@ _MEET_KNOWN = """
                 for (int c = 0; c < 3; ++c) corner[which][c][i] = positions[3LL * corners[which] + c];
         }
         float views[3][ABREAST], kept[2][ABREAST];
-        double distances[ABREAST];
-        bool within[ABREAST];
         for (int i = 0; i < ABREAST; ++i) {
             // In float64, as the eye may be thousands of radii away.
             const double x = per_width * right[i] - axes[12], y = axes[13] - per_height * down[i];
@@ -402,83 +274,43 @@ _MEET_KNOWN = """
             const double kept1 = wp::min(wp::max(share1, 0.0), 1.0), kept2 = wp::min(wp::max(share2, 0.0), 1.0 - kept1);
             kept[0][i] = (float)(1.0 - kept1 - kept2);
             kept[1][i] = (float)kept1;
-            distances[i] = inverse * (edge2[0] * across1[0] + edge2[1] * across1[1] + edge2[2] * across1[2]);
-            within[i] = determinant != 0.0 && share1 >= 0.0 && share2 >= 0.0 && share1 + share2 <= 1.0;
         }
         for (int i = 0; i < number; ++i) {
-            if (rays[i] != now) {
-                settle();
-                now = rays[i];
-                centre = own[i];
-                face = -1;
-            }
-            if (!is_seen && !(within[i] && (face < 0 || distances[i] < distance))) continue;
-            face = met[i];
-            distance = distances[i];
-            const long long at = now;
-            left -= hit[at] == SPECIAL;
+            const long long at = rays[i];
             hit[at] = 1;
-            face_at[at] = face;
+            face_at[at] = met[i];
             for (int c = 0; c < 2; ++c) place_at[2 * at + c] = kept[c][i];
             for (int c = 0; c < 3; ++c) view_at[3 * at + c] = views[c][i];
         }
         number = 0;
     };
-    auto ask = [&](int ray, int guess, int in_centre, double x, double y) {
-        rays[number] = ray;
-        met[number] = guess;
-        own[number] = in_centre;
-        right[number] = x;
-        down[number] = y;
-        if (++number == ABREAST) meet();
-    };
     for (int i = 0; i < ABREAST; ++i) right[i] = down[i] = 0.0;
-    if (is_seen) {
-        int row = begin / width, column = begin % width;
-        for (int ray = begin; ray < end; ++ray) {
-            hit[ray] = 0;
-            face_at[ray] = -1;
-            const int seen = (int)(unsigned int)nearest[ray];
-            if (nearest[ray] != UNSEEN) ask(ray, seen, seen, column + 0.5, row + 0.5);
-            if (++column == width) {
-                column = 0;
-                ++row;
-            }
+    for (int ray = begin; ray < end;) {
+        const int pixel = of_tiles ? tiles[ray / of_tile] : ray, row = pixel / width, column = pixel % width;
+        // The rest of a row, or of a tile.
+        int count = of_tiles ? of_tile - ray % of_tile : width - column;
+        count = count < end - ray ? count : end - ray;
+        for (int k = 0; k < count; ++k) {
+            const int at = ray + k;
+            hit[at] = 0;
+            face_at[at] = -1;
+            if (nearest[at] == UNSEEN) continue;
+            rays[number] = at;
+            met[number] = (int)(unsigned int)nearest[at];
+            const double* const place = places + 2 * (at % of_tile);
+            right[number] = of_tiles ? column + 0.5 + place[0] : column + k + 0.5;
+            down[number] = of_tiles ? row + 0.5 + place[1] : row + 0.5;
+            if (++number == ABREAST) meet();
         }
-    } else {
-        const int of_tile = (int)sampling.places.shape[0];
-        for (int ray = begin; ray < end;) {
-            const int pixel = tiles[ray / of_tile], row = pixel / width, column = pixel % width;
-            for (int which = ray % of_tile; which < of_tile && ray < end; ++which, ++ray) {
-                hit[ray] = pixel < 0 ? 0 : SPECIAL;
-                face_at[ray] = -1;
-                if (pixel < 0) continue;
-                ++left;
-                // The faces in the centres of the pixel and of those on the ray's side.
-                const double x = places[2 * which], y = places[2 * which + 1];
-                const int aside = x < 0.0 ? -1 : 1, below = y < 0.0 ? -width : width;
-                const int beside[4] = {pixel, pixel + aside, pixel + below, pixel + aside + below};
-                int guesses[4];
-                for (int k = 0; k < 4; ++k) {
-                    guesses[k] = beside[k] >= 0 && beside[k] < size ? centres[beside[k]] : -1;
-                    bool is_new = guesses[k] >= 0;
-                    for (int j = 0; j < k; ++j) is_new &= guesses[j] != guesses[k];
-                    if (is_new) ask(ray, guesses[k], guesses[0], column + 0.5 + x, row + 0.5 + y);
-                }
-            }
-        }
+        ray += count;
     }
     if (number > 0) meet();
-    settle();
-    return left;
 """
 
 
-@wp.func_native(filled(abreast(32) + _MEET_KNOWN, UNSEEN=f"{int(UNSEEN)}ULL", SPECIAL=int(SPECIAL)))
-def meet_known(
-    camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
-) -> wp.int32:
-    """Where rays one after the other meet the faces that their pixels see, or those beside; how many meet none."""
+@wp.func_native(filled(abreast(32) + _MEET, UNSEEN=f"{int(UNSEEN)}ULL"))
+def meet(camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32):
+    """Where rays one after the other meet the faces that are known to be nearest."""
 
 
 @wp.kernel
@@ -502,17 +334,15 @@ def cast(
         run: How many a thread takes.
     """
     begin = first + wp.tid() * run
-    is_known = pixels.nearest.shape[0] > 0 or sampling.faces.shape[0] > 0
-    left = run
-    if is_known:
-        left = meet_known(camera, surface, sampling, pixels, begin, begin + run)
-    if left == 0 and pixels.base_colour.shape[0] == 0:
-        return
-    for ray in range(begin, begin + run):
-        if not is_known or pixels.hit[ray] == SPECIAL:
+    if pixels.nearest.shape[0] > 0:
+        meet(camera, surface, sampling, pixels, begin, begin + run)
+    else:
+        for ray in range(begin, begin + run):
             trace(camera, surface, sampling, pixels, ray)
-        if pixels.base_colour.shape[0] > 0 and pixels.hit[ray] != 0:
-            paint(surface, pixels, ray)
+    if pixels.base_colour.shape[0] > 0:
+        for ray in range(begin, begin + run):
+            if pixels.hit[ray] != 0:
+                paint(surface, pixels, ray)
 
 
 @wp.kernel

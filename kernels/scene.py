@@ -31,7 +31,17 @@ class Sampling:
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels met by a tile of rays each, one after the other, −1 by none; empty is off
     places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
-    faces: wp.array(dtype=wp.int32)  # the face in each pixel's centre, to be tried first by tiles; or empty
+
+
+@wp.struct
+class Tiles:
+    """Square grids of rays about the centres of some pixels: those of each of several kinds one after the other."""
+
+    marks: wp.array(dtype=wp.uint64)  # which pixels have one: a bit each, rows begin with words of 64
+    first_rays: wp.array(dtype=wp.int32)  # of each pixel of the picture that has one; empty where none has
+    ends: wp.array(dtype=wp.int32)  # of each kind: the ray after its last one
+    across: wp.array(dtype=wp.int32)  # rays along a side
+    apart: wp.array(dtype=wp.float64)  # their distance [pixels]
 
 
 @wp.struct
@@ -55,7 +65,7 @@ class SurfaceArrays:
 class Pixels:
     """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
 
-    nearest: wp.array(dtype=wp.uint64)  # what ``cover`` found of pixels' centres; empty asks the hierarchy
+    nearest: wp.array(dtype=wp.uint64)  # what ``cover`` found of these rays; empty asks the hierarchy
     hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face is then of no account
     face: wp.array(dtype=wp.int32)  # the face that is met, or −1
     place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner

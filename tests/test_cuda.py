@@ -19,7 +19,7 @@ SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"native", "scene", "shading_frames"}
+FUNCTIONS_ONLY = {"coverage", "native", "scene", "shading_frames"}
 KERNELS = {
     "raycast": {"cast", "cover", "stand"},
     "shadows": {"count", "fill", "hide", "project"},
@@ -28,6 +28,7 @@ KERNELS = {
         "classify",
         "deflect_pixels",
         "gather",
+        "list_steep",
         "pick",
         "spread_pixels",
         "sum_up",

@@ -7,25 +7,27 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpdiff.device import Step, launch_in_turn, resolve_device, side_by_side
+from warpdiff.device import Step, Work, begin_in_turn, launch_in_turn, resolve_device, side_by_side
 
 THREADS = (1, 2, 5)
 
 
 @pytest.mark.parametrize("threads", THREADS)
 @pytest.mark.parametrize("count", [0, 1, 2, 40])
-def test_every_item_is_worked_on_once_and_what_is_to_be_done_meanwhile_is_done_here(threads, count):
-    done, meanwhile = [], []
-    side_by_side(done.append, range(count), threads=threads, meanwhile=lambda: meanwhile.append(threading.get_ident()))
+def test_every_item_is_worked_on_once(threads, count):
+    done = []
+    side_by_side(done.append, range(count), threads=threads)
     assert sorted(done) == list(range(count))
-    assert meanwhile == [threading.get_ident()]
+    with Work(done.append, range(count), threads=threads):
+        done.append(-1)
+    assert sorted(done) == sorted([*range(count), *range(count), -1])
 
 
 def test_others_work_while_this_thread_does_something_else():
     begun = threading.Event()
     # Would wait in vain if items came after it.
-    side_by_side(lambda _: begun.set(), [0], threads=2, meanwhile=lambda: begun.wait(60.0))
-    assert begun.is_set()
+    with Work(lambda _: begun.set(), [0], threads=2):
+        assert begun.wait(60.0)
 
 
 @pytest.mark.parametrize("threads", THREADS)
@@ -40,12 +42,10 @@ def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads, where):
             raise ValueError("of an item")
         at_work.remove(index)
 
-    def meanwhile():
-        if where == "meanwhile":
-            raise ValueError("of this thread")
-
     with pytest.raises(ValueError, match="of an item" if where == "work" else "of this thread"):
-        side_by_side(work, range(8), threads=threads, meanwhile=meanwhile)
+        with Work(work, range(8), threads=threads):
+            if where == "meanwhile":
+                raise ValueError("of this thread")
     assert at_work == ([3] if where == "work" else [])
 
 
@@ -69,3 +69,24 @@ def test_slices_take_every_element_through_all_kernels_in_turn(threads, size):
     for _ in range(2):
         launch_in_turn(steps, size, device=device, threads=threads)
     np.testing.assert_array_equal(values.numpy(), 4 * np.arange(size) + 6)
+    expected = values.numpy().copy()
+    among = range(size // 3, size // 2)
+    expected[among.start : among.stop] = 2 * expected[among.start : among.stop] + 2
+    begin_in_turn(steps, among, device=device, threads=threads, least_slice=7).finish()
+    np.testing.assert_array_equal(values.numpy(), expected)
+
+
+def test_what_is_prepared_is_launched_by_each_thread_with_indices_of_its_own():
+    device = resolve_device("cpu")
+    values = wp.zeros(64, dtype=wp.int32, device=device)
+    step = Step(add_in_runs, [values], [], in_runs=True)
+    step.prepare(device)
+    both = threading.Barrier(2)
+
+    def launch(first):
+        both.wait(60.0)
+        for k in range(first, 64, 2):
+            step.launch(k, 1, device)
+
+    side_by_side(launch, [0, 1], threads=2)
+    np.testing.assert_array_equal(values.numpy(), 1)

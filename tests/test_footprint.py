@@ -334,4 +334,17 @@ def test_steep_pixels_are_told_by_those_beside_them(size, slices, rng):
     given += [size[1], *(wp.array(each, dtype=wp.float32, device="cpu") for each in ([0.8], bounds))]
     for begin, end in itertools.pairwise(np.linspace(0, gains.size, slices + 1).astype(int)):
         wp.launch(directions.classify, (1, 1), [*given, int(begin), int(end - begin)], [found], device="cpu")
-    np.testing.assert_array_equal(found.numpy().reshape(size), classes_by_hand(colours, gains, 0.8, bounds))
+    expected = classes_by_hand(colours, gains, 0.8, bounds)
+    np.testing.assert_array_equal(found.numpy().reshape(size), expected)
+    # And listed, where that does not begin with the picture.
+    begins, part = gains.size // 3, 50
+    lists = wp.zeros((4, gains.size), dtype=wp.int32, device="cpu")
+    counts = wp.zeros((-(-(gains.size - begins) // part), 5), dtype=wp.int32, device="cpu")
+    for begin in range(begins, gains.size, part):
+        inputs = [*given, begins, part, begin, min(part, gains.size - begin)]
+        wp.launch(directions.list_steep, (1, 1), inputs, [found, lists, counts], device="cpu")
+    flat = expected.ravel()[begins:]
+    assert counts.numpy()[:, -1].sum() == np.count_nonzero(flat)
+    for kind in range(4):
+        listed = [lists.numpy()[kind, begins + k * part :][:count] for k, count in enumerate(counts.numpy()[:, kind])]
+        np.testing.assert_array_equal(np.concatenate(listed), begins + np.flatnonzero(flat == kind + 2))

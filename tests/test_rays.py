@@ -13,10 +13,10 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
-from warpdiff import meshes
+from warpdiff import meshes, supersample
 from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff.kernels import raycast
-from warpdiff.kernels.scene import Pixels, Sampling
+from warpdiff.kernels.scene import Pixels, Sampling, Tiles
 from warpdiff.scene import SceneArrays, camera, lies_ahead, needs_shadow_rays
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
@@ -43,7 +43,9 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     ]
     if covers:
         assert lies_ahead(surface, view)
-        launches.insert(0, (raycast.cover, scene.face_count, inputs, [pixels.nearest]))
+        inputs = [camera_of(view, surface), scene.bare, Tiles()]
+        no_rows = wp.empty(0, dtype=wp.int32, device="cpu")
+        launches.insert(0, (raycast.cover, scene.face_count, inputs, [pixels.nearest, no_rows]))
     for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
             wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
@@ -203,41 +205,92 @@ def test_bodies_beside_and_behind_the_eye_are_left_to_rays():
     assert not lies_ahead(surface, View((0, 1, 4), (0, 2, 8)))
 
 
-def test_rays_of_tiles_find_what_hides_their_pixels_face():
+def plates(_request):
     # Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not.
-    plates = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])])
-    surface = prepare_surface(plates)
+    scene = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])])
+    return scene, View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)
+
+
+def far_away(_request):
+    # Faces are a fraction of a pixel.
+    return meshes.tube(segments_along=64, segments_around=48), View((1.0, 4.0, 9.0), (0, 0, 0), width=130, height=96)
+
+
+def head_on(_request):
+    view = View.orthographic((0.3, 0.2, 3.0), (0, 0, 0), extent_y=1.5, width=64, height=40)
+    return meshes.disc(segments=24, rings=4), view
+
+
+@pytest.mark.parametrize("make", [plates, far_away, head_on])
+@pytest.mark.parametrize("slices", [1, 7])
+def test_rays_of_tiles_are_found_face_by_face(make, slices, request):
+    mesh, view = make(request)
+    surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
-    view = View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=60, height=44)
-    face = cast(surface, view, scene=scene, covers=True)["face"]
-    sampling = Sampling()
-    # And pixels that are none, and such as see nothing in their centres.
-    tiles = np.concatenate([np.flatnonzero(face >= 0), [-1, -1], np.flatnonzero(face < 0)[:40]])
-    places = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
-    sampling.tiles = wp.array(tiles, dtype=wp.int32, device="cpu")
-    sampling.places = wp.array(places, dtype=wp.vec2d, device="cpu")
-    count = len(tiles) * len(places)
-    found = []
-    for tried, slices in ((face, 1), (face[:0], 1), (face, 50)):
-        sampling.faces = wp.array(tried, dtype=wp.int32, device="cpu")
-        pixels = Pixels()
-        pixels.nearest = wp.empty(0, dtype=wp.uint64, device="cpu")
-        for name in OUTPUTS:
-            dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
-            setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
-        pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
-        inputs = [camera_of(view, surface), scene.with_hierarchy(), sampling, pixels]
-        # Some of them begin within a tile.
-        for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
-            wp.launch(raycast.cast, dim=1, inputs=[*inputs, int(begin), int(end - begin)], device="cpu")
-        found.append(pixels.face.numpy())
-        np.testing.assert_array_equal(pixels.hit.numpy(), found[-1] >= 0)
-    np.testing.assert_array_equal(found[2], found[0])
-    alone = np.repeat(np.where(tiles < 0, -1, face[tiles]), len(places))
-    assert np.all(found[0][np.repeat(tiles < 0, len(places))] == -1)
-    assert np.count_nonzero(found[1] != alone) > 100
-    # Rays through an edge may take either face.
-    assert np.mean(found[0] != found[1]) < 1e-3
+    rng = np.random.default_rng(3)
+    # Pixels of two kinds anywhere, at the picture's border and beside the mesh, too.
+    kind_of = rng.integers(0, 5, view.width * view.height)
+    batches, rays = [], 0
+    for kind in supersample.KINDS[::3]:
+        pixels = np.flatnonzero(kind_of == kind.index).astype(np.int32)
+        batches.append(supersample.Batch(kind, pixels, rays))
+        rays = batches[-1].end_ray
+    tiles = supersample.tiles_of(batches, view.width, view.height, wp.get_device("cpu"))
+    nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    rows = wp.array([view.height, -1], dtype=wp.int32, device="cpu")
+    camera = camera_of(view, surface)
+    for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
+        inputs = [camera, scene.bare, tiles, int(begin), int(end - begin)]
+        wp.launch(raycast.cover, 1, inputs, [nearest, rows], device="cpu")
+    hits = 0
+    for batch in batches:
+        sampling = Sampling()
+        sampling.tiles = wp.array(batch.pixels, dtype=wp.int32, device="cpu")
+        sampling.places, _ = batch.kind.tile.on(wp.get_device("cpu"))
+        count = batch.end_ray - batch.first_ray
+        found = []
+        for known in (nearest[batch.first_ray : batch.end_ray], nearest[:0]):
+            pixels = Pixels()
+            pixels.nearest = known
+            for name in OUTPUTS:
+                dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
+                setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
+            pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
+            pixels.base_colour = wp.empty(0, dtype=wp.vec3f, device="cpu")
+            # Some slices begin within a tile.
+            for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
+                inputs = [camera, scene.with_hierarchy(), sampling, pixels, int(begin), int(end - begin)]
+                wp.launch(raycast.cast, 1, inputs, device="cpu")
+            found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
+        (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
+        np.testing.assert_array_equal(hit, face >= 0)
+        # Rays through an edge may take either face.
+        assert np.mean(face != face_by_rays) < 2e-3
+        same = (face == face_by_rays) & (face >= 0)
+        hits += np.count_nonzero(same)
+        np.testing.assert_allclose(place[same], place_by_rays[same], atol=1e-3)
+        np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
+    assert hits > 500
+    seen = np.flatnonzero(cast(surface, view, scene=scene, covers=True)["hit"].reshape(view.height, -1).any(axis=1))
+    assert rows.numpy()[0] <= seen[0]
+    assert rows.numpy()[1] >= seen[-1]
+    assert np.ptp(rows.numpy()) <= np.ptp(seen) + 5
+
+
+def test_tiles_that_pixels_beside_have_none_of_are_left_alone():
+    surface = prepare_surface(wall(size=400.0))
+    scene = SceneArrays(surface, device="cpu")
+    view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
+    # At the ends of words and rows.
+    pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
+    batch = supersample.Batch(supersample.KINDS[0], pixels, 0)
+    tiles = supersample.tiles_of([batch], view.width, view.height, wp.get_device("cpu"))
+    nearest = wp.full(batch.end_ray + 500, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    inputs = [camera_of(view, surface), scene.bare, tiles, 0, scene.face_count]
+    wp.launch(raycast.cover, 1, inputs, [nearest, wp.empty(0, dtype=wp.int32, device="cpu")], device="cpu")
+    met = nearest.numpy() != int(raycast.UNSEEN)
+    assert np.all(met[: batch.end_ray])
+    assert not np.any(met[batch.end_ray :])
 
 
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])

@@ -105,6 +105,25 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", "source"])
+def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
+    """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
+    plan, count, options = CASES[name]
+    size = {"width": WIDTH, "height": HEIGHT}
+    near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
+    beside = wd.View((0.0, 0.0, 5.0), (0.0, 4.5, 4.0), up=(0, 0, 1), fov_y_deg=20.0, **size)
+    within = wd.View((0.2, 0.0, 0.1), (1.0, 0.0, 0.0), **size)
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], near, plan=plans[plan], **options)
+    seen = []
+    for camera in (far, near, beside, near, within, far, beside):
+        drawn.draw(view=camera)
+        expected = wd.shade(tube, fingers, LIGHTS[:count], camera, plan=plans[plan], **options)
+        same(drawn.image(), expected)
+        np.testing.assert_array_equal(expected.xyz[~expected.mask], 0.0)
+        seen.append(np.count_nonzero(expected.mask))
+    assert 0 == seen[2] == seen[6] < seen[0] == seen[5] < seen[1] == seen[3] < seen[4]
+
+
 @pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", "source"])
 def test_the_light_may_change_alone(tube, fingers, plans, name):
     plan, count, options = CASES[name]

@@ -10,7 +10,7 @@ from conftest import hemisphere
 import warpdiff as wd
 from warpdiff.device import launch_in_turn, resolve_device
 from warpdiff.scope import Pilots, Scope
-from warpdiff.survey import Survey
+from warpdiff.survey import BLOCK, Survey
 
 WINDOWS = [
     wd.Coherence(),
@@ -43,3 +43,27 @@ def test_scope_and_pilots_are_those_of_all(coherence, share, device, rng):
             assert getattr(scope, name) == pytest.approx(getattr(expected, name), rel=1e-14)
         for found, each in zip(some.arrays, pilots.arrays, strict=True):
             np.testing.assert_array_equal(found, each)
+
+
+def test_parts_of_a_picture_are_surveyed_alone(device, rng):
+    hf = wd.HeightField(rng.uniform(size=(16, 40)), pitch_um=(0.2, 0.1))
+    count, among = 20 * BLOCK, range(3 * BLOCK, 17 * BLOCK - 100)
+    to_lights = hemisphere(rng, count).astype(np.float32)
+    deflections = -to_lights - hemisphere(rng, count)
+    gains = rng.uniform(0.1, 1.0, count).astype(np.float32)
+    seen = slice(among.start, among.stop)
+    # What lies elsewhere may be anything.
+    given = [np.full_like(each, np.nan) for each in (deflections, to_lights, gains)]
+    for each, values in zip(given, (deflections, to_lights, gains), strict=True):
+        each[seen] = values[seen]
+    dtypes = (wp.vec3d, wp.vec3f, wp.float32)
+    arrays = [wp.array(each, dtype=dtype, device=device) for each, dtype in zip(given, dtypes, strict=True)]
+    summary = Survey(hf, wd.Coherence(), among.stop, device=resolve_device(device))
+    step = summary.step(*(each[: among.stop] for each in arrays))
+    launch_in_turn([step], among, device=resolve_device(device), threads=2)
+    scope, lit, some = summary.found(among=among)
+    assert lit == len(among)
+    assert scope.max_w == pytest.approx(np.abs(deflections[seen, 2]).max(), rel=1e-14)
+    expected = Pilots.among(deflections[seen], to_lights[seen], gains[seen])
+    for found, each in zip(some.arrays, expected.arrays, strict=True):
+        np.testing.assert_array_equal(found, each)

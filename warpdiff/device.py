@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 import os
@@ -83,6 +84,7 @@ class Step:
     outputs: list[Any]
     in_runs: bool = False
     block: int = 1
+    _prepared: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
     _recorded: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def launch(self, first: int, count: int, device: wp.Device) -> None:
@@ -90,24 +92,94 @@ class Step:
         import warp as wp
 
         first, count = first // self.block, -(-count // self.block)
-        alone = self.in_runs and device.is_cpu
-        indices = [first, count if alone else 1] if self.in_runs else [first]
+        if not device.is_cpu:
+            inputs = [*self.inputs, first, 1] if self.in_runs else [*self.inputs, first]
+            wp.launch(self.kernel, dim=count, inputs=inputs, outputs=self.outputs, device=device)
+            return
         thread = threading.get_ident()
-        if thread not in self._recorded:
-            size, inputs = 1 if alone else count, [*self.inputs, *indices]
-            launched = wp.launch(
-                self.kernel, dim=size, inputs=inputs, outputs=self.outputs, device=device, record_cmd=device.is_cpu
-            )
-            if not device.is_cpu:
-                return
-            self._recorded[thread] = launched
-        # A slice's launch takes a third of the time if only what is new of it is looked at.
-        recorded = self._recorded[thread]
-        for place, index in enumerate(indices, start=len(self.inputs)):
-            recorded.set_param_at_index(place, index)
-        if not alone:
+        recorded = self._recorded.get(thread)
+        if recorded is None:
+            self.prepare(device)
+            recorded = self._recorded[thread] = self._of_a_thread()
+        # A slice's launch takes a tenth of the time if only what is new of it is looked at.
+        recorded.set_param_at_index_from_ctype(len(self.inputs), first)
+        if self.in_runs:
+            recorded.set_param_at_index_from_ctype(len(self.inputs) + 1, count)
+        else:
             recorded.set_dim(count)
         recorded.launch()
+
+    def prepare(self, device: wp.Device) -> None:
+        """Get ready for launches on the CPU, as the first one takes longer."""
+        import warp as wp
+
+        if device.is_cpu and not self._prepared:
+            inputs = [*self.inputs, 0, 1] if self.in_runs else [*self.inputs, 0]
+            self._prepared.append(
+                wp.launch(self.kernel, dim=1, inputs=inputs, outputs=self.outputs, device=device, record_cmd=True)
+            )
+
+    def _of_a_thread(self) -> Any:
+        """A launch whose indices no other thread changes."""
+        launched = copy.copy(self._prepared[0])
+        launched.params = list(launched.params)
+        for place in range(len(self.inputs) + 1, len(self.inputs) + 2 + self.in_runs):
+            launched.params[place] = copy.copy(launched.params[place])
+        return launched
+
+
+class Work:
+    """Some work for each item, which others begin with: the next one whenever a thread is free.
+
+    As a context it is finished where that ends, and in between this thread does what neither needs that work nor is
+    needed by it, and launches on this thread alone.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[Any], None],
+        items: Sequence[Any],
+        *,
+        threads: int,
+        progress: Callable[[float], None] | None = None,
+        joins: bool = False,
+    ) -> None:
+        """Begin on all threads but this one, to which the last item is left if it ``joins`` them at once."""
+        self._work, self._left, self._count, self._progress = work, iter(items), len(items), progress
+        self._lock = threading.Lock()
+        self._done = 0
+        self._others = [_pool(threads - 1).submit(self._run) for _ in range(min(threads - 1, len(items) - joins))]
+
+    def _run(self) -> None:
+        """Work until none is left."""
+        while True:
+            with self._lock:
+                item = next(self._left, None)
+            if item is None:
+                return
+            self._work(item)
+            with self._lock:
+                self._done += 1
+                if self._progress is not None:
+                    self._progress(self._done / self._count)
+
+    def finish(self) -> None:
+        """Take part in it until all is done, and raise what was raised."""
+        try:
+            self._run()
+        finally:
+            wait(self._others)
+        for other in self._others:
+            other.result()
+
+    def __enter__(self) -> Work:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            wait(self._others)
 
 
 def launch(
@@ -123,45 +195,62 @@ def launch(
     launch_in_turn([Step(kernel, inputs, outputs, in_runs)], size, **options)
 
 
-def launch_in_turn(
+def launch_in_turn(steps: Sequence[Step], elements: int | range, **options: Any) -> None:
+    """Launch kernels of which each reads of an element what those before it wrote of the same one.
+
+    See :func:`begin_in_turn`.
+    """
+    begin_in_turn(steps, elements, joins=True, **options).finish()
+
+
+def begin_in_turn(
     steps: Sequence[Step],
-    size: int,
+    elements: int | range,
     *,
     device: wp.Device,
     threads: int,
     least_slice: int = _LEAST_SLICE,
+    most_slice: int = _MOST_SLICE,
     progress: Callable[[float], None] | None = None,
-    meanwhile: Callable[[], object] | None = None,
-) -> None:
-    """Launch kernels of which each reads of an element what those before it wrote of the same one.
+    joins: bool = False,
+) -> Work:
+    """Begin to launch such kernels.
 
     A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads, each
     through all kernels; every index is computed by itself, and the result depends neither on the threads' number nor on
-    the slices. ``meanwhile`` is as :func:`side_by_side` has it.
+    the slices. On a GPU all is launched at once.
+
+    Args:
+        steps: The kernels.
+        elements: Their number, or a range that begins with a whole block.
+        device: Where.
+        threads: At most so many.
+        least_slice: Elements that are worth a launch.
+        most_slice: As many as progress is smooth by.
+        progress: Called with the share that is done.
+        joins: Whether this thread takes part in it at once.
     """
     import warp as wp
 
-    if (size == 0 or not device.is_cpu) and meanwhile is not None:
-        meanwhile()
-    if size == 0:
-        return
-    if not device.is_cpu:
+    among = range(elements) if isinstance(elements, int) else elements
+    if not device.is_cpu and len(among):
         # Launches of a frame queue up; whoever reads their results waits for them.
         for step in steps:
-            step.launch(0, size, device)
+            step.launch(among.start, len(among), device)
         if progress is not None:
             wp.synchronize_device(device)
             progress(1.0)
-        return
-    block = math.lcm(*(step.block for step in steps))
-    slices = list(slices_of(size, least=least_slice, most=_MOST_SLICE, threads=threads, block=block))
-    load_now([step.kernel for step in steps], device)
+    slices: list[range] = []
+    if device.is_cpu and len(among):
+        block = math.lcm(*(step.block for step in steps))
+        slices = list(slices_of(len(among), least=least_slice, most=most_slice, threads=threads, block=block))
+        load_now([step.kernel for step in steps], device)
 
     def run(part: range) -> None:
         for step in steps:
-            step.launch(part.start, len(part), device)
+            step.launch(among.start + part.start, len(part), device)
 
-    side_by_side(run, slices, threads=threads, progress=progress, meanwhile=meanwhile)
+    return Work(run, slices, threads=threads, progress=progress, joins=joins)
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int, block: int = 1) -> Iterator[range]:
@@ -174,47 +263,9 @@ def slices_of(size: int, *, least: int, most: int, threads: int, block: int = 1)
         first = end
 
 
-def side_by_side(
-    work: Callable[[Any], None],
-    items: Sequence[Any],
-    *,
-    threads: int,
-    progress: Callable[[float], None] | None = None,
-    meanwhile: Callable[[], object] | None = None,
-) -> None:
-    """Do some work for each item, the next one whenever a thread is free.
-
-    This thread first does what is called for ``meanwhile``, which neither needs that work nor is needed by it, and
-    launches on this thread alone.
-    """
-    left = iter(items)
-    lock = threading.Lock()
-    done = 0
-
-    def run() -> None:
-        """Work until none is left."""
-        nonlocal done
-        while True:
-            with lock:
-                item = next(left, None)
-            if item is None:
-                return
-            work(item)
-            with lock:
-                done += 1
-                if progress is not None:
-                    progress(done / len(items))
-
-    # This thread is one of them: to hand an item over and wait for it takes as long as a small one.
-    others = [_pool(threads - 1).submit(run) for _ in range(min(threads - 1, len(items) - (meanwhile is None)))]
-    try:
-        if meanwhile is not None:
-            meanwhile()
-        run()
-    finally:
-        wait(others)
-    for other in others:
-        other.result()
+def side_by_side(work: Callable[[Any], None], items: Sequence[Any], *, threads: int) -> None:
+    """Do some work for each item, the next one whenever a thread is free."""
+    Work(work, items, threads=threads, joins=True).finish()
 
 
 @functools.cache

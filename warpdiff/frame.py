@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import functools
-import queue
-import threading
+import itertools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff import optics, spectrum, supersample
-from warpdiff.device import Step, launch, launch_in_turn, load, side_by_side
+from warpdiff.device import Step, Work, begin_in_turn, launch, launch_in_turn, load, side_by_side
 from warpdiff.evaluate import direct_colour
 from warpdiff.image import Image
 from warpdiff.scope import CROWD, Pilots, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
-from warpdiff.survey import Survey
+from warpdiff.survey import BLOCK, Survey
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     import warp as wp
+    from numpy.typing import NDArray
 
     from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
@@ -90,14 +90,22 @@ class _Room:
     tiles: wp.array
 
     @classmethod
-    def by(cls, rays: int, integrator: Integrator, *, device: wp.Device) -> _Room:
-        """Room for so many rays."""
+    def by(cls, rays: int, *, leaves_out: bool, covers: bool, device: wp.Device) -> _Room:
+        """Room for so many rays, and for the faces that they meet if these are known beforehand."""
         import warp as wp
 
-        left_out = wp.empty(rays * integrator.leaves_out, dtype=wp.float32, device=device)
+        left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
         tiles = wp.empty(rays // min(kind.rays for kind in supersample.KINDS), dtype=wp.int32, device=device)
-        return cls(_Seen.by(rays, device=device, means=True), colours, left_out, tiles)
+        seen = _Seen.by(rays, device=device, means=True)
+        seen.pixels.nearest = wp.empty(rays * covers, dtype=wp.uint64, device=device)
+        return cls(seen, colours, left_out, tiles)
+
+
+@functools.cache
+def _free_rooms(leaves_out: bool, covers: bool) -> list[_Room]:
+    """Rooms on the CPU that no picture is in: to make them takes as long as to look up a thousand pixels."""
+    return []
 
 
 class Frame:
@@ -140,16 +148,25 @@ class Frame:
         self._blurred = means and samples == 1
         self._nearest = wp.empty(0, dtype=wp.uint64, device=device)
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
+        # XYZ, coverage, and what any light reaches: zeros, which are no memory yet, where no pixel is written to.
+        zeros = (np.zeros((size, 3), dtype=np.float32), np.zeros(size), np.zeros(size, dtype=np.bool_))
         dtypes = (wp.vec3f, wp.float64, wp.bool)
-        # XYZ, coverage, and what any light reaches.
-        self._sums = [wp.empty(size, dtype=dtype, device=device) for dtype in dtypes]
+        self._sums = [
+            wp.array(each, dtype=dtype, device=device, copy=device.is_cuda)
+            for each, dtype in zip(zeros, dtypes, strict=True)
+        ]
+        # The pixels that may see anything, of whole blocks and with a row more on either side, and those that were
+        # written to.
+        self._among, self._written = range(size), range(0)
+        self._rows = wp.empty(2, dtype=wp.int32, device=device)
         self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
         # One light's, where pictures are sums; footprints of samples; and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._spreads: list[wp.array] = []
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._queue: supersample.Queue | None = None
-        self._rooms: queue.SimpleQueue[_Room] = queue.SimpleQueue()
+        # Faces that are yet finding their pixels.
+        self._covering: Work | None = None
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._shadows = False
@@ -173,8 +190,15 @@ class Frame:
         self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
         self._covers = not self._alone and self._samples == 1 and scene.lies_ahead(self._surface, view)
+        if self._covering is not None:
+            self._covering.finish()
+            self._covering = None
         if self._covers != (len(self._nearest) > 0):
             self._nearest = wp.empty(self._size * self._covers, dtype=wp.uint64, device=self._device)
+        if self._covers:
+            self._covering = self._begin_to_cover()
+        else:
+            self._among = self._written = range(self._size)
         self.begin()
 
     @functools.cached_property
@@ -257,7 +281,7 @@ class Frame:
             for which in range(len(self._to_lights)):
                 summary = Survey(hf, window, self._size, device=self._device)
                 self.deflect(sample, which, summary)
-                found, lit, pilots = summary.found(CROWD if piloted and sample == 0 else 0)
+                found, lit, pilots = summary.found(CROWD if piloted and sample == 0 else 0, among=self._among)
                 scope = scope.joined(found)
                 count += lit
                 seen.append(pilots.arrays)
@@ -300,7 +324,8 @@ class Frame:
         for which, share in self._passes(progress):
             integrator.add(
                 *self._seen.directions, illuminants[which], self._sums[0],
-                footprints=self._spreads[which] if footprint else None, left_out=left_out, progress=share,
+                footprints=self._spreads[which] if footprint else None, left_out=left_out, among=self._among,
+                progress=share,
             )  # fmt: skip
 
     def _room_for_what_is_left_out(self, integrator: Integrator) -> wp.array:
@@ -335,62 +360,87 @@ class Frame:
             illuminant, seen, width = illuminants[which], self._seen, self._view.width
             steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
             steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints, left_out)
-            meanwhile = None if self._alone else functools.partial(self._prepare_tiles, integrator)
-            launch_in_turn(
-                steps, self._size, least_slice=_COLOURS, progress=share, meanwhile=meanwhile, **self._options
-            )
+            options = {"least_slice": _COLOURS, "progress": share, **self._options}
             if self._alone:
+                launch_in_turn(steps, self._among, **options)
                 self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
             else:
-                lit, batches = supersample.batches(colours, seen.gains, width, tolerance, **self._options)
-                self._set_means(integrator, which, illuminant, batches, colours)
+                with begin_in_turn(steps, self._among, **options):
+                    rooms = self._prepare_tiles(integrator, which, illuminant, colours)
+                lit, batches = supersample.batches(
+                    colours, seen.gains, width, tolerance, among=self._among, **self._options
+                )
+                self._set_means(batches, rooms)
+                _free_rooms(integrator.leaves_out, self._covers).extend(room for room, _ in rooms)
                 self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:
-                supersample.add(colours, self._sums[0], **self._options)
+                supersample.add(colours, self._sums[0], among=self._among, **self._options)
 
-    def _set_means(
-        self,
-        integrator: Integrator,
-        which: int,
-        illuminant: str,
-        batches: list[supersample.Batch],
-        colours: wp.array,
-    ) -> None:
-        """Set the colours of some pixels to the means over tiles of rays."""
+    def _set_means(self, batches: list[supersample.Batch], rooms: list[tuple[_Room, list[list[Step]]]]) -> None:
+        """Set the colours of some pixels to the means over tiles of rays, in rooms of which each thread takes one."""
+        if not batches:
+            return
+        nearest = self._meet_tiles(batches)
         parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
         # The largest first, so that threads finish together.
         parts.sort(key=lambda each: -len(each[1]) * each[0].kind.rays)
-        # Of each thread: its room, and what it launches for pixels of a kind, whichever they are.
-        taken: dict[int, tuple[_Room, dict[int, list[Step]]]] = {}
+        # Appending to and taking from a list are atomic.
+        free = list(rooms)
 
         def work(each: tuple[supersample.Batch, range]) -> None:
             batch, part = each
             kind, pixels = batch.kind, batch.pixels[part.start : part.stop]
-            thread = threading.get_ident()
-            if thread not in taken:
-                taken[thread] = self._rooms.get(), {}
-            room, steps = taken[thread]
-            if kind.index not in steps:
-                tiles = room.tiles[: supersample.MOST_RAYS // kind.rays]
-                steps[kind.index] = self._steps_of_tiles(integrator, which, illuminant, kind, tiles, room, colours)
+            room, steps = free.pop()
             count = len(pixels) * kind.rays
             room.tiles.numpy()[: len(pixels)] = pixels
+            if self._covers:
+                first = batch.first_ray + part.start * kind.rays
+                room.seen.pixels.nearest.numpy()[:count] = nearest[first : first + count]
             room.colours.numpy()[:count] = 0.0
             # Look-ups take whole runs.
             room.seen.gains.numpy()[count:] = 0.0
             launch_in_turn(steps[kind.index], count, least_slice=count, device=self._device, threads=1)
+            free.append((room, steps))
 
         side_by_side(work, parts, threads=self._threads)
-        for room, _ in taken.values():
-            self._rooms.put(room)
 
-    def _prepare_tiles(self, integrator: Integrator) -> None:
-        """Make what each thread meets tiles with, here, as other threads' memory is given back each time."""
-        # Few of their rays go through the hierarchy.
-        self._scene.with_hierarchy(few=True)
-        while self._rooms.qsize() < self._threads:
-            self._rooms.put(_Room.by(supersample.MOST_RAYS, integrator, device=self._device))
+    def _meet_tiles(self, batches: Sequence[supersample.Batch]) -> NDArray[np.uint64]:
+        """What ``cover`` finds of the rays of batches, one after the other; nothing where rays are to be cast."""
+        import warp as wp
+
+        from warpdiff.kernels import raycast
+
+        if not self._covers:
+            return np.zeros(0, dtype=np.uint64)
+        tiles = supersample.tiles_of(batches, self._view.width, self._view.height, self._device)
+        rays = sum(len(batch.pixels) * batch.kind.rays for batch in batches)
+        nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device=self._device)
+        inputs = [self._camera, self._scene.bare, tiles]
+        launch(
+            raycast.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], least_slice=_FACES,
+            in_runs=True, **self._options,
+        )  # fmt: skip
+        return nearest.numpy()
+
+    def _prepare_tiles(
+        self, integrator: Integrator, which: int, illuminant: str, colours: wp.array
+    ) -> list[tuple[_Room, list[list[Step]]]]:
+        """What each thread meets tiles with: room, and what it launches for pixels of each kind, whichever they are."""
+        rooms = []
+        free = _free_rooms(integrator.leaves_out, self._covers)
+        for _ in range(self._threads):
+            try:
+                room = free.pop()
+            except IndexError:
+                kinds = {"leaves_out": integrator.leaves_out, "covers": self._covers}
+                room = _Room.by(supersample.MOST_RAYS, device=self._device, **kinds)
+            tiles = [room.tiles] * len(supersample.KINDS)
+            rooms.append((room, self._steps_of_tiles(integrator, which, illuminant, tiles, room, colours)))
+        for _, steps in rooms:
+            for step in itertools.chain(*steps):
+                step.prepare(self._device)
+        return rooms
 
     def _work_off_tiles(
         self, integrator: Integrator, which: int, illuminant: str, tolerance: float, colours: wp.array
@@ -399,48 +449,58 @@ class Frame:
         lights = len(self._to_lights)
         if self._queue is None or self._queue.lights != lights:
             self._queue = supersample.Queue(self._size, lights, tolerance, **self._options)
-            self._room = _Room.by(self._queue.most_rays, integrator, device=self._device)
+            self._room = _Room.by(
+                self._queue.most_rays, leaves_out=integrator.leaves_out, covers=False, device=self._device
+            )
         self._queue.list_up(which, colours, self._seen.gains, self._view.width)
+        tiles = [self._queue.pixels_of(kind) for kind in supersample.KINDS]
+        steps = self._steps_of_tiles(integrator, which, illuminant, tiles, self._room, colours)
         for kind in supersample.KINDS:
-            tiles = self._queue.pixels_of(kind)
-            steps = self._steps_of_tiles(integrator, which, illuminant, kind, tiles, self._room, colours)
-            self._queue.work_off(which, kind, steps, self._room.colours)
+            self._queue.work_off(which, kind, steps[kind.index], self._room.colours)
 
     def _steps_of_tiles(
         self,
         integrator: Integrator,
         which: int,
         illuminant: str,
-        kind: supersample.Kind,
-        tiles: wp.array,
+        tiles: list[wp.array],
         room: _Room,
         colours: wp.array,
-    ) -> list[Step]:
-        """What sets the colours of some pixels to the means over tiles of rays, which add to zeros in their room."""
+    ) -> list[list[Step]]:
+        """What sets the colours of pixels of each kind to the means over tiles of rays.
+
+        These add to zeros in their room; which pixels it are, ``tiles`` tells.
+        """
         from warpdiff.kernels import directions
         from warpdiff.kernels.scene import Sampling
 
-        tile, seen = kind.tile, room.seen
-        sampling = Sampling()
-        sampling.tiles = tiles
-        sampling.places, weights = tile.on(self._device)
-        if not kind.shadows:
-            sampling.faces = self._seen.pixels.face
-        deflections, to_lights, gains = seen.directions
-        return [
-            *self._steps_of_rays(sampling, seen.pixels, few=True),
-            # The pigment of the pixel's own ray stays.
-            *self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=kind.shadows),
-            self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
-            *integrator.steps(
-                deflections, to_lights, gains[: len(tiles) * kind.rays], illuminant, room.colours, seen.footprints,
-                room.left_out,
-            ),
-            Step(
-                directions.gather, [room.colours, seen.pixels.hit, tiles, weights], [colours],
-                in_runs=True, block=kind.rays,
-            ),
-        ]  # fmt: skip
+        seen = room.seen
+        # What kinds share is one step for all of them, as it takes longer to make than to launch. The pigment of the
+        # pixel's own ray stays.
+        lit = {
+            shadows: self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=shadows)
+            for shadows in (False, True)
+        }
+        look_up = integrator.steps(*seen.directions, illuminant, room.colours, seen.footprints, room.left_out)
+        result = []
+        of_rays: dict[int, tuple[list[Step], Step, Step]] = {}
+        for kind in supersample.KINDS:
+            tile = kind.tile
+            if kind.rays not in of_rays:
+                sampling = Sampling()
+                sampling.tiles = tiles[kind.index]
+                sampling.places, weights = tile.on(self._device)
+                of_rays[kind.rays] = (
+                    self._steps_of_rays(sampling, seen.pixels, few=True),
+                    self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
+                    Step(
+                        directions.gather, [room.colours, seen.pixels.hit, tiles[kind.index], weights], [colours],
+                        in_runs=True, block=kind.rays,
+                    ),
+                )  # fmt: skip
+            meet, spread, gather = of_rays[kind.rays]
+            result.append([*meet, *lit[kind.shadows], spread, *look_up, gather])
+        return result
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
@@ -458,18 +518,39 @@ class Frame:
 
     def _launch(self, steps: Sequence[Step]) -> None:
         """Launch what finds rays and directions over all pixels."""
-        launch_in_turn(steps, self._size, least_slice=_SLICE, **self._options)
+        launch_in_turn(steps, self._among, least_slice=_SLICE, **self._options)
 
-    def _meet(self) -> None:
+    def _begin_to_cover(self) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
         from warpdiff.kernels import raycast
+        from warpdiff.kernels.scene import Tiles
 
         self._nearest.fill_(raycast.UNSEEN)
-        inputs, faces = [self._camera, self._scene.bare], self._scene.face_count
-        launch(
-            raycast.cover, faces, inputs, [self._nearest], least_slice=_FACES, in_runs=True, meanwhile=self._prepare,
-            **self._options,
-        )  # fmt: skip
+        self._rows.assign([self._view.height, -1])
+        inputs = [self._camera, self._scene.bare, Tiles()]
+        cover = Step(raycast.cover, inputs, [self._nearest, self._rows], in_runs=True)
+        return begin_in_turn([cover], self._scene.face_count, least_slice=_FACES, **self._options)
+
+    def _meet(self) -> None:
+        """Know which face each pixel sees."""
+        with self._covering or self._begin_to_cover():
+            self._prepare()
+        self._covering = None
+        self._keep_to(*self._rows.numpy())
+
+    def _keep_to(self, first_row: int, last_row: int) -> None:
+        """Look at pixels of these rows alone from now on, and leave zeros elsewhere."""
+        if first_row <= last_row:
+            first = max(int(first_row) - 1, 0) * self._view.width // BLOCK
+            end = -(-(int(last_row) + 2) * self._view.width // BLOCK)
+            self._among = range(first * BLOCK, min(end * BLOCK, self._size))
+        else:
+            self._among = range(0)
+        for sums in self._sums:
+            written = sums.numpy()
+            written[self._written.start : min(self._written.stop, self._among.start)] = 0
+            written[max(self._written.start, self._among.stop) : self._written.stop] = 0
+        self._written = self._among
 
     def _prepare(self) -> None:
         """Make what rays need, on this thread."""
@@ -513,7 +594,7 @@ class Frame:
     def _grid_of(self, which: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
         if which not in self._grids:
-            rays = 0 if self._alone else self._samples * int(np.count_nonzero(self._seen.pixels.hit.numpy()))
+            rays = 0 if self._alone else self._samples * int(np.count_nonzero(self._hits()))
             self._grids[which] = self._grid_for(which, rays, **self._options)
         return self._grids[which]
 
@@ -559,8 +640,18 @@ class Frame:
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
-        deflections, to_lights, gains = (each.numpy() for each in self._seen.directions)
+        deflections, to_lights, gains = (self._looked_at(each) for each in self._seen.directions)
         return deflections, to_lights, gains
+
+    def _hits(self) -> NDArray[np.int32]:
+        """Which pixels' rays have met the mesh."""
+        return self._looked_at(self._seen.pixels.hit)
+
+    def _looked_at(self, values: wp.array) -> NDArray[Any]:
+        """What is found of all pixels; zero for those that are not looked at."""
+        found = np.zeros_like(values.numpy())
+        found[self._among.start : self._among.stop] = values.numpy()[self._among.start : self._among.stop]
+        return found
 
     def spread(self, which: int, result: wp.array | None = None) -> wp.array:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""

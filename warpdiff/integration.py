@@ -43,6 +43,7 @@ class Integrator:
         *,
         footprints: wp.array | None = None,
         left_out: wp.array | None = None,
+        among: range | None = None,
         **options: Any,
     ) -> None:
         """Add the XYZ of deflections (n,) to those in ``xyz``.
@@ -55,12 +56,15 @@ class Integrator:
             xyz: What is added to.
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
             left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
+            among: Which of them, from a whole run on; None is all.
             options: Of ``launch_in_turn``, ``least_slice`` and ``progress``.
         """
         if self._plan.nodes and not self.leaves_out:
             options.setdefault("least_slice", _LOOK_UPS)
         steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)
-        launch_in_turn(steps, len(gains), device=self._device, threads=self._threads, **options)
+        launch_in_turn(
+            steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
+        )
 
     @property
     def leaves_out(self) -> bool:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import Step, launch, launch_in_turn, load_now, side_by_side, slices_of
+from warpdiff.device import Step, launch, launch_in_turn, slices_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -139,10 +139,16 @@ KINDS = tuple(Kind(2 * i + s, tile, bool(s)) for i, (_, tile) in enumerate(_TAKE
 
 @dataclass(frozen=True)
 class Batch:
-    """Pixels of one kind, by their numbers, (n,)."""
+    """Pixels of one kind, by their numbers, (n,), whose rays come after so many of others."""
 
     kind: Kind
     pixels: NDArray[np.int32]
+    first_ray: int
+
+    @property
+    def end_ray(self) -> int:
+        """The ray after its last one."""
+        return self.first_ray + len(self.pixels) * self.kind.rays
 
     def parts(self, threads: int) -> Iterator[range]:
         """Ranges of the pixels to be met at a time."""
@@ -160,44 +166,46 @@ def _bounds(tolerance: float, device: str) -> wp.array:
 
 
 def batches(
-    colours: wp.array, gains: wp.array, width: int, tolerance: float, *, device: wp.Device, threads: int
+    colours: wp.array, gains: wp.array, width: int, tolerance: float, *, among: range, device: wp.Device, threads: int
 ) -> tuple[int, list[Batch]]:
-    """How many pixels of a picture are lit, and those whose predicted error exceeds the tolerance."""
+    """How many pixels of a picture are lit, and those whose predicted error exceeds the tolerance.
+
+    ``among`` is which of them there may be.
+    """
     import warp as wp
 
     from warpdiff.kernels import directions
 
+    if not among:
+        return 0, []
     # How bright a picture is, a part of it tells.
     step = _apart(len(gains))
-    bright = colours.numpy()[::step, 1][gains.numpy()[::step] > 0.0]
+    some = slice(-(-among.start // step) * step, among.stop, step)
+    bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
     least = 0.0
     if len(bright):
         rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
         least = FLOOR * float(np.partition(bright, rank)[rank])
     floor = wp.array([max(least, TINY)], dtype=wp.float32, device=device)
-    classes = wp.empty(len(gains), dtype=wp.uint8, device=device)
-    classify = Step(
-        directions.classify, [colours, gains, width, floor, _bounds(tolerance, device.alias)], [classes], in_runs=True
-    )
-    classed = classes.numpy()
-    slices = list(slices_of(len(gains), least=_SLICE, most=_SLICE, threads=threads))
-    lit = [0] * len(slices)
-    listed: list[list[NDArray[np.int32]]] = [[]] * len(slices)
+    slices = slices_of(len(among), least=_SLICE, most=_SLICE, threads=threads)
+    starts = [among.start + part.start for part in slices]
 
-    def list_up(index: int) -> None:
-        part = slices[index]
-        classify.launch(part.start, len(part), device)
-        here = classed[part.start : part.stop]
-        lit[index] = int(np.count_nonzero(here))
-        steep = np.flatnonzero(here > 1).astype(np.int32)
-        order = np.argsort(here[steep], kind="stable")
-        ends = np.cumsum(np.bincount(here[steep] - 2, minlength=len(KINDS)))
-        listed[index] = np.split(steep[order] + np.int32(part.start), ends[:-1])
+    def empty(shape: Any, dtype: Any = wp.int32) -> Any:
+        return wp.empty(shape, dtype=dtype, device=device)
 
-    load_now([directions.classify], device)
-    side_by_side(list_up, range(len(slices)), threads=threads)
-    found = [Batch(kind, np.concatenate([each[kind.index] for each in listed])) for kind in KINDS]
-    return sum(lit), [batch for batch in found if len(batch.pixels)]
+    lists, counts = empty((len(KINDS), len(gains))), empty((len(starts), len(KINDS) + 1))
+    inputs = [colours, gains, width, floor, _bounds(tolerance, device.alias), among.start, _SLICE]
+    step = Step(directions.list_steep, inputs, [empty(len(gains), wp.uint8), lists, counts], in_runs=True)
+    launch_in_turn([step], among, device=device, threads=threads, least_slice=_SLICE, most_slice=_SLICE)
+    listed, numbers = lists.numpy(), counts.numpy()
+    found, rays = [], 0
+    for kind in KINDS:
+        of_kind = zip(starts, numbers[:, kind.index], strict=True)
+        pixels = np.concatenate([listed[kind.index, start : start + count] for start, count in of_kind])
+        if len(pixels):
+            found.append(Batch(kind, pixels, rays))
+            rays = found[-1].end_ray
+    return int(numbers[:, -1].sum()), found
 
 
 def _apart(pixels: int) -> int:
@@ -289,17 +297,41 @@ class Queue:
         wp.capture_while(self._left, meet)
 
 
-def add(colours: wp.array, xyz: wp.array, *, device: wp.Device, threads: int) -> None:
-    """Add a light's colours to a picture."""
+def tiles_of(batches: Sequence[Batch], width: int, height: int, device: wp.Device) -> Any:
+    """The struct ``Tiles`` of the kernels for these batches of a picture of this size, rays batch after batch."""
+    import warp as wp
+
+    from warpdiff.kernels import scene
+
+    first_rays = np.empty(width * height, dtype=np.int32)
+    # Rows begin with words of their own.
+    marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
+    ends = np.zeros(len(KINDS), dtype=np.int32)
+    for batch in batches:
+        marks[batch.pixels // width, batch.pixels % width] = True
+        first_rays[batch.pixels] = np.arange(batch.first_ray, batch.end_ray, batch.kind.rays, dtype=np.int32)
+        ends[batch.kind.index] = batch.end_ray
+    words = np.packbits(marks, bitorder="little").view(np.uint64)
+    result = scene.Tiles()
+    result.marks = wp.array(words, dtype=wp.uint64, device=device, copy=False)
+    result.first_rays = wp.array(first_rays, dtype=wp.int32, device=device, copy=False)
+    result.ends = wp.array(np.maximum.accumulate(ends), dtype=wp.int32, device=device)
+    result.across, result.apart = _grids(device.alias)
+    return result
+
+
+@functools.cache
+def _grids(device: str) -> tuple[wp.array, wp.array]:
+    """Rays along a side of each kind, and their distance, on the device of a name."""
+    import warp as wp
+
+    across = wp.array([kind.tile.across for kind in KINDS], dtype=wp.int32, device=device)
+    return across, wp.array([kind.tile.apart for kind in KINDS], dtype=wp.float64, device=device)
+
+
+def add(colours: wp.array, xyz: wp.array, *, among: range, device: wp.Device, threads: int) -> None:
+    """Add a light's colours to some of a picture's."""
     from warpdiff.kernels import directions
 
-    launch(
-        directions.accumulate,
-        len(xyz),
-        [colours],
-        [xyz],
-        device=device,
-        threads=threads,
-        least_slice=_SLICE,
-        in_runs=True,
-    )
+    step = Step(directions.accumulate, [colours], [xyz], in_runs=True)
+    launch_in_turn([step], among, device=device, threads=threads, least_slice=_SLICE)

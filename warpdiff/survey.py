@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
 
 # Pixels that are summed up together.
-_BLOCK = 512
+BLOCK = 512
 
 
 class Survey:
@@ -38,7 +38,7 @@ class Survey:
         import warp as wp
 
         self._device = device
-        blocks = -(-size // _BLOCK)
+        blocks = -(-size // BLOCK)
         self._counts = wp.empty(blocks, dtype=wp.int32, device=device)
         self._ranges = wp.empty(blocks, dtype=wp.vec4d, device=device)
         copies = coherence.kind == "replicas"
@@ -51,21 +51,25 @@ class Survey:
         from warpdiff.kernels import directions
 
         self._seen = deflections, to_lights, gains
-        inputs = [*self._seen, *self._scope, _BLOCK]
-        return Step(directions.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=_BLOCK)
+        inputs = [*self._seen, *self._scope, BLOCK]
+        return Step(directions.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=BLOCK)
 
-    def found(self, most: int = CROWD) -> tuple[Scope, int, Pilots]:
-        """The scope, the number of lit deflections, and at most so many pilots among them."""
+    def found(self, most: int = CROWD, *, among: range | None = None) -> tuple[Scope, int, Pilots]:
+        """The scope, the number of lit deflections, and at most so many pilots among them.
+
+        ``among`` is which of all were summed up, from a whole block on.
+        """
         import warp as wp
 
         from warpdiff.kernels import directions
 
-        counts = self._counts.numpy()
+        first, end = (0, len(self._counts)) if among is None else (among.start // BLOCK, -(-among.stop // BLOCK))
+        counts = self._counts.numpy()[first:end]
         count = int(counts.sum(dtype=np.int64))
         if not count:
             return Scope(0.0, 0.0, 0.0, 0.0), 0, Pilots.none()
         # Blocks without lit ones neither raise a maximum nor lower a minimum.
-        ranges = self._ranges.numpy()
+        ranges = self._ranges.numpy()[first:end]
         uv2, lateral2, _, max_w = ranges.max(axis=0)
         scope = Scope(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
         if not most:
@@ -74,7 +78,9 @@ class Survey:
         ranks = equally_far(count, most)
         block = np.searchsorted(before, ranks, side="right") - 1
         picked = [wp.empty(len(ranks), dtype=each.dtype, device=self._device) for each in self._seen]
-        places = [wp.array(each, dtype=wp.int32, device=self._device) for each in (block, ranks - before[block])]
-        inputs = [*self._seen, *places, _BLOCK]
+        places = [
+            wp.array(each, dtype=wp.int32, device=self._device) for each in (first + block, ranks - before[block])
+        ]
+        inputs = [*self._seen, *places, BLOCK]
         launch(directions.pick, len(ranks), inputs, picked, in_runs=True, device=self._device, threads=1)
         return scope, count, Pilots(*(each.numpy().astype(np.float64) for each in picked))

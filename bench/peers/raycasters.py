@@ -164,7 +164,7 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
         frame.cast(0)
 
     def found() -> Found:
-        hit = frame._seen.pixels.hit.numpy() == 1
+        hit = frame._hits() == 1
         # Where nothing is met, normals are whatever was there.
         return Found(hit, np.where(hit[:, None], frame._seen.pixels.normal.numpy(), 0.0).astype(np.float64))
 
