@@ -82,8 +82,8 @@ _COVER = """
             low_row[i] = larger(wp::ceil(smaller(y0, smaller(y1, y2)) - reach - 0.5), 0.0);
             high_row[i] = smaller(wp::floor(larger(y0, larger(y1, y2)) + reach - 0.5), height - 1.0);
         }
-        // The edges across from the corners, from the vertex of the smaller number to the larger: what two faces find of
-        // one is the same but for its sign, so that they leave no gap.
+        // The edges across from the corners, from the vertex of the smaller number to the larger: what two faces find
+        // of one is the same but for its sign, so that they leave no gap.
         double x_from[3][ABREAST], y_from[3][ABREAST], right[3][ABREAST], down[3][ABREAST], signs[3][ABREAST];
         double slopes[3][ABREAST];
         for (int k = 0; k < 3; ++k) {
@@ -113,8 +113,9 @@ _COVER = """
                         - down[k][i] * (column + 0.5 - x_from[k][i]));
             };
             auto keep = [&](double inside0, double inside1, double inside2, int ray) {
-                const double total = inside0 + inside1 + inside2, d0 = depths[0][i], d1 = depths[1][i], d2 = depths[2][i];
+                const double total = inside0 + inside1 + inside2;
                 if (!(total > 0.0)) return;
+                const double d0 = depths[0][i], d1 = depths[1][i], d2 = depths[2][i];
                 const double depth = orthographic ? (inside0 * d0 + inside1 * d1 + inside2 * d2) / total
                     : total / (inside0 / d0 + inside1 / d1 + inside2 / d2);
                 union { float number; unsigned int bits; } distance;
@@ -151,7 +152,8 @@ _COVER = """
                     if (64 * word < left) pixels &= ~0ULL << (left - 64 * word);
                     if (64 * word + 64 > end_column) pixels &= ~0ULL >> (64 * word + 64 - end_column);
                     for (; pixels != 0; pixels &= pixels - 1) {
-                        const int column = 64 * word + __builtin_ctzll(pixels), first = first_rays[row * width + column];
+                        const int column = 64 * word + __builtin_ctzll(pixels);
+                        const int first = first_rays[row * width + column];
                         int kind = 0;
                         while (first >= ends[kind]) ++kind;
                         double inside[3];

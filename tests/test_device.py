@@ -42,10 +42,13 @@ def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads, where):
             raise ValueError("of an item")
         at_work.remove(index)
 
-    with pytest.raises(ValueError, match="of an item" if where == "work" else "of this thread"):
+    def both():
         with Work(work, range(8), threads=threads):
             if where == "meanwhile":
                 raise ValueError("of this thread")
+
+    with pytest.raises(ValueError, match="of an item" if where == "work" else "of this thread"):
+        both()
     assert at_work == ([3] if where == "work" else [])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -102,10 +103,9 @@ class _Room:
         return cls(seen, colours, left_out, tiles)
 
 
-@functools.cache
-def _free_rooms(leaves_out: bool, covers: bool) -> list[_Room]:
-    """Rooms on the CPU that no picture is in: to make them takes as long as to look up a thousand pixels."""
-    return []
+# Rooms on the CPU that no picture is in, with or without arrays for what is left out and for faces: to make them takes
+# as long as to look up a thousand pixels.
+_free_rooms: defaultdict[tuple[bool, bool], list[_Room]] = defaultdict(list)
 
 
 class Frame:
@@ -144,9 +144,16 @@ class Frame:
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self._size = size = view.width * view.height
-
         self._blurred = means and samples == 1
+        # The pixels that may see anything, of whole blocks and with a row more on either side, and those that were
+        # written to.
+        self._among, self._written = range(size), range(0)
+        self._rows = wp.empty(2, dtype=wp.int32, device=device)
         self._nearest = wp.empty(0, dtype=wp.uint64, device=device)
+        # Faces that are yet finding their pixels.
+        self._covering: Work | None = None
+        self.look(view)
+        # While these are at it: room for what they see.
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         # XYZ, coverage, and what any light reaches: zeros, which are no memory yet, where no pixel is written to.
         zeros = (np.zeros((size, 3), dtype=np.float32), np.zeros(size), np.zeros(size, dtype=np.bool_))
@@ -155,25 +162,18 @@ class Frame:
             wp.array(each, dtype=dtype, device=device, copy=device.is_cuda)
             for each, dtype in zip(zeros, dtypes, strict=True)
         ]
-        # The pixels that may see anything, of whole blocks and with a row more on either side, and those that were
-        # written to.
-        self._among, self._written = range(size), range(0)
-        self._rows = wp.empty(2, dtype=wp.int32, device=device)
         self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
         # One light's, where pictures are sums; footprints of samples; and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._spreads: list[wp.array] = []
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._queue: supersample.Queue | None = None
-        # Faces that are yet finding their pixels.
-        self._covering: Work | None = None
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
         # Lit pixels of all lights, and those that took more rays.
         self._lit, self._tiled = 0, 0
-        self.look(view)
 
     @property
     def _options(self) -> dict[str, Any]:
@@ -371,7 +371,7 @@ class Frame:
                     colours, seen.gains, width, tolerance, among=self._among, **self._options
                 )
                 self._set_means(batches, rooms)
-                _free_rooms(integrator.leaves_out, self._covers).extend(room for room, _ in rooms)
+                _free_rooms[integrator.leaves_out, self._covers].extend(room for room, _ in rooms)
                 self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:
@@ -421,14 +421,14 @@ class Frame:
             raycast.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], least_slice=_FACES,
             in_runs=True, **self._options,
         )  # fmt: skip
-        return nearest.numpy()
+        return np.asarray(nearest.numpy())
 
     def _prepare_tiles(
         self, integrator: Integrator, which: int, illuminant: str, colours: wp.array
     ) -> list[tuple[_Room, list[list[Step]]]]:
         """What each thread meets tiles with: room, and what it launches for pixels of each kind, whichever they are."""
         rooms = []
-        free = _free_rooms(integrator.leaves_out, self._covers)
+        free = _free_rooms[integrator.leaves_out, self._covers]
         for _ in range(self._threads):
             try:
                 room = free.pop()
@@ -649,7 +649,7 @@ class Frame:
 
     def _looked_at(self, values: wp.array) -> NDArray[Any]:
         """What is found of all pixels; zero for those that are not looked at."""
-        found = np.zeros_like(values.numpy())
+        found: NDArray[Any] = np.zeros_like(values.numpy())
         found[self._among.start : self._among.stop] = values.numpy()[self._among.start : self._among.stop]
         return found
 
@@ -682,14 +682,17 @@ class Frame:
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
         shape = (self._view.height, self._view.width)
-        xyz, coverage, lit = (sums.numpy() for sums in self._sums)
-        coverage = coverage.astype(np.float32).reshape(shape)
+        xyz, covered, lit = (sums.numpy() for sums in self._sums)
+        seen = slice(self._among.start, self._among.stop)
+        coverage, mask = np.zeros(self._size, dtype=np.float32), np.zeros(self._size, dtype=np.bool_)
+        coverage[seen] = covered[seen]
+        mask[seen] = covered[seen] > 0.0
         lit_pixels, tiled = (self._lit, self._tiled) if self._queue is None else self._queue.counts
         return Image(
             xyz=xyz.reshape(*shape, 3),
-            mask=coverage > 0.0,
+            mask=mask.reshape(shape),
             lit=lit.reshape(shape),
-            coverage=coverage,
+            coverage=coverage.reshape(shape),
             plan=replace(plan, supersampled=tiled / max(lit_pixels, 1)),
         )
 

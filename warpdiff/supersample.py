@@ -179,8 +179,8 @@ def batches(
     if not among:
         return 0, []
     # How bright a picture is, a part of it tells.
-    step = _apart(len(gains))
-    some = slice(-(-among.start // step) * step, among.stop, step)
+    apart = _apart(len(gains))
+    some = slice(-(-among.start // apart) * apart, among.stop, apart)
     bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
     least = 0.0
     if len(bright):
