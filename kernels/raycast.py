@@ -1,4 +1,4 @@
-"""From pixels to points on a mesh: rays, shading frames, base colours, and whether a light is hidden."""
+"""From pixels to points on a mesh: where their rays lie, what they meet, shading frames and base colours."""
 
 import warp as wp
 
@@ -8,11 +8,10 @@ from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import SPECIAL, Camera, Pixels, Sampling, SurfaceArrays, Tiles
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, stand_abreast
 
-# Infinities stay defined, by which the hierarchy decides whether a ray hits.
 wp.set_module_options(spectral.OPTIONS)
 
-# Beyond any distance between two points of the unit sphere.
-FAR = wp.constant(wp.float32(4.0))
+# How far from a pixel's centre its samples lie, at most.
+MOST_OFFSET = 1.5
 # Of a ray that meets no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
@@ -23,12 +22,6 @@ HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
 R2_X = wp.constant(wp.uint32(3242174889))
 R2_Y = wp.constant(wp.uint32(2447445414))
-
-
-@wp.func
-def occluded(mesh_id: wp.uint64, origin: wp.vec3f, direction: wp.vec3f) -> wp.bool:
-    """Whether the mesh is met on the way from ``origin`` to infinity along the unit vector ``direction``."""
-    return wp.mesh_query_ray_anyhit(mesh_id, origin, direction, FAR)
 
 
 @wp.func
@@ -105,92 +98,33 @@ def cover(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
+    sampling: Sampling,
     tiles: Tiles,
+    reach: wp.float64,
     first: wp.int32,
     run: wp.int32,
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
     rows_out: wp.array(dtype=wp.int32),
 ):
-    """Which face the ray through each pixel's centre sees, or each of tiles, of a mesh wholly in front of the eye.
+    """Which face each pixel's ray sees, or each of tiles: on the CPU alone.
+
+    A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
 
     Args:
         camera: The view.
         surface: The mesh.
-        tiles: Pixels with tiles of rays; empty stands for the centres of all pixels.
+        sampling: Where in the pixel a ray lies.
+        tiles: Pixels with tiles of rays; empty stands for one of each pixel.
+        reach: How far from pixels' centres rays lie, at most, along an axis [pixels].
         first: The first thread's face.
         run: How many a thread takes.
         nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
             kept. All bits set is none.
-        rows_out: The least and the largest row in which a face lies, from those that are there on; or empty.
+        rows_out: The least and the largest row that a face may be seen in, from those that are there on; or empty.
     """
     begin = first + wp.tid() * run
-    cover_run(camera, surface, tiles, begin, begin + run, nearest_out, rows_out)
-
-
-@wp.func
-def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, ray: wp.int32):
-    """Send a ray through the hierarchy."""
-    pixels.hit[ray] = 0
-    pixels.face[ray] = -1
-    pixel = ray
-    offset = pixel_offset(sampling.sample, sampling.samples, sampling.seed, pixel)
-    rays = sampling.places.shape[0]
-    if sampling.tiles.shape[0] > 0:
-        pixel = sampling.tiles[ray // rays]
-        if pixel < 0:
-            return
-        offset = sampling.places[ray % rays]
-    elif rays > 0:
-        offset = sampling.places[sampling.sample]
-
-    # In float64 up to where it comes near the mesh: the eye may be thousands of radii away.
-    one = wp.float64(1.0)
-    two = wp.float64(2.0)
-    half = wp.float64(0.5)
-    column = wp.float64(pixel % camera.width) + half + offset[0]
-    row = wp.float64(pixel // camera.width) + half + offset[1]
-    x = camera.axes[4][0] * (two * column / wp.float64(camera.width) - one)
-    y = camera.axes[4][1] * (one - two * row / wp.float64(camera.height))
-    across = x * camera.axes[1] + y * camera.axes[2]
-    origin = camera.axes[0]
-    along = across - camera.axes[3]
-    if camera.orthographic:
-        origin = camera.axes[0] + across
-        along = -camera.axes[3]
-    along = wp.normalize(along)
-    direction = wp.vec3f(along)
-    # The mesh lies in the unit sphere: most rays beside it end here.
-    ahead = -wp.dot(origin, along)
-    closest = origin + ahead * along
-    if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
-        return
-    near = wp.max(ahead - two, wp.float64(0.0))
-    start = wp.vec3f(origin + near * along)
-    query = wp.mesh_query_ray(surface.mesh_id, start, direction, FAR)
-    if not query.result:
-        return
-    # Warp's barycentric coordinates: u belongs to the first vertex, v to the second.
-    b0 = query.u
-    b1 = query.v
-    # The place is found again in float64: on a thin body in a large scene, that of a float32 ray turns the normal by
-    # 1e-5, which a window of many wavelengths sees in what lies between its orders.
-    p0 = wp.vec3d(surface.positions[surface.faces[query.face, 0]])
-    edge1 = wp.vec3d(surface.positions[surface.faces[query.face, 1]]) - p0
-    edge2 = wp.vec3d(surface.positions[surface.faces[query.face, 2]]) - p0
-    across_edge2 = wp.cross(along, edge2)
-    determinant = wp.dot(edge1, across_edge2)
-    if determinant != wp.float64(0.0):
-        from_corner = origin - p0
-        share1 = wp.clamp(wp.dot(from_corner, across_edge2) / determinant, wp.float64(0.0), one)
-        share2 = wp.dot(along, wp.cross(from_corner, edge1)) / determinant
-        share2 = wp.clamp(share2, wp.float64(0.0), one - share1)
-        b0 = wp.float32(one - share1 - share2)
-        b1 = wp.float32(share1)
-    pixels.hit[ray] = 1
-    pixels.face[ray] = query.face
-    pixels.place[ray] = wp.vec2f(b0, b1)
-    pixels.to_view[ray] = -direction
+    cover_run(camera, surface, sampling, tiles, reach, begin, begin + run, nearest_out, rows_out)
 
 
 @wp.func
@@ -226,12 +160,16 @@ _MEET = """
     const unsigned long long* const nearest = (const unsigned long long*)pixels.nearest.data;
     const int* const tiles = (const int*)sampling.tiles.data;
     const double* const places = (const double*)sampling.places.data;
+    const double* const offsets = (const double*)sampling.offsets.data;
     int* const hit = (int*)pixels.hit.data;
     int* const face_at = (int*)pixels.face.data;
     float* const place_at = (float*)pixels.place.data;
     float* const view_at = (float*)pixels.to_view.data;
     const bool orthographic = camera.orthographic, of_tiles = sampling.tiles.shape[0] > 0;
+    const bool scattered = sampling.offsets.shape[0] > 0;
     const int width = camera.width, of_tile = of_tiles ? (int)sampling.places.shape[0] : 1;
+    // Of a sample, all pixels' rays lie alike, or each somewhere else.
+    const double* const alike = !of_tiles && sampling.places.shape[0] > 0 ? places + 2 * sampling.sample : nullptr;
     const double per_width = 2.0 * axes[12] / width, per_height = 2.0 * axes[13] / camera.height;
     // Rays that meet a face, and where they are in the picture.
     int rays[ABREAST], met[ABREAST], number = 0;
@@ -297,9 +235,9 @@ _MEET = """
             if (nearest[at] == UNSEEN) continue;
             rays[number] = at;
             met[number] = (int)(unsigned int)nearest[at];
-            const double* const place = places + 2 * (at % of_tile);
-            right[number] = of_tiles ? column + 0.5 + place[0] : column + k + 0.5;
-            down[number] = of_tiles ? row + 0.5 + place[1] : row + 0.5;
+            const double* const place = of_tiles ? places + 2 * (at % of_tile) : scattered ? offsets + 2 * at : alike;
+            right[number] = column + (of_tiles ? 0 : k) + 0.5 + (place ? place[0] : 0.0);
+            down[number] = row + 0.5 + (place ? place[1] : 0.0);
             if (++number == ABREAST) meet();
         }
         ray += count;
@@ -309,12 +247,14 @@ _MEET = """
 
 
 @wp.func_native(filled(abreast(32) + _MEET, UNSEEN=f"{int(UNSEEN)}ULL"))
-def meet(camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32):
+def meet_run(
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
+):
     """Where rays one after the other meet the faces that are known to be nearest."""
 
 
 @wp.kernel
-def cast(
+def meet(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
@@ -323,7 +263,7 @@ def cast(
     first: wp.int32,
     run: wp.int32,
 ):
-    """One ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
+    """Where the rays of pixels, or of tiles, meet the faces that ``cover`` has found.
 
     Args:
         camera: The view.
@@ -334,15 +274,27 @@ def cast(
         run: How many a thread takes.
     """
     begin = first + wp.tid() * run
-    if pixels.nearest.shape[0] > 0:
-        meet(camera, surface, sampling, pixels, begin, begin + run)
-    else:
-        for ray in range(begin, begin + run):
-            trace(camera, surface, sampling, pixels, ray)
+    meet_run(camera, surface, sampling, pixels, begin, begin + run)
     if pixels.base_colour.shape[0] > 0:
         for ray in range(begin, begin + run):
             if pixels.hit[ray] != 0:
                 paint(surface, pixels, ray)
+
+
+@wp.kernel
+def scatter(
+    # In:
+    sample: wp.int32,
+    samples: wp.int32,
+    seed: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    offsets_out: wp.array(dtype=wp.vec2d),
+):
+    """Where a sample of each pixel lies, as ``pixel_offset`` has it."""
+    for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
 
 
 @wp.kernel

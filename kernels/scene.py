@@ -31,6 +31,7 @@ class Sampling:
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels met by a tile of rays each, one after the other, −1 by none; empty is off
     places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
+    offsets: wp.array(dtype=wp.vec2d)  # where this sample of each pixel lies; empty unless rays are found face by face
 
 
 @wp.struct

@@ -8,8 +8,8 @@ ray slips between them.
 import warp as wp
 
 from warpdiff.kernels import spectral
+from warpdiff.kernels.hierarchy import occluded
 from warpdiff.kernels.native import abreast, filled, take_number
-from warpdiff.kernels.raycast import occluded
 from warpdiff.kernels.scene import Pixels
 
 wp.set_module_options(spectral.OPTIONS)

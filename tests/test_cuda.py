@@ -13,7 +13,7 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, lookup, polar, raycast, shadows, spectral, steep
+from warpdiff.kernels import directions, hierarchy, lookup, polar, raycast, shadows, spectral, steep
 
 SM = 90
 # Ampere, too, for what every frame launches.
@@ -21,7 +21,8 @@ SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"coverage", "native", "scene", "shading_frames"}
 KERNELS = {
-    "raycast": {"cast", "cover", "stand"},
+    "hierarchy": {"cast"},
+    "raycast": {"cover", "meet", "scatter", "stand"},
     "shadows": {"count", "fill", "hide", "project"},
     "directions": {
         "accumulate",
@@ -93,7 +94,7 @@ def test_every_kernel_module_is_compiled_here():
 
 
 @pytest.mark.parametrize("arch", SMS)
-@pytest.mark.parametrize("module", [raycast, directions, shadows, steep], ids=lambda each: each.__name__)
+@pytest.mark.parametrize("module", [hierarchy, raycast, directions, shadows, steep], ids=lambda each: each.__name__)
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 

@@ -15,9 +15,9 @@ from trimesh.visual.material import SimpleMaterial
 
 from warpdiff import meshes, supersample
 from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
-from warpdiff.kernels import raycast
+from warpdiff.kernels import hierarchy, raycast
 from warpdiff.kernels.scene import Pixels, Sampling, Tiles
-from warpdiff.scene import SceneArrays, camera, lies_ahead, needs_shadow_rays
+from warpdiff.scene import SceneArrays, camera, needs_shadow_rays
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
@@ -30,26 +30,35 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     sampling = Sampling()
     sampling.sample, sampling.samples, sampling.seed = sample, samples, seed
     count = view.width * view.height
+    pixels = pixels_for(count)
+    axes = camera_of(view, surface)
+    launches = [(hierarchy.cast, count, [axes, scene.with_hierarchy(), sampling, pixels], [])]
+    if covers:
+        pixels.nearest = wp.full(count, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+        sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
+        reach = raycast.MOST_OFFSET if samples > 1 else 0.0
+        no_rows = wp.empty(0, dtype=wp.int32, device="cpu")
+        given = [axes, scene.bare, sampling, Tiles(), reach]
+        launches = [
+            (raycast.scatter, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
+            (raycast.cover, scene.face_count, given, [pixels.nearest, no_rows]),
+            (raycast.meet, count, [axes, scene.bare, sampling, pixels], []),
+        ]
+    launches.append((raycast.stand, count, [scene.bare, pixels], []))
+    for kernel, size, arguments, outputs in launches:
+        for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
+            wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
+    return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
+
+
+def pixels_for(count):
+    """Room for what so many rays find."""
     pixels = Pixels()
     for name in OUTPUTS:
         dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
         setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
     pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
-    pixels.nearest = wp.full(count if covers else 0, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
-    inputs = [camera_of(view, surface), scene.with_hierarchy()]
-    launches = [
-        (raycast.cast, count, [*inputs, sampling, pixels], []),
-        (raycast.stand, count, [scene.with_hierarchy(), pixels], []),
-    ]
-    if covers:
-        assert lies_ahead(surface, view)
-        inputs = [camera_of(view, surface), scene.bare, Tiles()]
-        no_rows = wp.empty(0, dtype=wp.int32, device="cpu")
-        launches.insert(0, (raycast.cover, scene.face_count, inputs, [pixels.nearest, no_rows]))
-    for kernel, size, arguments, outputs in launches:
-        for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
-            wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
-    return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
+    return pixels
 
 
 def camera_of(view, surface):
@@ -198,11 +207,37 @@ def test_faces_leave_no_gap_where_they_meet():
         assert np.all(got["hit"] == 1)
 
 
-def test_bodies_beside_and_behind_the_eye_are_left_to_rays():
-    surface = prepare_surface(meshes.tube(segments_along=12, segments_around=8))
-    assert lies_ahead(surface, View((0, 1, 4), (0, 0, 0)))
-    assert not lies_ahead(surface, View((0, 0.0, 0.1), (5, 0, 0)))
-    assert not lies_ahead(surface, View((0, 1, 4), (0, 2, 8)))
+def within_a_tube(_request):
+    return meshes.tube(segments_along=24, segments_around=12), View(
+        (0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50
+    )
+
+
+def above_a_plane(_request):
+    # Two faces, which both reach far behind the eye.
+    return wall(size=40.0), View((0.3, -0.2, 0.5), (0.9, 4.0, 0.1), up=(0, 0, 1), width=64, height=48)
+
+
+def through_a_sphere(_request):
+    view = View.orthographic((0.2, 0.1, 0.3), (0, 0, 0), extent_y=1.6, width=60, height=44)
+    return trimesh.creation.icosphere(subdivisions=3), view
+
+
+@pytest.mark.parametrize("make", [within_a_tube, above_a_plane, through_a_sphere])
+@pytest.mark.parametrize("samples", [1, 8])
+def test_what_is_behind_the_eye_is_cut_off(make, samples, request):
+    mesh, view = make(request)
+    surface = prepare_surface(mesh, tangents=np.tile([0.3, 1.0, 0.2], (len(mesh.vertices), 1)))
+    scene = SceneArrays(surface, device="cpu")
+    given = {"scene": scene, "sample": samples // 2, "samples": samples}
+    found, by_rays = (cast(surface, view, covers=covers, **given) for covers in (True, False))
+    assert by_rays["hit"].mean() > 0.2
+    # Rays through an edge may take either face, but something is met.
+    np.testing.assert_array_equal(found["hit"], by_rays["hit"])
+    same = found["face"] == by_rays["face"]
+    assert same.mean() > 0.998
+    for name in ("normal", "to_view"):
+        np.testing.assert_allclose(found[name][same], by_rays[name][same], atol=1e-5)
 
 
 def plates(_request):
@@ -240,7 +275,7 @@ def test_rays_of_tiles_are_found_face_by_face(make, slices, request):
     rows = wp.array([view.height, -1], dtype=wp.int32, device="cpu")
     camera = camera_of(view, surface)
     for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
-        inputs = [camera, scene.bare, tiles, int(begin), int(end - begin)]
+        inputs = [camera, scene.bare, Sampling(), tiles, 0.0, int(begin), int(end - begin)]
         wp.launch(raycast.cover, 1, inputs, [nearest, rows], device="cpu")
     hits = 0
     for batch in batches:
@@ -249,18 +284,13 @@ def test_rays_of_tiles_are_found_face_by_face(make, slices, request):
         sampling.places, _ = batch.kind.tile.on(wp.get_device("cpu"))
         count = batch.end_ray - batch.first_ray
         found = []
-        for known in (nearest[batch.first_ray : batch.end_ray], nearest[:0]):
-            pixels = Pixels()
-            pixels.nearest = known
-            for name in OUTPUTS:
-                dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
-                setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
-            pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
-            pixels.base_colour = wp.empty(0, dtype=wp.vec3f, device="cpu")
+        for kernel in (raycast.meet, hierarchy.cast):
+            pixels = pixels_for(count)
+            pixels.nearest = nearest[batch.first_ray : batch.end_ray]
             # Some slices begin within a tile.
             for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
                 inputs = [camera, scene.with_hierarchy(), sampling, pixels, int(begin), int(end - begin)]
-                wp.launch(raycast.cast, 1, inputs, device="cpu")
+                wp.launch(kernel, 1, inputs, device="cpu")
             found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
         (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
         np.testing.assert_array_equal(hit, face >= 0)
@@ -286,7 +316,7 @@ def test_tiles_that_pixels_beside_have_none_of_are_left_alone():
     batch = supersample.Batch(supersample.KINDS[0], pixels, 0)
     tiles = supersample.tiles_of([batch], view.width, view.height, wp.get_device("cpu"))
     nearest = wp.full(batch.end_ray + 500, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
-    inputs = [camera_of(view, surface), scene.bare, tiles, 0, scene.face_count]
+    inputs = [camera_of(view, surface), scene.bare, Sampling(), tiles, 0.0, 0, scene.face_count]
     wp.launch(raycast.cover, 1, inputs, [nearest, wp.empty(0, dtype=wp.int32, device="cpu")], device="cpu")
     met = nearest.numpy() != int(raycast.UNSEEN)
     assert np.all(met[: batch.end_ray])
@@ -409,7 +439,7 @@ def shadow_rays(
     occluded_out: wp.array(dtype=wp.int32),
 ):
     i = wp.tid()
-    occluded_out[i] = wp.where(raycast.occluded(mesh_id, origins[i], direction), 1, 0)
+    occluded_out[i] = wp.where(hierarchy.occluded(mesh_id, origins[i], direction), 1, 0)
 
 
 def shadowed(scene, origins, direction):

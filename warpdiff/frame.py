@@ -42,7 +42,7 @@ def load_kernels(device: wp.Device) -> None:
     """Begin to load what every picture needs, while the mesh is looked at."""
     from warpdiff.kernels import directions, raycast, shadows
 
-    load([raycast.cast, directions.deflect_pixels, shadows.hide], device)
+    load([raycast.meet, directions.deflect_pixels, shadows.hide], device)
 
 
 @dataclass(frozen=True)
@@ -103,9 +103,9 @@ class _Room:
         return cls(seen, colours, left_out, tiles)
 
 
-# Rooms on the CPU that no picture is in, with or without arrays for what is left out and for faces: to make them takes
-# as long as to look up a thousand pixels.
-_free_rooms: defaultdict[tuple[bool, bool], list[_Room]] = defaultdict(list)
+# Rooms on the CPU that no picture is in, with and without arrays for what is left out: to make them takes as long as to
+# look up a thousand pixels.
+_free_rooms: defaultdict[bool, list[_Room]] = defaultdict(list)
 
 
 class Frame:
@@ -131,6 +131,7 @@ class Frame:
         import warp as wp
 
         from warpdiff import scene
+        from warpdiff.kernels import raycast
 
         self._samples = samples
         places, self._weights, self._deviation = np.zeros((0, 2)), np.full(samples, 1.0 / samples), 0.0
@@ -149,7 +150,11 @@ class Frame:
         # written to.
         self._among, self._written = range(size), range(0)
         self._rows = wp.empty(2, dtype=wp.int32, device=device)
-        self._nearest = wp.empty(0, dtype=wp.uint64, device=device)
+        # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
+        self._nearest = wp.empty(0 if self._alone else size, dtype=wp.uint64, device=device)
+        # How far from pixels' centres rays lie, and where those of a sample do, if each pixel's lies elsewhere.
+        self._reach = 0.0 if samples == 1 else float(np.abs(places).max()) if means else raycast.MOST_OFFSET
+        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         # Faces that are yet finding their pixels.
         self._covering: Work | None = None
         self.look(view)
@@ -181,24 +186,16 @@ class Frame:
 
     def look(self, view: View) -> None:
         """Set the view, of the same size as any before."""
-        import warp as wp
-
         from warpdiff import scene
 
         self._view = view
         self._camera = scene.camera(view, self._surface, axes=self._axes)
         self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
-        # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
-        self._covers = not self._alone and self._samples == 1 and scene.lies_ahead(self._surface, view)
         if self._covering is not None:
             self._covering.finish()
             self._covering = None
-        if self._covers != (len(self._nearest) > 0):
-            self._nearest = wp.empty(self._size * self._covers, dtype=wp.uint64, device=self._device)
-        if self._covers:
-            self._covering = self._begin_to_cover()
-        else:
-            self._among = self._written = range(self._size)
+        if not self._alone and self._samples == 1:
+            self._covering = self._begin_to_cover(self._sampling(0, 1))
         self.begin()
 
     @functools.cached_property
@@ -371,7 +368,7 @@ class Frame:
                     colours, seen.gains, width, tolerance, among=self._among, **self._options
                 )
                 self._set_means(batches, rooms)
-                _free_rooms[integrator.leaves_out, self._covers].extend(room for room, _ in rooms)
+                _free_rooms[integrator.leaves_out].extend(room for room, _ in rooms)
                 self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:
@@ -394,9 +391,8 @@ class Frame:
             room, steps = free.pop()
             count = len(pixels) * kind.rays
             room.tiles.numpy()[: len(pixels)] = pixels
-            if self._covers:
-                first = batch.first_ray + part.start * kind.rays
-                room.seen.pixels.nearest.numpy()[:count] = nearest[first : first + count]
+            first = batch.first_ray + part.start * kind.rays
+            room.seen.pixels.nearest.numpy()[:count] = nearest[first : first + count]
             room.colours.numpy()[:count] = 0.0
             # Look-ups take whole runs.
             room.seen.gains.numpy()[count:] = 0.0
@@ -406,17 +402,15 @@ class Frame:
         side_by_side(work, parts, threads=self._threads)
 
     def _meet_tiles(self, batches: Sequence[supersample.Batch]) -> NDArray[np.uint64]:
-        """What ``cover`` finds of the rays of batches, one after the other; nothing where rays are to be cast."""
+        """What ``cover`` finds of the rays of batches, one after the other."""
         import warp as wp
 
         from warpdiff.kernels import raycast
 
-        if not self._covers:
-            return np.zeros(0, dtype=np.uint64)
         tiles = supersample.tiles_of(batches, self._view.width, self._view.height, self._device)
         rays = sum(len(batch.pixels) * batch.kind.rays for batch in batches)
         nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device=self._device)
-        inputs = [self._camera, self._scene.bare, tiles]
+        inputs = [self._camera, self._scene.bare, self._sampling(0, 1), tiles, 0.0]
         launch(
             raycast.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], least_slice=_FACES,
             in_runs=True, **self._options,
@@ -428,13 +422,14 @@ class Frame:
     ) -> list[tuple[_Room, list[list[Step]]]]:
         """What each thread meets tiles with: room, and what it launches for pixels of each kind, whichever they are."""
         rooms = []
-        free = _free_rooms[integrator.leaves_out, self._covers]
+        free = _free_rooms[integrator.leaves_out]
         for _ in range(self._threads):
             try:
                 room = free.pop()
             except IndexError:
-                kinds = {"leaves_out": integrator.leaves_out, "covers": self._covers}
-                room = _Room.by(supersample.MOST_RAYS, device=self._device, **kinds)
+                room = _Room.by(
+                    supersample.MOST_RAYS, leaves_out=integrator.leaves_out, covers=True, device=self._device
+                )
             tiles = [room.tiles] * len(supersample.KINDS)
             rooms.append((room, self._steps_of_tiles(integrator, which, illuminant, tiles, room, colours)))
         for _, steps in rooms:
@@ -491,7 +486,7 @@ class Frame:
                 sampling.tiles = tiles[kind.index]
                 sampling.places, weights = tile.on(self._device)
                 of_rays[kind.rays] = (
-                    self._steps_of_rays(sampling, seen.pixels, few=True),
+                    self._steps_of_rays(sampling, seen.pixels),
                     self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
                     Step(
                         directions.gather, [room.colours, seen.pixels.hit, tiles[kind.index], weights], [colours],
@@ -520,23 +515,16 @@ class Frame:
         """Launch what finds rays and directions over all pixels."""
         launch_in_turn(steps, self._among, least_slice=_SLICE, **self._options)
 
-    def _begin_to_cover(self) -> Work:
+    def _begin_to_cover(self, sampling: Any) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
         from warpdiff.kernels import raycast
         from warpdiff.kernels.scene import Tiles
 
         self._nearest.fill_(raycast.UNSEEN)
         self._rows.assign([self._view.height, -1])
-        inputs = [self._camera, self._scene.bare, Tiles()]
+        inputs = [self._camera, self._scene.bare, sampling, Tiles(), self._reach]
         cover = Step(raycast.cover, inputs, [self._nearest, self._rows], in_runs=True)
         return begin_in_turn([cover], self._scene.face_count, least_slice=_FACES, **self._options)
-
-    def _meet(self) -> None:
-        """Know which face each pixel sees."""
-        with self._covering or self._begin_to_cover():
-            self._prepare()
-        self._covering = None
-        self._keep_to(*self._rows.numpy())
 
     def _keep_to(self, first_row: int, last_row: int) -> None:
         """Look at pixels of these rows alone from now on, and leave zeros elsewhere."""
@@ -558,31 +546,49 @@ class Frame:
 
         self._seen.pixels.nearest = self._nearest
         if self._casts_shadows and 0 not in self._grids:
-            pixels = scene.pixels_within(self._surface, self._view)
-            self._grids[0] = self._grid_for(0, pixels, device=self._device, threads=1)
+            rays = self._samples * scene.pixels_within(self._surface, self._view)
+            self._grids[0] = self._grid_for(0, rays, device=self._device, threads=1)
 
     def _cast(self, sample: int, samples: int) -> list[Step]:
         """What sends one ray through every pixel."""
+        self.begin()
+        sampling = self._sampling(sample, samples)
+        if not self._alone:
+            with self._covering or self._begin_to_cover(sampling):
+                self._prepare()
+            self._covering = None
+            self._keep_to(*self._rows.numpy())
+        return self._steps_of_rays(sampling, self._seen.pixels)
+
+    def _sampling(self, sample: int, samples: int) -> Any:
+        """Where a sample of every pixel lies."""
+        import warp as wp
+
+        from warpdiff.kernels import raycast
         from warpdiff.kernels.scene import Sampling
 
-        self.begin()
         sampling = Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1:
             sampling.places = self._places
-        if self._covers:
-            self._meet()
-        else:
-            self._seen.pixels.nearest = self._nearest
-        return self._steps_of_rays(sampling, self._seen.pixels)
+        if samples > 1 and not len(self._places) and not self._alone:
+            if not len(self._offsets):
+                self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self._device)
+            inputs = [sample, samples, _SEED]
+            launch(
+                raycast.scatter, self._size, inputs, [self._offsets], least_slice=_SLICE, in_runs=True, **self._options
+            )
+            sampling.offsets = self._offsets
+        return sampling
 
-    def _steps_of_rays(self, sampling: Any, pixels: Any, *, few: bool = False) -> list[Step]:
-        """What finds where rays meet the mesh, few of them through the hierarchy if so told, and how it lies there."""
-        from warpdiff.kernels import raycast
+    def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
+        """What finds where rays meet the mesh, and how it lies there."""
+        from warpdiff.kernels import hierarchy, raycast
 
-        arrays = self._scene.bare if len(pixels.nearest) else self._scene.with_hierarchy(few=few)
+        arrays = self._scene.with_hierarchy() if self._alone else self._scene.bare
+        find = hierarchy.cast if self._alone else raycast.meet
         return [
-            Step(raycast.cast, [self._camera, arrays, sampling, pixels], [], in_runs=True),
+            Step(find, [self._camera, arrays, sampling, pixels], [], in_runs=True),
             Step(raycast.stand, [arrays, pixels], [], in_runs=True),
         ]
 

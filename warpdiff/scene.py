@@ -11,15 +11,12 @@ import numpy as np
 import warp as wp
 
 from warpdiff.kernels.scene import Camera, SurfaceArrays
-from warpdiff.linear_algebra import on_one_thread
 
 if TYPE_CHECKING:
     from warpdiff.surface import Surface
     from warpdiff.view import View
 
 
-# In front of the eye, in units of the surface.
-_LEAST_DEPTH = 1e-3
 # Faces in a leaf of a hierarchy for few rays.
 _LEAF = 4
 _kept: weakref.WeakKeyDictionary[Surface, dict[Any, SceneArrays]] = weakref.WeakKeyDictionary()
@@ -113,16 +110,8 @@ def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
     return result
 
 
-@on_one_thread()
-def lies_ahead(surface: Surface, view: View) -> bool:
-    """Whether all of the surface is in front of the eye."""
-    frame = view.frame()
-    depth = (frame.origin - surface.centre) / surface.radius @ frame.back
-    return bool(depth - np.max(surface.vertices @ frame.back.astype(np.float32)) > _LEAST_DEPTH)
-
-
 def pixels_within(surface: Surface, view: View) -> int:
-    """About how many pixels see a surface that lies ahead: half of those within its box, around its centre."""
+    """About how many pixels see a surface: half of those within its box, or all if some of that is behind the eye."""
     frame = view.frame()
     sides = surface.radius * np.abs(surface.vertices).max(axis=0).astype(np.float64)
     seen = sides * list(itertools.product((-1.0, 1.0), repeat=3)) + surface.centre - frame.origin

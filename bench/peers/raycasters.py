@@ -18,7 +18,7 @@ from warpdiff import scene
 from warpdiff.bench import brute_force
 from warpdiff.device import launch, resolve_device
 from warpdiff.frame import Frame
-from warpdiff.kernels import raycast, spectral
+from warpdiff.kernels import hierarchy, spectral
 from warpdiff.surface import prepare_surface
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def query(
 ):
     """The bare hit of each ray: the face, or −1, and the shares of its first two corners."""
     i = first + wp.tid()
-    found = wp.mesh_query_ray(mesh_id, origins[i], directions[i], raycast.FAR)
+    found = wp.mesh_query_ray(mesh_id, origins[i], directions[i], hierarchy.FAR)
     face_out[i] = -1
     if found.result:
         face_out[i] = found.face
