@@ -664,7 +664,7 @@ class Frame:
         import warp as wp
 
         if result is None:
-            result = wp.empty(self._size, dtype=wp.vec4f, device=self._device)
+            result = wp.zeros(self._size, dtype=wp.vec4f, device=self._device)
         self._now = self._now[0], None
         steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0, shadows=False)
         self._launch(steps)
