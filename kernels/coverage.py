@@ -16,7 +16,7 @@ _COVER = """
     constexpr double PER_PIXEL = 1 << 14;
     // Before the eye, in units of the surface: what is nearer is not seen.
     constexpr double NEAR = 1.0e-6;
-    constexpr int LANES = 8, KINDS = 4;
+    constexpr int LANES = 8, KINDS = 6;
     typedef float lanes __attribute__((vector_size(4 * LANES), aligned(4)));
     typedef signed flags __attribute__((vector_size(4 * LANES)));
     const flags BITS = {1, 2, 4, 8, 16, 32, 64, 128};

@@ -360,6 +360,10 @@ def spread_pixels(
         footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
 
 
+# By how much the change of (u, v) from one pixel to the next may differ from that to the one before, relative to the
+# larger of them, where it counts as even.
+EVENLY = 0.02
+
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
 _CLASSIFY = """
     const float* const gain = (const float*)gains.data;
@@ -416,15 +420,43 @@ _CLASSIFY = """
                 exceeded[i] += wp::sqrt(largest[i]) > bound * (size > least ? size : least);
             }
         }
-        for (int i = 0; i < count; ++i)
-            classes[i] = !lit[1][i + 1] ? 0 : exceeded[i] == 0 ? 1 : 2 * exceeded[i] + beside_dark[i];
+        for (int i = 0; i < count; ++i) {
+            classes[i] = !lit[1][i + 1] ? 0 : exceeded[i] == 0 ? 1 : 3 * exceeded[i] + (beside_dark[i] ? 1 : 0);
+            if (classes[i] < 2 || beside_dark[i]) continue;
+            // All around are lit, and (u, v) changes evenly along rows and columns and between: a parabola has it.
+            bool all_lit = true;
+            for (int line = 0; line < 3; ++line)
+                for (int j = i; j < i + 3; ++j) all_lit &= lit[line][j];
+            if (!all_lit) continue;
+            const double* const here = (const double*)deflections.data + 3 * (from + (long long)i);
+            float u[3][3], v[3][3];
+            for (int line = 0; line < 3; ++line)
+                for (int j = 0; j < 3; ++j) {
+                    const double* const there = here + 3 * ((line - 1LL) * width + j - 1);
+                    u[line][j] = (float)(there[0] - here[0]);
+                    v[line][j] = (float)(there[1] - here[1]);
+                }
+            auto square = [](float x, float y) { return x * x + y * y; };
+            const float left = square(u[1][0], v[1][0]), right = square(u[1][2], v[1][2]);
+            const float above = square(u[0][1], v[0][1]), below = square(u[2][1], v[2][1]);
+            const float along = left > right ? left : right, down = above > below ? above : below;
+            const float both = along > down ? along : down;
+            bool even = square(u[1][0] + u[1][2], v[1][0] + v[1][2]) <= EVENLY * EVENLY * along
+                && square(u[0][1] + u[2][1], v[0][1] + v[2][1]) <= EVENLY * EVENLY * down;
+            for (int line = 0; line < 3; line += 2)
+                for (int j = 0; j < 3; j += 2)
+                    even &= square(u[line][j] - u[line][1] - u[1][j], v[line][j] - v[line][1] - v[1][j])
+                        <= EVENLY * EVENLY * both;
+            classes[i] -= even;
+        }
     }
 """
 
 
-@wp.func_native(abreast(32) + _CLASSIFY)
+@wp.func_native(filled(abreast(32) + _CLASSIFY, EVENLY=EVENLY))
 def classes_of(
     colours: wp.array(dtype=wp.vec3f),
+    deflections: wp.array(dtype=wp.vec3d),
     gains: wp.array(dtype=wp.float32),
     width: wp.int32,
     height: wp.int32,
@@ -441,6 +473,7 @@ def classes_of(
 def classify(
     # In:
     colours: wp.array(dtype=wp.vec3f),
+    deflections: wp.array(dtype=wp.vec3d),
     gains: wp.array(dtype=wp.float32),
     width: wp.int32,
     floor: wp.array(dtype=wp.float32),
@@ -450,16 +483,19 @@ def classify(
     # Out:
     classes_out: wp.array(dtype=wp.uint8),
 ):
-    """How many bounds a lit pixel's contrast exceeds, twice, and one more if a pixel beside such a one is not lit.
+    """The class of each pixel: 0 is not lit, 1 has a contrast within all bounds, and those beyond are of three classes.
 
-    One where it exceeds none; 0 is not lit.
+    Three for each further bound that is exceeded, from 2 on: where (u, v) changes evenly all around, where it does not,
+    and where a pixel beside is not lit.
 
     Contrast is the largest difference from those beside it in the picture, of which there are whole rows, relative to
     the pixel itself, or to ``floor``, if that is more.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
-    classes_of(colours, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out)
+    classes_of(
+        colours, deflections, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out
+    )
 
 
 # Most pixels are of no class from 2 on, eight of them at a time.
@@ -501,6 +537,7 @@ def list_classes(
 def list_steep(
     # In:
     colours: wp.array(dtype=wp.vec3f),
+    deflections: wp.array(dtype=wp.vec3d),
     gains: wp.array(dtype=wp.float32),
     width: wp.int32,
     floor: wp.array(dtype=wp.float32),
@@ -521,8 +558,142 @@ def list_steep(
     """
     thread, _ = wp.tid()
     begin = first + thread * run
-    classes_of(colours, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out)
+    classes_of(
+        colours, deflections, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out
+    )
     list_classes(classes_out, begin, begin + run, (begin - begins) // size, lists_out, counts_out)
+
+
+# Tile after tile, with rays side by side.
+_FAN_OUT = """
+    const double* const all = (const double*)deflections.data;
+    const float* const all_lights = (const float*)to_lights.data;
+    const float* const all_gains = (const float*)gains.data;
+    const double* const places_of = (const double*)places.data;
+    double* const deflection_at = (double*)deflections_out.data;
+    float* const light_at = (float*)to_lights_out.data;
+    float* const gain_at = (float*)gains_out.data;
+    float* const footprint_at = (float*)footprints_out.data;
+    int* const hit_at = (int*)hit_out.data;
+    const int rays = (int)places.shape[0], quantities = with_lights ? 7 : 4;
+    float x[MOST_RAYS] = {}, y[MOST_RAYS] = {}, xx[MOST_RAYS] = {}, xy[MOST_RAYS] = {}, yy[MOST_RAYS] = {};
+    for (int ray = 0; ray < rays; ++ray) {
+        x[ray] = (float)places_of[2 * ray];
+        y[ray] = (float)places_of[2 * ray + 1];
+        xx[ray] = 0.5f * x[ray] * x[ray];
+        xy[ray] = x[ray] * y[ray];
+        yy[ray] = 0.5f * y[ray] * y[ray];
+    }
+    for (int tile = begin; tile < end; ++tile) {
+        const long long pixel = ((const int*)tiles.data)[tile], first = (long long)tile * rays;
+        if (pixel < 0) {
+            for (int ray = 0; ray < rays; ++ray) {
+                hit_at[first + ray] = 0;
+                gain_at[first + ray] = 0.0f;
+            }
+            continue;
+        }
+        // (u, v, w), the gain, and the direction to the light where that counts: by how much those around differ.
+        float around[7][9], changes[7][MOST_RAYS], along[4][MOST_RAYS];
+        for (int k = 0; k < 9; ++k) {
+            const long long there = pixel + (k / 3 - 1LL) * width + k % 3 - 1;
+            for (int c = 0; c < 3; ++c) around[c][k] = (float)(all[3 * there + c] - all[3 * pixel + c]);
+            around[3][k] = all_gains[there] - all_gains[pixel];
+            if (with_lights)
+                for (int c = 0; c < 3; ++c) around[4 + c][k] = all_lights[3 * there + c] - all_lights[3 * pixel + c];
+        }
+        for (int q = 0; q < quantities; ++q) {
+            const float* const f = around[q];
+            const float f_x = 0.5f * (f[5] - f[3]), f_y = 0.5f * (f[7] - f[1]), f_xx = f[5] + f[3], f_yy = f[7] + f[1];
+            const float f_xy = 0.25f * (f[8] - f[6] - f[2] + f[0]);
+            for (int ray = 0; ray < MOST_RAYS; ++ray)
+                changes[q][ray] = f_x * x[ray] + f_y * y[ray] + f_xx * xx[ray] + f_xy * xy[ray] + f_yy * yy[ray];
+            if (q >= 2) continue;
+            for (int ray = 0; ray < MOST_RAYS; ++ray) {
+                along[q][ray] = deviation * (f_x + f_xx * x[ray] + f_xy * y[ray]);
+                along[2 + q][ray] = deviation * (f_y + f_xy * x[ray] + f_yy * y[ray]);
+            }
+        }
+        for (int ray = 0; ray < rays; ++ray) {
+            const long long k = first + ray;
+            hit_at[k] = 1;
+            for (int c = 0; c < 3; ++c) deflection_at[3 * k + c] = all[3 * pixel + c] + (double)changes[c][ray];
+            const float gain = all_gains[pixel] + changes[3][ray];
+            gain_at[k] = gain > 0.0f ? gain : 0.0f;
+            for (int c = 0; c < 4; ++c) footprint_at[4 * k + c] = along[c][ray];
+            if (with_lights)
+                for (int c = 0; c < 3; ++c) light_at[3 * k + c] = all_lights[3 * pixel + c] + changes[4 + c][ray];
+        }
+    }
+"""
+
+
+@wp.func_native(filled(_FAN_OUT, MOST_RAYS=32))
+def fan_out_run(
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    tiles: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec2d),
+    width: wp.int32,
+    deviation: wp.float32,
+    with_lights: wp.bool,
+    begin: wp.int32,
+    end: wp.int32,
+    deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+    footprints_out: wp.array(dtype=wp.vec4f),
+    hit_out: wp.array(dtype=wp.int32),
+):
+    """What rays of tiles see, by parabolas."""
+
+
+@wp.kernel
+def fan_out(
+    # In:
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    tiles: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec2d),
+    width: wp.int32,
+    deviation: wp.float32,
+    with_lights: wp.bool,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+    footprints_out: wp.array(dtype=wp.vec4f),
+    hit_out: wp.array(dtype=wp.int32),
+):
+    """What rays of tiles see where (u, v) changes evenly: by the parabolas through a pixel and those around it.
+
+    Args:
+        deflections: Those of the picture's pixels.
+        to_lights: Their directions to the light.
+        gains: Their factors.
+        tiles: The pixels that have a tile; −1 is none.
+        places: Where rays lie, (right, down) of the centre [pixels].
+        width: Pixels in a row.
+        deviation: Of the rays' filters [pixels].
+        with_lights: Whether directions to the light count.
+        first: The first thread's tile.
+        run: How many a thread takes.
+        deflections_out: Those of the rays.
+        to_lights_out: Their directions to the light.
+        gains_out: Their factors.
+        footprints_out: As ``spread_pixels`` has them.
+        hit_out: 1 for each ray of a pixel.
+    """
+    thread, _ = wp.tid()
+    begin = first + thread * run
+    fan_out_run(
+        deflections, to_lights, gains, tiles, places, width, deviation, with_lights, begin, begin + run,
+        deflections_out, to_lights_out, gains_out, footprints_out, hit_out
+    )  # fmt: skip
 
 
 @wp.kernel

@@ -28,6 +28,7 @@ KERNELS = {
         "accumulate",
         "classify",
         "deflect_pixels",
+        "fan_out",
         "gather",
         "list_steep",
         "pick",

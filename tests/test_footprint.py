@@ -11,10 +11,12 @@ import warp as wp
 
 import warpdiff as wd
 from warpdiff import colour_table, meshes, supersample
+from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
 from warpdiff.kernels import directions
 
 SHORT = wd.Coherence(sigma_um=3.25)
+SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 # Of 144, P99 of the best pictures was their own noise: 0.25, and 0.06 against these.
 RAYS = 1024
@@ -305,7 +307,21 @@ def test_tiles_stand_for_the_filter(tile, angle_deg):
     np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
 
 
-def classes_by_hand(colours, gains, floor, bounds):
+def changes_evenly(around):
+    """Whether (u, v) of 3 × 3 pixels does."""
+    around = around - around[1, 1]
+    size = np.linalg.norm
+    along = max(size(around[1, 0]), size(around[1, 2]))
+    down = max(size(around[0, 1]), size(around[2, 1]))
+    corners = [around[i, j] - around[i, 1] - around[1, j] for i in (0, 2) for j in (0, 2)]
+    return (
+        size(around[1, 0] + around[1, 2]) <= directions.EVENLY * along
+        and size(around[0, 1] + around[2, 1]) <= directions.EVENLY * down
+        and max(map(size, corners)) <= directions.EVENLY * max(along, down)
+    )
+
+
+def classes_by_hand(colours, deflections, gains, floor, bounds):
     """What ``classify`` finds of a picture, pixel by pixel."""
     height, width = gains.shape
     found = np.zeros((height, width), np.uint8)
@@ -318,7 +334,10 @@ def classes_by_hand(colours, gains, floor, bounds):
                 else:
                     dark = 1
         exceeded = sum(contrast > bound * max(np.linalg.norm(colours[row, column]), floor) for bound in bounds)
-        found[row, column] = 2 * exceeded + dark if exceeded else 1
+        inside = 0 < row < height - 1 and 0 < column < width - 1
+        all_lit = inside and np.all(gains[row - 1 : row + 2, column - 1 : column + 2] > 0.0)
+        even = all_lit and changes_evenly(deflections[row - 1 : row + 2, column - 1 : column + 2, :2])
+        found[row, column] = 3 * exceeded + dark - even if exceeded else 1
     return found
 
 
@@ -328,23 +347,114 @@ def test_steep_pixels_are_told_by_those_beside_them(size, slices, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
     # Some rows see nothing at all.
     gains = (rng.uniform(size=size) - 0.3 - (np.arange(size[0]) % 4 == 3)[:, None]).astype(np.float32)
+    # Here and there (u, v) goes on as it did.
+    y, x = np.mgrid[: size[0], : size[1]]
+    deflections = np.stack([0.01 * x + 0.002 * y, 0.02 * y, 0.0 * x], axis=-1)
+    deflections[..., :2] += rng.choice([0.0, 1e-5, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     bounds = np.array([0.5, 1.5], np.float32)
     found = wp.empty(gains.size, dtype=wp.uint8, device="cpu")
-    given = [wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"), wp.array(gains.ravel(), device="cpu")]
+    given = [wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu")]
+    given += [wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device="cpu"), wp.array(gains.ravel(), device="cpu")]
     given += [size[1], *(wp.array(each, dtype=wp.float32, device="cpu") for each in ([0.8], bounds))]
     for begin, end in itertools.pairwise(np.linspace(0, gains.size, slices + 1).astype(int)):
         wp.launch(directions.classify, (1, 1), [*given, int(begin), int(end - begin)], [found], device="cpu")
-    expected = classes_by_hand(colours, gains, 0.8, bounds)
+    expected = classes_by_hand(colours, deflections, gains, 0.8, bounds)
     np.testing.assert_array_equal(found.numpy().reshape(size), expected)
     # And listed, where that does not begin with the picture.
     begins, part = gains.size // 3, 50
-    lists = wp.zeros((4, gains.size), dtype=wp.int32, device="cpu")
-    counts = wp.zeros((-(-(gains.size - begins) // part), 5), dtype=wp.int32, device="cpu")
+    lists = wp.zeros((6, gains.size), dtype=wp.int32, device="cpu")
+    counts = wp.zeros((-(-(gains.size - begins) // part), 7), dtype=wp.int32, device="cpu")
     for begin in range(begins, gains.size, part):
         inputs = [*given, begins, part, begin, min(part, gains.size - begin)]
         wp.launch(directions.list_steep, (1, 1), inputs, [found, lists, counts], device="cpu")
     flat = expected.ravel()[begins:]
     assert counts.numpy()[:, -1].sum() == np.count_nonzero(flat)
-    for kind in range(4):
+    for kind in range(6):
         listed = [lists.numpy()[kind, begins + k * part :][:count] for k, count in enumerate(counts.numpy()[:, kind])]
         np.testing.assert_array_equal(np.concatenate(listed), begins + np.flatnonzero(flat == kind + 2))
+
+
+@pytest.mark.parametrize("with_lights", [True, False])
+def test_rays_fan_out_along_parabolas(with_lights, rng):
+    """What changes as a parabola is met exactly, with the footprints that are its slopes."""
+    width, height = 9, 7
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+
+    def parabolas(count):
+        return rng.normal(size=(count, 6)) * [1.0, 0.1, 0.1, 0.01, 0.01, 0.01]
+
+    def at(terms, x, y):
+        return terms @ np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]).reshape(6, -1)
+
+    of_uvw, of_light = parabolas(3), parabolas(3)
+    of_gain = np.abs(parabolas(1)) + 0.1
+    flat = [at(terms, x, y).T for terms in (of_uvw, of_light, of_gain)]
+    arrays = [
+        wp.array(values, dtype=dtype, device="cpu")
+        for values, dtype in zip((*flat[:2], flat[2].ravel()), (wp.vec3d, wp.vec3f, wp.float32), strict=True)
+    ]
+    pixels = np.array([width + 1, -1, 3 * width + 4, 5 * width + 7], dtype=np.int32)
+    tile = supersample.TILES[25]
+    places, _ = tile.rays
+    count = len(pixels) * len(places)
+    found = [wp.full(count, 7.0, dtype=dtype, device="cpu") for dtype in (wp.vec3d, wp.vec3f, wp.float32, wp.vec4f)]
+    hit = wp.full(count, 7, dtype=wp.int32, device="cpu")
+    inputs = [*arrays, wp.array(pixels, dtype=wp.int32, device="cpu"), wp.array(places, dtype=wp.vec2d, device="cpu")]
+    inputs += [width, tile.deviation, with_lights]
+    for first, run in ((0, 1), (1, 3)):
+        wp.launch(directions.fan_out, (1, 1), [*inputs, first, run], [*found, hit], device="cpu")
+    deflections, to_lights, gains, footprints = (each.numpy().reshape(len(pixels), 25, -1) for each in found)
+    np.testing.assert_array_equal(hit.numpy().reshape(-1, 25)[:, 0], np.where(pixels < 0, 0, 1))
+    np.testing.assert_array_equal(gains[1], 0.0)
+    for k in (0, 2, 3):
+        right, down = pixels[k] % width + places[:, 0], pixels[k] // width + places[:, 1]
+        np.testing.assert_allclose(deflections[k], at(of_uvw, right, down).T, atol=2e-6)
+        np.testing.assert_allclose(gains[k], at(of_gain, right, down).T, rtol=1e-5)
+        if with_lights:
+            np.testing.assert_allclose(to_lights[k], at(of_light, right, down).T, atol=2e-6)
+        for c in (0, 1):
+            _, a, b, aa, ab, bb = of_uvw[c]
+            along_x, along_y = a + 2 * aa * right + ab * down, b + ab * right + 2 * bb * down
+            np.testing.assert_allclose(footprints[k, :, c], tile.deviation * along_x, atol=1e-6)
+            np.testing.assert_allclose(footprints[k, :, 2 + c], tile.deviation * along_y, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["averaged", "source"])
+def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, monkeypatch):
+    if kind == "source":
+        plan = wd.plan(fingers, coherence=SOURCE, method="low-rank/table", tolerance=0.1, strict=False)
+    else:
+        plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=1e-2)
+    plan = dataclasses.replace(plan, footprint=True)
+    close = wd.View((0.0, 0.5, 0.75), (0.0, 0.0, 0.0), width=480, height=360)
+    numbers = []
+
+    def all_cast(*arguments, **options):
+        lit, batches = list_up(*arguments, **options)
+        numbers.append({each.kind.index: len(each.pixels) for each in batches})
+        rays, found = 0, []
+        for each in batches:
+            kind = supersample.KINDS[each.kind.index + each.kind.even]
+            found.append(supersample.Batch(kind, each.pixels, rays))
+            rays = found[-1].end_ray
+        return lit, found
+
+    found = wd.shade(tube, fingers, LIGHT, close, plan=plan)
+    list_up = supersample.batches
+    monkeypatch.setattr(supersample, "batches", all_cast)
+    # Faces are to find the rays of each batch by itself.
+    meet = Frame._meet_tiles
+    monkeypatch.setattr(
+        Frame, "_meet_tiles", lambda self, batches: np.concatenate([meet(self, [alone(each)]) for each in batches])
+    )
+    expected = wd.shade(tube, fingers, LIGHT, close, plan=plan)
+    (listed,) = numbers
+    even = sum(count for index, count in listed.items() if supersample.KINDS[index].even)
+    assert even > 0.2 * sum(listed.values())
+    error = errors(found, expected)
+    assert np.count_nonzero(error) > 0.5 * even
+    assert np.percentile(error[error > 0.0], 99) < 5e-3
+
+
+def alone(batch):
+    return supersample.Batch(batch.kind, batch.pixels, 0)

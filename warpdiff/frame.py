@@ -365,7 +365,7 @@ class Frame:
                 with begin_in_turn(steps, self._among, **options):
                     rooms = self._prepare_tiles(integrator, which, illuminant, colours)
                 lit, batches = supersample.batches(
-                    colours, seen.gains, width, tolerance, among=self._among, **self._options
+                    colours, seen.deflections, seen.gains, width, tolerance, among=self._among, **self._options
                 )
                 self._set_means(batches, rooms)
                 _free_rooms[integrator.leaves_out].extend(room for room, _ in rooms)
@@ -391,8 +391,9 @@ class Frame:
             room, steps = free.pop()
             count = len(pixels) * kind.rays
             room.tiles.numpy()[: len(pixels)] = pixels
-            first = batch.first_ray + part.start * kind.rays
-            room.seen.pixels.nearest.numpy()[:count] = nearest[first : first + count]
+            if not kind.even:
+                first = batch.first_ray + part.start * kind.rays
+                room.seen.pixels.nearest.numpy()[:count] = nearest[first : first + count]
             room.colours.numpy()[:count] = 0.0
             # Look-ups take whole runs.
             room.seen.gains.numpy()[count:] = 0.0
@@ -402,13 +403,15 @@ class Frame:
         side_by_side(work, parts, threads=self._threads)
 
     def _meet_tiles(self, batches: Sequence[supersample.Batch]) -> NDArray[np.uint64]:
-        """What ``cover`` finds of the rays of batches, one after the other."""
+        """What ``cover`` finds of the rays of batches, one after the other, but for those that fan out."""
         import warp as wp
 
         from warpdiff.kernels import raycast
 
+        rays = batches[-1].end_ray
+        if not rays:
+            return np.zeros(0, dtype=np.uint64)
         tiles = supersample.tiles_of(batches, self._view.width, self._view.height, self._device)
-        rays = sum(len(batch.pixels) * batch.kind.rays for batch in batches)
         nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device=self._device)
         inputs = [self._camera, self._scene.bare, self._sampling(0, 1), tiles, 0.0]
         launch(
@@ -447,7 +450,7 @@ class Frame:
             self._room = _Room.by(
                 self._queue.most_rays, leaves_out=integrator.leaves_out, covers=False, device=self._device
             )
-        self._queue.list_up(which, colours, self._seen.gains, self._view.width)
+        self._queue.list_up(which, colours, self._seen.deflections, self._seen.gains, self._view.width)
         tiles = [self._queue.pixels_of(kind) for kind in supersample.KINDS]
         steps = self._steps_of_tiles(integrator, which, illuminant, tiles, self._room, colours)
         for kind in supersample.KINDS:
@@ -478,14 +481,19 @@ class Frame:
         }
         look_up = integrator.steps(*seen.directions, illuminant, room.colours, seen.footprints, room.left_out)
         result = []
-        of_rays: dict[int, tuple[list[Step], Step, Step]] = {}
+        of_rays: dict[int, tuple[Step, list[Step], Step, Step]] = {}
         for kind in supersample.KINDS:
             tile = kind.tile
             if kind.rays not in of_rays:
                 sampling = Sampling()
                 sampling.tiles = tiles[kind.index]
                 sampling.places, weights = tile.on(self._device)
+                counts = [self._view.width, tile.deviation, integrator.leaves_out]
                 of_rays[kind.rays] = (
+                    Step(
+                        directions.fan_out, [*self._seen.directions, sampling.tiles, sampling.places, *counts],
+                        [*seen.directions, seen.footprints, seen.pixels.hit], in_runs=True, block=kind.rays,
+                    ),
                     self._steps_of_rays(sampling, seen.pixels),
                     self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
                     Step(
@@ -493,8 +501,9 @@ class Frame:
                         in_runs=True, block=kind.rays,
                     ),
                 )  # fmt: skip
-            meet, spread, gather = of_rays[kind.rays]
-            result.append([*meet, *lit[kind.shadows], spread, *look_up, gather])
+            fan_out, meet, spread, gather = of_rays[kind.rays]
+            seen_by_rays = [fan_out] if kind.even else [*meet, *lit[kind.shadows], spread]
+            result.append([*seen_by_rays, *look_up, gather])
         return result
 
     def sum_directly(

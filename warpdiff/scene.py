@@ -62,8 +62,8 @@ class SceneArrays:
     def with_hierarchy(self, *, few: bool = False) -> Any:
         """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it.
 
-        One for ``few`` of them is made in a third of the time on the CPU. Where faces are of uneven sizes rays through it
-        take up to 1.7 times as long. What was asked for before does not matter: each finds its own.
+        One for ``few`` of them is made in a third of the time on the CPU. Where faces are of uneven sizes rays through
+        it take up to 1.7 times as long. What was asked for before does not matter: each finds its own.
         """
         quick = few and bool(self.bare.positions.device.is_cpu)
         with self._once:

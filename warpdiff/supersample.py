@@ -1,7 +1,8 @@
 """More rays where a footprint of first order will not do: on pixels that differ much from those beside them.
 
 What such a footprint leaves out, its curvature and what of it is no range of angles and ratios, changes a pixel the
-more the steeper the picture is there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own.
+more the steeper the picture is there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own. Where
+(u, v) changes evenly from pixel to pixel, what these see follows from what those around see, and none is cast.
 """
 
 from __future__ import annotations
@@ -121,11 +122,13 @@ class Kind:
     Attributes:
         index: Among ``KINDS``; ``classify`` numbers them from 2 on.
         tile: The rays that each of them takes.
+        even: Whether what these see follows from what those around the pixel see.
         shadows: Whether a shadow's edge may pass through them; otherwise all pixels beside them are lit.
     """
 
     index: int
     tile: Tile
+    even: bool
     shadows: bool
 
     @property
@@ -134,12 +137,12 @@ class Kind:
         return self.tile.across**2
 
 
-KINDS = tuple(Kind(2 * i + s, tile, bool(s)) for i, (_, tile) in enumerate(_TAKEN) for s in (0, 1))
+KINDS = tuple(Kind(3 * i + s, tile, s == 0, s == 2) for i, (_, tile) in enumerate(_TAKEN) for s in range(3))
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Pixels of one kind, by their numbers, (n,), whose rays come after so many of others."""
+    """Pixels of one kind, by their numbers, (n,), whose rays come after so many of others, unless it is even."""
 
     kind: Kind
     pixels: NDArray[np.int32]
@@ -148,7 +151,7 @@ class Batch:
     @property
     def end_ray(self) -> int:
         """The ray after its last one."""
-        return self.first_ray + len(self.pixels) * self.kind.rays
+        return self.first_ray + (0 if self.kind.even else len(self.pixels) * self.kind.rays)
 
     def parts(self, threads: int) -> Iterator[range]:
         """Ranges of the pixels to be met at a time."""
@@ -166,7 +169,15 @@ def _bounds(tolerance: float, device: str) -> wp.array:
 
 
 def batches(
-    colours: wp.array, gains: wp.array, width: int, tolerance: float, *, among: range, device: wp.Device, threads: int
+    colours: wp.array,
+    deflections: wp.array,
+    gains: wp.array,
+    width: int,
+    tolerance: float,
+    *,
+    among: range,
+    device: wp.Device,
+    threads: int,
 ) -> tuple[int, list[Batch]]:
     """How many pixels of a picture are lit, and those whose predicted error exceeds the tolerance.
 
@@ -194,7 +205,7 @@ def batches(
         return wp.empty(shape, dtype=dtype, device=device)
 
     lists, counts = empty((len(KINDS), len(gains))), empty((len(starts), len(KINDS) + 1))
-    inputs = [colours, gains, width, floor, _bounds(tolerance, device.alias), among.start, _SLICE]
+    inputs = [colours, deflections, gains, width, floor, _bounds(tolerance, device.alias), among.start, _SLICE]
     step = Step(directions.list_steep, inputs, [empty(len(gains), wp.uint8), lists, counts], in_runs=True)
     launch_in_turn([step], among, device=device, threads=threads, least_slice=_SLICE, most_slice=_SLICE)
     listed, numbers = lists.numpy(), counts.numpy()
@@ -254,7 +265,7 @@ class Queue:
         """Room for as many pixels of a kind as are met at a time; −1 is none."""
         return self._tiles[: self.most_rays // kind.rays]
 
-    def list_up(self, which: int, colours: wp.array, gains: wp.array, width: int) -> None:
+    def list_up(self, which: int, colours: wp.array, deflections: wp.array, gains: wp.array, width: int) -> None:
         """List the pixels under one light whose predicted error exceeds the tolerance."""
         import warp as wp
 
@@ -267,7 +278,7 @@ class Queue:
         apart = _apart(pixels)
         launch(steep.tally, -(-pixels // apart), [colours, gains, apart], [self._tallies], **self._options)
         wp.launch(steep.find_floor, dim=1, inputs=[self._tallies], outputs=[self._floor], device=self._device)
-        inputs = [colours, gains, width, self._floor, self._bounds]
+        inputs = [colours, deflections, gains, width, self._floor, self._bounds]
         launch(directions.classify, pixels, inputs, [self._classes], **self._options)
         launch(steep.list_up, pixels, [self._classes], [self._lists, counts], **self._options)
 
@@ -308,6 +319,8 @@ def tiles_of(batches: Sequence[Batch], width: int, height: int, device: wp.Devic
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     ends = np.zeros(len(KINDS), dtype=np.int32)
     for batch in batches:
+        if batch.kind.even:
+            continue
         marks[batch.pixels // width, batch.pixels % width] = True
         first_rays[batch.pixels] = np.arange(batch.first_ray, batch.end_ray, batch.kind.rays, dtype=np.int32)
         ends[batch.kind.index] = batch.end_ray
