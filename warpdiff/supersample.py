@@ -1,8 +1,8 @@
 """More rays where a footprint of first order will not do: on pixels that differ much from those beside them.
 
 What such a footprint leaves out, its curvature and what of it is no range of angles and ratios, changes a pixel the
-more the steeper the picture is there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own. Where
-(u, v) changes evenly from pixel to pixel, what these see follows from what those around see, and none is cast.
+more the steeper the picture is there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own.
+Where (u, v) changes evenly from pixel to pixel, what these see follows from what those around see, and none is cast.
 """
 
 from __future__ import annotations
