@@ -2,11 +2,12 @@
 
 import warp as wp
 
+from warpdiff import supersample
 from warpdiff.kernels.native import filled
 from warpdiff.kernels.scene import Camera, Sampling, SurfaceArrays, Tiles
 
-# Faces side by side, and rays of a tile at most.
-ABREAST, MOST_RAYS = 16, 32
+# Faces side by side.
+ABREAST = 16
 
 # Faces side by side as they lie in the picture, so that the compiler makes vectors of that, and then one after the
 # other: with the pixels of a row, one by one, or with rays of tiles side by side.
@@ -15,8 +16,8 @@ _COVER = """
     // Products of corners on such a grid are exact in a picture, so that faces leave no gap where they meet.
     constexpr double PER_PIXEL = 1 << 14;
     // Before the eye, in units of the surface: what is nearer is not seen.
-    constexpr double NEAR = 1.0e-6;
-    constexpr int LANES = 8, KINDS = 6;
+    constexpr double NEAR = 1.0e-9;
+    constexpr int LANES = 8;
     typedef float lanes __attribute__((vector_size(4 * LANES), aligned(4)));
     typedef signed flags __attribute__((vector_size(4 * LANES)));
     const flags BITS = {1, 2, 4, 8, 16, 32, 64, 128};
@@ -94,7 +95,6 @@ _COVER = """
         }
         for (int i = 0; i < count; ++i) {
             if (!(low_row[i] <= high_row[i] && low_column[i] <= high_column[i])) continue;
-            const int left = (int)low_column[i], end_column = (int)high_column[i] + 1;
             least_row = wp::min(least_row, (int)low_row[i]);
             most_row = wp::max(most_row, (int)high_row[i]);
             // By how much a place lies inside of each edge, in areas.
@@ -118,17 +118,18 @@ _COVER = """
                     __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
             };
             for (int row = (int)low_row[i]; row <= (int)high_row[i]; ++row) {
+                // What of the row may count, with a pixel's width of slack.
+                double least = low_column[i], largest = high_column[i];
+                for (int k = 0; k < 3; ++k) {
+                    const double rise = signs[k][i] * down[k][i], beyond = most * (1.0 + wp::abs(slopes[k][i]));
+                    const double crossing = x_from[k][i] + slopes[k][i] * (row + 0.5 - y_from[k][i]) - 0.5;
+                    if (rise < 0.0) least = larger(least, wp::floor(crossing - beyond));
+                    if (rise > 0.0) largest = smaller(largest, wp::ceil(crossing + beyond));
+                }
+                if (!(least <= largest)) continue;
+                const int left = (int)least, end_column = (int)largest + 1;
                 if (!of_tiles) {
-                    double first = low_column[i], last = high_column[i];
-                    for (int k = 0; k < 3; ++k) {
-                        // A pixel's width of slack: what counts is tested below.
-                        const double rise = signs[k][i] * down[k][i], beyond = most * (1.0 + wp::abs(slopes[k][i]));
-                        const double crossing = x_from[k][i] + slopes[k][i] * (row + 0.5 - y_from[k][i]) - 0.5;
-                        if (rise < 0.0) first = larger(first, wp::floor(crossing - beyond));
-                        if (rise > 0.0) last = smaller(last, wp::ceil(crossing + beyond));
-                    }
-                    if (!(first <= last)) continue;
-                    for (int column = (int)first; column <= (int)last; ++column) {
+                    for (int column = left; column < end_column; ++column) {
                         const int ray = row * width + column;
                         const double* const offset = offsets + 2LL * ray;
                         double inside[3];
@@ -279,7 +280,7 @@ _COVER = """
 """
 
 
-@wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=MOST_RAYS))
+@wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=supersample.LANES, KINDS=len(supersample.KINDS)))
 def cover_run(
     camera: Camera,
     surface: SurfaceArrays,

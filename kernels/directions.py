@@ -5,7 +5,7 @@ And back from the colours of rays to those of pixels.
 
 import warp as wp
 
-from warpdiff import optics
+from warpdiff import optics, supersample
 from warpdiff.kernels import spectral
 from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import Pixels
@@ -628,7 +628,7 @@ _FAN_OUT = """
 """
 
 
-@wp.func_native(filled(_FAN_OUT, MOST_RAYS=32))
+@wp.func_native(filled(_FAN_OUT, MOST_RAYS=supersample.LANES))
 def fan_out_run(
     deflections: wp.array(dtype=wp.vec3d),
     to_lights: wp.array(dtype=wp.vec3f),

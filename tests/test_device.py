@@ -52,6 +52,30 @@ def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads, where):
     assert at_work == ([3] if where == "work" else [])
 
 
+@pytest.mark.parametrize("threads", THREADS)
+def test_an_error_ends_work(threads):
+    done = []
+
+    def work(index):
+        if index == 1:
+            raise KeyboardInterrupt
+        time.sleep(0.01)
+        done.append(index)
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side(work, range(1000), threads=threads)
+    assert len(done) < 20
+    abandoned = Work(work, range(2, 1000), threads=threads)
+    abandoned.abandon()
+    assert len(done) < 40
+
+
+def test_progress_is_told_of_nothing():
+    told = []
+    launch_in_turn([], 0, device=resolve_device("cpu"), threads=2, progress=told.append)
+    assert told == [1.0]
+
+
 @wp.kernel(enable_backward=False)
 def add_in_runs(values: wp.array(dtype=wp.int32), first: wp.int32, run: wp.int32):
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):

@@ -456,5 +456,15 @@ def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, 
     assert np.percentile(error[error > 0.0], 99) < 5e-3
 
 
+def test_rays_whose_faces_take_too_much_memory_are_met_in_parts(tube, fingers, monkeypatch):
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=1e-2)
+    plan = dataclasses.replace(plan, footprint=True)
+    expected = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
+    monkeypatch.setattr(supersample, "_MOST_FOUND", 1000)
+    found = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
+    assert found.plan.supersampled > 0.3
+    np.testing.assert_array_equal(found.xyz, expected.xyz)
+
+
 def alone(batch):
     return supersample.Batch(batch.kind, batch.pixels, 0)

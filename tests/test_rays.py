@@ -240,6 +240,18 @@ def test_what_is_behind_the_eye_is_cut_off(make, samples, request):
         np.testing.assert_allclose(found[name][same], by_rays[name][same], atol=1e-5)
 
 
+def test_eyes_close_to_a_face_see_no_gap():
+    """From within a body that is closed something is met everywhere."""
+    surface = prepare_surface(trimesh.creation.icosphere(subdivisions=2), tangents=np.tile([0.3, 1.0, 0.2], (162, 1)))
+    scene = SceneArrays(surface, device="cpu")
+    rng = np.random.default_rng(5)
+    for depth in np.geomspace(3e-6, 0.1, 24):
+        face = surface.vertices[surface.faces[rng.integers(len(surface.faces))]].astype(np.float64)
+        eye = (1.0 - depth) * rng.dirichlet((1.0, 1.0, 1.0)) @ face * surface.radius + surface.centre
+        camera_view = View(tuple(eye), tuple(eye + rng.normal(size=3)), fov_y_deg=100.0, width=40, height=30)
+        assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
+
+
 def plates(_request):
     # Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not.
     scene = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])])

@@ -16,6 +16,7 @@ from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
 from warpdiff import meshes, renderer, supersample
+from warpdiff.device import Step
 from warpdiff.kernels import steep
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -122,6 +123,23 @@ def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
         np.testing.assert_array_equal(expected.xyz[~expected.mask], 0.0)
         seen.append(np.count_nonzero(expected.mask))
     assert 0 == seen[2] == seen[6] < seen[0] == seen[5] < seen[1] == seen[3] < seen[4]
+
+
+def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"], threads=2)
+    launch = Step.launch
+
+    def fail(step, *arguments):
+        if step.kernel.key == "cover":
+            raise MemoryError
+        launch(step, *arguments)
+
+    monkeypatch.setattr(Step, "launch", fail)
+    with pytest.raises(MemoryError):
+        drawn.draw(view=view(0.3))
+    monkeypatch.setattr(Step, "launch", launch)
+    drawn.draw(view=view(0.2))
+    same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
 
 
 @pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", "source"])

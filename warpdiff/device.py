@@ -157,20 +157,41 @@ class Work:
                 item = next(self._left, None)
             if item is None:
                 return
-            self._work(item)
+            try:
+                self._work(item)
+            except BaseException:
+                self._drop()
+                raise
             with self._lock:
                 self._done += 1
                 if self._progress is not None:
                     self._progress(self._done / self._count)
 
+    def _drop(self) -> None:
+        """Leave what nobody has begun with."""
+        with self._lock:
+            self._left = iter(())
+
+    def _await(self) -> None:
+        """Wait for those that have begun."""
+        for other in self._others:
+            other.cancel()
+        wait(self._others)
+
     def finish(self) -> None:
-        """Take part in it until all is done, and raise what was raised."""
+        """Take part in it until all is done, and raise what was raised; the first error ends it."""
         try:
             self._run()
         finally:
-            wait(self._others)
+            self._await()
         for other in self._others:
-            other.result()
+            if not other.cancelled():
+                other.result()
+
+    def abandon(self) -> None:
+        """End it where it is, whatever was raised."""
+        self._drop()
+        self._await()
 
     def __enter__(self) -> Work:
         return self
@@ -179,7 +200,7 @@ class Work:
         if kind is None:
             self.finish()
         else:
-            wait(self._others)
+            self.abandon()
 
 
 def launch(
@@ -233,6 +254,8 @@ def begin_in_turn(
     import warp as wp
 
     among = range(elements) if isinstance(elements, int) else elements
+    if not len(among) and progress is not None:
+        progress(1.0)
     if not device.is_cpu and len(among):
         # Launches of a frame queue up; whoever reads their results waits for them.
         for step in steps:

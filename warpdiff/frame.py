@@ -103,9 +103,10 @@ class _Room:
         return cls(seen, colours, left_out, tiles)
 
 
-# Rooms on the CPU that no picture is in, with and without arrays for what is left out: to make them takes as long as to
-# look up a thousand pixels.
+# Rooms on the CPU that no picture is in, with and without arrays for what is left out, and how many are kept: to make
+# one takes as long as to look up thousands of pixels.
 _free_rooms: defaultdict[bool, list[_Room]] = defaultdict(list)
+_MOST_FREE = 8
 
 
 class Frame:
@@ -188,12 +189,10 @@ class Frame:
         """Set the view, of the same size as any before."""
         from warpdiff import scene
 
+        self._end_covering()
         self._view = view
         self._camera = scene.camera(view, self._surface, axes=self._axes)
         self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
-        if self._covering is not None:
-            self._covering.finish()
-            self._covering = None
         if not self._alone and self._samples == 1:
             self._covering = self._begin_to_cover(self._sampling(0, 1))
         self.begin()
@@ -203,6 +202,12 @@ class Frame:
         """What the pixels' own rays see."""
         coloured = self._surface.has_base_colour
         return _Seen.by(self._size, device=self._device, means=self._blurred, coloured=coloured)
+
+    def _end_covering(self) -> None:
+        """Wait for faces that are finding pixels of a view that is no longer looked at."""
+        covering, self._covering = self._covering, None
+        if covering is not None:
+            covering.abandon()
 
     def begin(self) -> None:
         """Forget what was cast and deflected."""
@@ -367,8 +372,11 @@ class Frame:
                 lit, batches = supersample.batches(
                     colours, seen.deflections, seen.gains, width, tolerance, among=self._among, **self._options
                 )
-                self._set_means(batches, rooms)
-                _free_rooms[integrator.leaves_out].extend(room for room, _ in rooms)
+                for group in supersample.groups(batches):
+                    self._set_means(group, rooms)
+                free = _free_rooms[integrator.leaves_out]
+                free.extend(room for room, _ in rooms)
+                del free[_MOST_FREE:]
                 self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:
@@ -376,8 +384,6 @@ class Frame:
 
     def _set_means(self, batches: list[supersample.Batch], rooms: list[tuple[_Room, list[list[Step]]]]) -> None:
         """Set the colours of some pixels to the means over tiles of rays, in rooms of which each thread takes one."""
-        if not batches:
-            return
         nearest = self._meet_tiles(batches)
         parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
         # The largest first, so that threads finish together.
@@ -400,7 +406,7 @@ class Frame:
             launch_in_turn(steps[kind.index], count, least_slice=count, device=self._device, threads=1)
             free.append((room, steps))
 
-        side_by_side(work, parts, threads=self._threads)
+        side_by_side(work, parts, threads=len(rooms))
 
     def _meet_tiles(self, batches: Sequence[supersample.Batch]) -> NDArray[np.uint64]:
         """What ``cover`` finds of the rays of batches, one after the other, but for those that fan out."""
@@ -426,7 +432,7 @@ class Frame:
         """What each thread meets tiles with: room, and what it launches for pixels of each kind, whichever they are."""
         rooms = []
         free = _free_rooms[integrator.leaves_out]
-        for _ in range(self._threads):
+        for _ in range(min(self._threads, supersample.most_parts(len(self._among)))):
             try:
                 room = free.pop()
             except IndexError:
@@ -536,7 +542,10 @@ class Frame:
         return begin_in_turn([cover], self._scene.face_count, least_slice=_FACES, **self._options)
 
     def _keep_to(self, first_row: int, last_row: int) -> None:
-        """Look at pixels of these rows alone from now on, and leave zeros elsewhere."""
+        """Look at pixels of these rows alone from now on, and leave zeros elsewhere.
+
+        They are the same for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
+        """
         if first_row <= last_row:
             first = max(int(first_row) - 1, 0) * self._view.width // BLOCK
             end = -(-(int(last_row) + 2) * self._view.width // BLOCK)
@@ -563,9 +572,9 @@ class Frame:
         self.begin()
         sampling = self._sampling(sample, samples)
         if not self._alone:
-            with self._covering or self._begin_to_cover(sampling):
+            covering, self._covering = self._covering or self._begin_to_cover(sampling), None
+            with covering:
                 self._prepare()
-            self._covering = None
             self._keep_to(*self._rows.numpy())
         return self._steps_of_rays(sampling, self._seen.pixels)
 
@@ -664,8 +673,9 @@ class Frame:
 
     def _looked_at(self, values: wp.array) -> NDArray[Any]:
         """What is found of all pixels; zero for those that are not looked at."""
-        found: NDArray[Any] = np.zeros_like(values.numpy())
-        found[self._among.start : self._among.stop] = values.numpy()[self._among.start : self._among.stop]
+        all_values, seen = values.numpy(), slice(self._among.start, self._among.stop)
+        found: NDArray[Any] = np.zeros_like(all_values)
+        found[seen] = all_values[seen]
         return found
 
     def spread(self, which: int, result: wp.array | None = None) -> wp.array:

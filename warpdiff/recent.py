@@ -12,8 +12,12 @@ _T = TypeVar("_T")
 
 def found_again(kept: dict[Any, _T], key: Any, make: Callable[[], _T], *, most: int) -> _T:
     """What is kept under a key, or made now; of more than ``most``, what was not asked for longest goes."""
-    result = kept.pop(key) if key in kept else make()
+    # Others may be at it, too.
+    try:
+        result = kept.pop(key)
+    except KeyError:
+        result = make()
     kept[key] = result
     while len(kept) > most:
-        kept.pop(next(iter(kept)))
+        kept.pop(next(iter(kept)), None)
     return result

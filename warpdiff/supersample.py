@@ -31,6 +31,8 @@ _ERROR_OF_CONTRAST = 0.06
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time: worth the launches, and bounded by the memory that they take, of which a GPU has more.
 _LEAST_RAYS, MOST_RAYS, _MOST_RAYS_ALONE = 8192, 32_768, 1 << 20
+# Rays whose faces are found together, eight bytes each.
+_MOST_FOUND = 1 << 26
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
 FLOOR, EXCEEDED_BY = 1e-3, 0.01
 TINY = float(np.finfo(np.float32).tiny)
@@ -137,6 +139,8 @@ class Kind:
         return self.tile.across**2
 
 
+# Room for the rays of any tile, in whole vectors of eight floats.
+LANES = -(-max(tile.across**2 for _, tile in _TAKEN) // 8) * 8
 KINDS = tuple(Kind(3 * i + s, tile, s == 0, s == 2) for i, (_, tile) in enumerate(_TAKEN) for s in range(3))
 
 
@@ -157,6 +161,22 @@ class Batch:
         """Ranges of the pixels to be met at a time."""
         rays = self.kind.rays
         return slices_of(len(self.pixels), least=_LEAST_RAYS // rays, most=MOST_RAYS // rays, threads=threads)
+
+
+def most_parts(pixels: int) -> int:
+    """How many parts the batches of so many pixels have, at most."""
+    return -(-pixels * max(kind.rays for kind in KINDS) // _LEAST_RAYS)
+
+
+def groups(batches: list[Batch]) -> Iterator[list[Batch]]:
+    """The batches together, or in parts where the faces of all their rays would take too much memory."""
+    if batches and batches[-1].end_ray <= _MOST_FOUND:
+        yield batches
+        return
+    for batch in batches:
+        size = _MOST_FOUND // batch.kind.rays
+        for first in range(0, len(batch.pixels), size):
+            yield [Batch(batch.kind, batch.pixels[first : first + size], 0)]
 
 
 @functools.lru_cache(maxsize=16)
