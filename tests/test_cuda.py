@@ -19,7 +19,7 @@ SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"coverage", "native", "scene", "shading_frames"}
+FUNCTIONS_ONLY = {"coverage", "native", "scene", "shading_frames", "tiles"}
 KERNELS = {
     "hierarchy": {"cast"},
     "raycast": {"cover", "meet", "scatter", "stand"},

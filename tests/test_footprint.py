@@ -13,7 +13,7 @@ import warpdiff as wd
 from warpdiff import colour_table, meshes, supersample
 from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
-from warpdiff.kernels import directions
+from warpdiff.kernels import directions, tiles
 
 SHORT = wd.Coherence(sigma_um=3.25)
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
@@ -315,9 +315,9 @@ def changes_evenly(around):
     down = max(size(around[0, 1]), size(around[2, 1]))
     corners = [around[i, j] - around[i, 1] - around[1, j] for i in (0, 2) for j in (0, 2)]
     return (
-        size(around[1, 0] + around[1, 2]) <= directions.EVENLY * along
-        and size(around[0, 1] + around[2, 1]) <= directions.EVENLY * down
-        and max(map(size, corners)) <= directions.EVENLY * max(along, down)
+        size(around[1, 0] + around[1, 2]) <= tiles.EVENLY * along
+        and size(around[0, 1] + around[2, 1]) <= tiles.EVENLY * down
+        and max(map(size, corners)) <= tiles.EVENLY * max(along, down)
     )
 
 
