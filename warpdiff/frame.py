@@ -102,6 +102,10 @@ class _Room:
         seen.pixels.nearest = wp.empty(rays * covers, dtype=wp.uint64, device=device)
         return cls(seen, colours, left_out, tiles)
 
+    def tiles_of(self, kind: supersample.Kind) -> wp.array:
+        """Room for as many pixels of a kind as its rays allow."""
+        return self.tiles[: len(self.colours) // kind.rays]
+
 
 # Rooms on the CPU that no picture is in, with and without arrays for what is left out, and how many are kept: to make
 # one takes as long as to look up thousands of pixels.
@@ -147,9 +151,8 @@ class Frame:
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self._size = size = view.width * view.height
         self._blurred = means and samples == 1
-        # The pixels that may see anything, of whole blocks and with a row more on either side, and those that were
-        # written to.
-        self._among, self._written = range(size), range(0)
+        # The pixels that may see anything, of whole blocks and with a row more on either side, once faces have told.
+        self._among = range(size if self._alone else 0)
         self._rows = wp.empty(2, dtype=wp.int32, device=device)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
         self._nearest = wp.empty(0 if self._alone else size, dtype=wp.uint64, device=device)
@@ -432,15 +435,14 @@ class Frame:
         """What each thread meets tiles with: room, and what it launches for pixels of each kind, whichever they are."""
         rooms = []
         free = _free_rooms[integrator.leaves_out]
-        for _ in range(min(self._threads, supersample.most_parts(len(self._among)))):
+        for _ in range(min(self._threads, supersample.most_threads(len(self._among)))):
             try:
                 room = free.pop()
             except IndexError:
                 room = _Room.by(
                     supersample.MOST_RAYS, leaves_out=integrator.leaves_out, covers=True, device=self._device
                 )
-            tiles = [room.tiles] * len(supersample.KINDS)
-            rooms.append((room, self._steps_of_tiles(integrator, which, illuminant, tiles, room, colours)))
+            rooms.append((room, self._steps_of_tiles(integrator, which, illuminant, room, colours)))
         for _, steps in rooms:
             for step in itertools.chain(*steps):
                 step.prepare(self._device)
@@ -457,24 +459,14 @@ class Frame:
                 self._queue.most_rays, leaves_out=integrator.leaves_out, covers=False, device=self._device
             )
         self._queue.list_up(which, colours, self._seen.deflections, self._seen.gains, self._view.width)
-        tiles = [self._queue.pixels_of(kind) for kind in supersample.KINDS]
-        steps = self._steps_of_tiles(integrator, which, illuminant, tiles, self._room, colours)
+        steps = self._steps_of_tiles(integrator, which, illuminant, self._room, colours)
         for kind in supersample.KINDS:
-            self._queue.work_off(which, kind, steps[kind.index], self._room.colours)
+            self._queue.work_off(which, kind, steps[kind.index], self._room.tiles_of(kind), self._room.colours)
 
     def _steps_of_tiles(
-        self,
-        integrator: Integrator,
-        which: int,
-        illuminant: str,
-        tiles: list[wp.array],
-        room: _Room,
-        colours: wp.array,
+        self, integrator: Integrator, which: int, illuminant: str, room: _Room, colours: wp.array
     ) -> list[list[Step]]:
-        """What sets the colours of pixels of each kind to the means over tiles of rays.
-
-        These add to zeros in their room; which pixels it are, ``tiles`` tells.
-        """
+        """What sets the colours of pixels of each kind to the means over tiles of rays, which add to zeros."""
         from warpdiff.kernels import directions
         from warpdiff.kernels.scene import Sampling
 
@@ -492,7 +484,7 @@ class Frame:
             tile = kind.tile
             if kind.rays not in of_rays:
                 sampling = Sampling()
-                sampling.tiles = tiles[kind.index]
+                sampling.tiles = room.tiles_of(kind)
                 sampling.places, weights = tile.on(self._device)
                 counts = [self._view.width, tile.deviation, integrator.leaves_out]
                 of_rays[kind.rays] = (
@@ -503,7 +495,7 @@ class Frame:
                     self._steps_of_rays(sampling, seen.pixels),
                     self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
                     Step(
-                        directions.gather, [room.colours, seen.pixels.hit, tiles[kind.index], weights], [colours],
+                        directions.gather, [room.colours, seen.pixels.hit, sampling.tiles, weights], [colours],
                         in_runs=True, block=kind.rays,
                     ),
                 )  # fmt: skip
@@ -546,6 +538,7 @@ class Frame:
 
         They are the same for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
         """
+        written = self._among
         if first_row <= last_row:
             first = max(int(first_row) - 1, 0) * self._view.width // BLOCK
             end = -(-(int(last_row) + 2) * self._view.width // BLOCK)
@@ -553,10 +546,9 @@ class Frame:
         else:
             self._among = range(0)
         for sums in self._sums:
-            written = sums.numpy()
-            written[self._written.start : min(self._written.stop, self._among.start)] = 0
-            written[max(self._written.start, self._among.stop) : self._written.stop] = 0
-        self._written = self._among
+            values = sums.numpy()
+            values[written.start : min(written.stop, self._among.start)] = 0
+            values[max(written.start, self._among.stop) : written.stop] = 0
 
     def _prepare(self) -> None:
         """Make what rays need, on this thread."""
@@ -587,9 +579,9 @@ class Frame:
 
         sampling = Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
-        if samples > 1:
+        if samples > 1 and len(self._places):
             sampling.places = self._places
-        if samples > 1 and not len(self._places) and not self._alone:
+        elif samples > 1 and not self._alone:
             if not len(self._offsets):
                 self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self._device)
             inputs = [sample, samples, _SEED]
@@ -707,17 +699,14 @@ class Frame:
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
         shape = (self._view.height, self._view.width)
-        xyz, covered, lit = (sums.numpy() for sums in self._sums)
-        seen = slice(self._among.start, self._among.stop)
-        coverage, mask = np.zeros(self._size, dtype=np.float32), np.zeros(self._size, dtype=np.bool_)
-        coverage[seen] = covered[seen]
-        mask[seen] = covered[seen] > 0.0
+        xyz, coverage, lit = (sums.numpy() for sums in self._sums)
+        coverage = coverage.astype(np.float32).reshape(shape)
         lit_pixels, tiled = (self._lit, self._tiled) if self._queue is None else self._queue.counts
         return Image(
             xyz=xyz.reshape(*shape, 3),
-            mask=mask.reshape(shape),
+            mask=coverage > 0.0,
             lit=lit.reshape(shape),
-            coverage=coverage.reshape(shape),
+            coverage=coverage,
             plan=replace(plan, supersampled=tiled / max(lit_pixels, 1)),
         )
 

@@ -163,8 +163,8 @@ class Batch:
         return slices_of(len(self.pixels), least=_LEAST_RAYS // rays, most=MOST_RAYS // rays, threads=threads)
 
 
-def most_parts(pixels: int) -> int:
-    """How many parts the batches of so many pixels have, at most."""
+def most_threads(pixels: int) -> int:
+    """How many threads the tiles of so many pixels are worth, at most."""
     return -(-pixels * max(kind.rays for kind in KINDS) // _LEAST_RAYS)
 
 
@@ -248,7 +248,7 @@ class Queue:
     """The same for a device that lists these pixels, and works the lists off, without the host.
 
     Attributes:
-        most_rays: Those that are met at a time.
+        most_rays: Those that are met at a time, tiles of any kind filling them.
     """
 
     def __init__(self, pixels: int, lights: int, tolerance: float, *, device: wp.Device, threads: int) -> None:
@@ -267,8 +267,8 @@ class Queue:
         self._classes = empty(pixels, wp.uint8)
         self._lists, self._counts = empty((len(KINDS), pixels)), empty((lights, len(KINDS) + 1))
         self._taken, self._left = empty(len(KINDS)), empty(1)
-        self.most_rays = min(max(kind.rays for kind in KINDS) * pixels, _MOST_RAYS_ALONE)
-        self._tiles = empty(self.most_rays // min(kind.rays for kind in KINDS))
+        whole = math.lcm(*(kind.rays for kind in KINDS))
+        self.most_rays = -(-min(max(kind.rays for kind in KINDS) * pixels, _MOST_RAYS_ALONE) // whole) * whole
 
     @property
     def lights(self) -> int:
@@ -280,10 +280,6 @@ class Queue:
         """How many pixels are lit, and how many of them were listed, summed over all lights."""
         listed = self._counts.numpy().sum(axis=0)
         return int(listed[-1]), int(listed[:-1].sum())
-
-    def pixels_of(self, kind: Kind) -> wp.array:
-        """Room for as many pixels of a kind as are met at a time; −1 is none."""
-        return self._tiles[: self.most_rays // kind.rays]
 
     def list_up(self, which: int, colours: wp.array, deflections: wp.array, gains: wp.array, width: int) -> None:
         """List the pixels under one light whose predicted error exceeds the tolerance."""
@@ -302,8 +298,8 @@ class Queue:
         launch(directions.classify, pixels, inputs, [self._classes], **self._options)
         launch(steep.list_up, pixels, [self._classes], [self._lists, counts], **self._options)
 
-    def work_off(self, which: int, kind: Kind, steps: Sequence[Step], of_rays: wp.array) -> None:
-        """Launch what meets as many pixels of a kind as there is room for until none is left.
+    def work_off(self, which: int, kind: Kind, steps: Sequence[Step], tiles: wp.array, of_rays: wp.array) -> None:
+        """Launch what meets as many pixels of a kind as there is room for in ``tiles`` until none is left; −1 is none.
 
         The colours of the rays are added to zeros in ``of_rays``.
         """
@@ -311,7 +307,7 @@ class Queue:
 
         from warpdiff.kernels import steep
 
-        tiles, counts = self.pixels_of(kind), self._counts[which]
+        counts = self._counts[which]
 
         def go_on(count: int) -> None:
             inputs, outputs = [counts, kind.index, count], [self._taken, self._left]
