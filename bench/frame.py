@@ -24,9 +24,10 @@ import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.bench import errors as judged
 from warpdiff.bench import inputs, multiply_adds, numba_published, row_sums
-from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
+from warpdiff.launches import launch
 from warpdiff.surface import prepare_surface
 
 BAR = 3e-2
@@ -244,7 +245,7 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device:
         on_device = wp.array(seen, dtype=wp.vec3d, device=device)
         rows = row_sums.RowSums(made.steps(on_device, to_lights, gains, "D65", xyz, spread)[0])
         calls["the last footprints' sums of rows alone, 1 threads"] = lambda _: rows.add()
-        rate: dict[str, Any] = {"device": device, "least_slice": 1}
+        rate: dict[str, Any] = {"device": device, "slice_size": 1}
         for name, workers in (("rate of all", threads), ("rate", 1)):
             calls[name] = lambda _, workers=workers: launch(
                 multiply_adds.multiply_add_rate, workers, [RATE_ROUNDS], [sums], threads=workers, **rate

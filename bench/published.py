@@ -28,9 +28,10 @@ import numpy as np
 import warpdiff as wd
 from warpdiff import meshes, optics, planning
 from warpdiff.bench import inputs, multiply_adds, numba_published, picture_error, reference
-from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.frame import Frame as Picture
 from warpdiff.integration import Integrator
+from warpdiff.launches import launch
 from warpdiff.scope import Pilots, Scope
 from warpdiff.surface import prepare_surface
 
@@ -175,7 +176,7 @@ class Automatic:
     def shade(self) -> None:
         """Shade the sample."""
         self.frame.xyz.zero_()
-        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, least_slice=SLICE)
+        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, slice_size=SLICE)
 
     def on(self, frame: Frame) -> Automatic:
         """The same for other pixels of the frame."""
@@ -207,7 +208,7 @@ class Rate:
         """Run it."""
         launch(
             multiply_adds.multiply_add_rate, RATE_SLICES, [RATE_ROUNDS], [self._sums], device=self.frame.device,
-            threads=self.frame.threads, least_slice=1,
+            threads=self.frame.threads, slice_size=1,
         )  # fmt: skip
 
     @staticmethod

@@ -14,7 +14,7 @@ from warpdiff.kernels import lookup
 from warpdiff.kernels.native import CHUNKS_OF_ROWS, filled
 
 if TYPE_CHECKING:
-    from warpdiff.device import Step
+    from warpdiff.launches import Step
 
 # Where a node's row and weights are known, in the code of look-ups.
 _KNOWN = "const float* row = all_rows + (long long)row_at * WIDTH;"

@@ -27,8 +27,9 @@ import warpdiff as wd
 from warpdiff import demo, optics, search, tables
 from warpdiff.bench import inputs, reference
 from warpdiff.coefficients import METHODS, POWER_METHODS
-from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
+from warpdiff.launches import launch
 from warpdiff.scope import Scope, lateral
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
@@ -171,7 +172,7 @@ class Call:
             xyz.zero_()
             launch(
                 table.integrate, len(xyz), [table.arguments, *inputs, quadrature], [xyz], device=self.device,
-                threads=self.threads, least_slice=slices,
+                threads=self.threads, slice_size=slices,
             )  # fmt: skip
 
         return evaluate

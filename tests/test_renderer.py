@@ -16,8 +16,8 @@ from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
 from warpdiff import meshes, renderer, supersample
-from warpdiff.device import Step
 from warpdiff.kernels import steep
+from warpdiff.launches import Step
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
@@ -127,17 +127,17 @@ def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
 
 def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"], threads=2)
-    launch = Step.launch
+    native = Step.native
 
-    def fail(step, *arguments):
+    def fail(step):
         if step.kernel.key == "cover":
             raise MemoryError
-        launch(step, *arguments)
+        return native(step)
 
-    monkeypatch.setattr(Step, "launch", fail)
+    monkeypatch.setattr(Step, "native", fail)
     with pytest.raises(MemoryError):
         drawn.draw(view=view(0.3))
-    monkeypatch.setattr(Step, "launch", launch)
+    monkeypatch.setattr(Step, "native", native)
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
 

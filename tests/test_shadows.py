@@ -12,10 +12,10 @@ import warp as wp
 import warpdiff as wd
 from warpdiff import frame, meshes, shadows
 from warpdiff.bench.brute_force import intersect
-from warpdiff.device import launch
 from warpdiff.kernels.scene import Pixels
 from warpdiff.kernels.shading_frames import LIFT
 from warpdiff.kernels.shadows import hide
+from warpdiff.launches import launch
 from warpdiff.scene import SceneArrays, pixels_within
 from warpdiff.surface import prepare_surface
 

@@ -8,7 +8,8 @@ import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff.device import launch_in_turn, resolve_device
+from warpdiff.device import resolve_device
+from warpdiff.launches import launch_in_turn
 from warpdiff.scope import Pilots, Scope
 from warpdiff.survey import BLOCK, Survey
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import lines, spectrum, tables
-from warpdiff.device import launch, load
+from warpdiff.device import load
+from warpdiff.launches import launch
 from warpdiff.polar import LOG_RED, MIDDLE_UM, Layout, has_levels, near
 from warpdiff.projection import Projection, Terms, projection, spline
 from warpdiff.recent import found_again
@@ -231,7 +232,7 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
             source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
-        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, least_slice=_SLICE)
+        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_SLICE)
     return values
 
 
@@ -271,7 +272,7 @@ def _coloured(
     projector = polar.projector(len(source.at_kappas), count)
     matrices = wp.array(how.matrices.reshape(-1, count), dtype=projector.functions, device=device)
     curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
 
     def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
         begin = layout.log_low + (octave - (lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
@@ -317,7 +318,7 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
         if name not in ("firsts", "rays", "widths"):
             setattr(table, name, getattr(sharp, name))
 
-    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
 
     def fill(level: int, octave: int, on_rays: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
@@ -345,7 +346,7 @@ def _fill(
     table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
     table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
     table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
     on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
     for level in range(first_level, len(layout.rays)):
         for octave, rays in enumerate(layout.rays[level]):

@@ -10,10 +10,11 @@ import numpy as np
 
 from warpdiff import checks, direct, optics, spectrum
 from warpdiff.coherence import Coherence
-from warpdiff.device import launch, resolve_device, resolve_threads
+from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.image import Image
 from warpdiff.integration import Integrator
+from warpdiff.launches import launch
 from warpdiff.planning import Plan, broadcast_directions, check_request, plan_for, warn_outside
 from warpdiff.scope import Pilots, Scope
 from warpdiff.tables import table_for

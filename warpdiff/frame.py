@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import functools
-import itertools
-from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff import optics, spectrum, supersample
-from warpdiff.device import Step, Work, begin_in_turn, launch, launch_in_turn, load, side_by_side
+from warpdiff.device import load
 from warpdiff.evaluate import direct_colour
 from warpdiff.image import Image
+from warpdiff.launches import Chain, Step, begin_in_turn, launch, launch_in_turn
+from warpdiff.rooms import Room, Seen, shared_room
 from warpdiff.scope import CROWD, Pilots, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.survey import BLOCK, Survey
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from warpdiff.planning import Plan
     from warpdiff.surface import Surface
     from warpdiff.view import View
+    from warpdiff.work import Work
 
 _SEED = 0
 _SURVEYED = 4
@@ -43,74 +44,6 @@ def load_kernels(device: wp.Device) -> None:
     from warpdiff.kernels import directions, raycast, shadows
 
     load([raycast.meet, directions.deflect_pixels, shadows.hide], device)
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What rays see: the mesh, and under the last light whether it is hidden, deflections, directions to it, gains."""
-
-    pixels: Any
-    hidden: wp.array
-    deflections: wp.array
-    to_lights: wp.array
-    gains: wp.array
-    footprints: wp.array
-
-    @classmethod
-    def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> _Seen:
-        """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
-        import warp as wp
-
-        from warpdiff.kernels.scene import Pixels
-
-        def empty(dtype: Any, size: int = rays) -> Any:
-            return wp.empty(size, dtype=dtype, device=device)
-
-        pixels = Pixels()
-        pixels.nearest = empty(wp.uint64, 0)
-        pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
-        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
-            setattr(pixels, name, empty(wp.vec3f))
-        pixels.base_colour = empty(wp.vec3f, rays * coloured)
-        footprints = empty(wp.vec4f, rays if means else 0)
-        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
-
-    @property
-    def directions(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Deflections, directions to the light and gains."""
-        return self.deflections, self.to_lights, self.gains
-
-
-@dataclass(frozen=True)
-class _Room:
-    """Arrays for rays of tiles, their colours, what a table leaves out of these, and the pixels that have the tiles."""
-
-    seen: _Seen
-    colours: wp.array
-    left_out: wp.array
-    tiles: wp.array
-
-    @classmethod
-    def by(cls, rays: int, *, leaves_out: bool, covers: bool, device: wp.Device) -> _Room:
-        """Room for so many rays, and for the faces that they meet if these are known beforehand."""
-        import warp as wp
-
-        left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
-        colours = wp.empty(rays, dtype=wp.vec3f, device=device)
-        tiles = wp.empty(rays // min(kind.rays for kind in supersample.KINDS), dtype=wp.int32, device=device)
-        seen = _Seen.by(rays, device=device, means=True)
-        seen.pixels.nearest = wp.empty(rays * covers, dtype=wp.uint64, device=device)
-        return cls(seen, colours, left_out, tiles)
-
-    def tiles_of(self, kind: supersample.Kind) -> wp.array:
-        """Room for as many pixels of a kind as its rays allow."""
-        return self.tiles[: len(self.colours) // kind.rays]
-
-
-# Rooms on the CPU that no picture is in, with and without arrays for what is left out, and how many are kept: to make
-# one takes as long as to look up thousands of pixels.
-_free_rooms: defaultdict[bool, list[_Room]] = defaultdict(list)
-_MOST_FREE = 8
 
 
 class Frame:
@@ -201,10 +134,10 @@ class Frame:
         self.begin()
 
     @functools.cached_property
-    def _seen(self) -> _Seen:
+    def _seen(self) -> Seen:
         """What the pixels' own rays see."""
         coloured = self._surface.has_base_colour
-        return _Seen.by(self._size, device=self._device, means=self._blurred, coloured=coloured)
+        return Seen.by(self._size, device=self._device, means=self._blurred, coloured=coloured)
 
     def _end_covering(self) -> None:
         """Wait for faces that are finding pixels of a view that is no longer looked at."""
@@ -365,51 +298,25 @@ class Frame:
             illuminant, seen, width = illuminants[which], self._seen, self._view.width
             steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
             steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints, left_out)
-            options = {"least_slice": _COLOURS, "progress": share, **self._options}
+            options = {"slice_size": _COLOURS, "progress": share, **self._options}
             if self._alone:
                 launch_in_turn(steps, self._among, **options)
                 self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
             else:
-                with begin_in_turn(steps, self._among, **options):
-                    rooms = self._prepare_tiles(integrator, which, illuminant, colours)
-                lit, batches = supersample.batches(
-                    colours, seen.deflections, seen.gains, width, tolerance, among=self._among, **self._options
-                )
-                for group in supersample.groups(batches):
-                    self._set_means(group, rooms)
-                free = _free_rooms[integrator.leaves_out]
-                free.extend(room for room, _ in rooms)
-                del free[_MOST_FREE:]
+                parts = min(self._threads, supersample.most_threads(len(self._among)))
+                with shared_room(parts, leaves_out=integrator.leaves_out, device=self._device) as shared:
+                    with begin_in_turn(steps, self._among, **options):
+                        of_kinds = self._steps_of_tiles(integrator, which, illuminant, shared.room, colours)
+                        chains = [Chain(each) for each in of_kinds]
+                    lit, batches = supersample.batches(
+                        colours, seen.deflections, seen.gains, width, tolerance, among=self._among, **self._options
+                    )
+                    for group in supersample.groups(batches):
+                        shared.meet(group, chains, self._meet_tiles(group))
                 self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:
                 supersample.add(colours, self._sums[0], among=self._among, **self._options)
-
-    def _set_means(self, batches: list[supersample.Batch], rooms: list[tuple[_Room, list[list[Step]]]]) -> None:
-        """Set the colours of some pixels to the means over tiles of rays, in rooms of which each thread takes one."""
-        nearest = self._meet_tiles(batches)
-        parts = [(batch, part) for batch in batches for part in batch.parts(self._threads)]
-        # The largest first, so that threads finish together.
-        parts.sort(key=lambda each: -len(each[1]) * each[0].kind.rays)
-        # Appending to and taking from a list are atomic.
-        free = list(rooms)
-
-        def work(each: tuple[supersample.Batch, range]) -> None:
-            batch, part = each
-            kind, pixels = batch.kind, batch.pixels[part.start : part.stop]
-            room, steps = free.pop()
-            count = len(pixels) * kind.rays
-            room.tiles.numpy()[: len(pixels)] = pixels
-            if not kind.even:
-                first = batch.first_ray + part.start * kind.rays
-                room.seen.pixels.nearest.numpy()[:count] = nearest[first : first + count]
-            room.colours.numpy()[:count] = 0.0
-            # Look-ups take whole runs.
-            room.seen.gains.numpy()[count:] = 0.0
-            launch_in_turn(steps[kind.index], count, least_slice=count, device=self._device, threads=1)
-            free.append((room, steps))
-
-        side_by_side(work, parts, threads=len(rooms))
 
     def _meet_tiles(self, batches: Sequence[supersample.Batch]) -> NDArray[np.uint64]:
         """What ``cover`` finds of the rays of batches, one after the other, but for those that fan out."""
@@ -424,29 +331,10 @@ class Frame:
         nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device=self._device)
         inputs = [self._camera, self._scene.bare, self._sampling(0, 1), tiles, 0.0]
         launch(
-            raycast.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], least_slice=_FACES,
+            raycast.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES,
             in_runs=True, **self._options,
         )  # fmt: skip
         return np.asarray(nearest.numpy())
-
-    def _prepare_tiles(
-        self, integrator: Integrator, which: int, illuminant: str, colours: wp.array
-    ) -> list[tuple[_Room, list[list[Step]]]]:
-        """What each thread meets tiles with: room, and what it launches for pixels of each kind, whichever they are."""
-        rooms = []
-        free = _free_rooms[integrator.leaves_out]
-        for _ in range(min(self._threads, supersample.most_threads(len(self._among)))):
-            try:
-                room = free.pop()
-            except IndexError:
-                room = _Room.by(
-                    supersample.MOST_RAYS, leaves_out=integrator.leaves_out, covers=True, device=self._device
-                )
-            rooms.append((room, self._steps_of_tiles(integrator, which, illuminant, room, colours)))
-        for _, steps in rooms:
-            for step in itertools.chain(*steps):
-                step.prepare(self._device)
-        return rooms
 
     def _work_off_tiles(
         self, integrator: Integrator, which: int, illuminant: str, tolerance: float, colours: wp.array
@@ -455,16 +343,14 @@ class Frame:
         lights = len(self._to_lights)
         if self._queue is None or self._queue.lights != lights:
             self._queue = supersample.Queue(self._size, lights, tolerance, **self._options)
-            self._room = _Room.by(
-                self._queue.most_rays, leaves_out=integrator.leaves_out, covers=False, device=self._device
-            )
+            self._room = Room.by(self._queue.most_rays, leaves_out=integrator.leaves_out, device=self._device)
         self._queue.list_up(which, colours, self._seen.deflections, self._seen.gains, self._view.width)
         steps = self._steps_of_tiles(integrator, which, illuminant, self._room, colours)
         for kind in supersample.KINDS:
-            self._queue.work_off(which, kind, steps[kind.index], self._room.tiles_of(kind), self._room.colours)
+            self._queue.work_off(which, kind, steps[kind.index], self._room.tiles[kind.rays], self._room.colours)
 
     def _steps_of_tiles(
-        self, integrator: Integrator, which: int, illuminant: str, room: _Room, colours: wp.array
+        self, integrator: Integrator, which: int, illuminant: str, room: Room, colours: wp.array
     ) -> list[list[Step]]:
         """What sets the colours of pixels of each kind to the means over tiles of rays, which add to zeros."""
         from warpdiff.kernels import directions
@@ -484,7 +370,7 @@ class Frame:
             tile = kind.tile
             if kind.rays not in of_rays:
                 sampling = Sampling()
-                sampling.tiles = room.tiles_of(kind)
+                sampling.tiles = room.tiles[kind.rays]
                 sampling.places, weights = tile.on(self._device)
                 counts = [self._view.width, tile.deviation, integrator.leaves_out]
                 of_rays[kind.rays] = (
@@ -520,7 +406,7 @@ class Frame:
 
     def _launch(self, steps: Sequence[Step]) -> None:
         """Launch what finds rays and directions over all pixels."""
-        launch_in_turn(steps, self._among, least_slice=_SLICE, **self._options)
+        launch_in_turn(steps, self._among, slice_size=_SLICE, **self._options)
 
     def _begin_to_cover(self, sampling: Any) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
@@ -531,7 +417,7 @@ class Frame:
         self._rows.assign([self._view.height, -1])
         inputs = [self._camera, self._scene.bare, sampling, Tiles(), self._reach]
         cover = Step(raycast.cover, inputs, [self._nearest, self._rows], in_runs=True)
-        return begin_in_turn([cover], self._scene.face_count, least_slice=_FACES, **self._options)
+        return begin_in_turn([cover], self._scene.face_count, slice_size=_FACES, **self._options)
 
     def _keep_to(self, first_row: int, last_row: int) -> None:
         """Look at pixels of these rows alone from now on, and leave zeros elsewhere.
@@ -586,7 +472,7 @@ class Frame:
                 self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self._device)
             inputs = [sample, samples, _SEED]
             launch(
-                raycast.scatter, self._size, inputs, [self._offsets], least_slice=_SLICE, in_runs=True, **self._options
+                raycast.scatter, self._size, inputs, [self._offsets], slice_size=_SLICE, in_runs=True, **self._options
             )
             sampling.offsets = self._offsets
         return sampling
@@ -638,7 +524,7 @@ class Frame:
         self._now = sample, which
 
     def _deflect(
-        self, which: int, seen: _Seen, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
+        self, which: int, seen: Seen, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
     ) -> list[Step]:
         from warpdiff.kernels import directions
         from warpdiff.kernels.shadows import hide
@@ -684,7 +570,7 @@ class Frame:
         return result
 
     @staticmethod
-    def _spread(seen: _Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
+    def _spread(seen: Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
         """How (u, v), which is known, changes."""
         from warpdiff.kernels import directions
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import colour_table, tables
-from warpdiff.device import Step, launch_in_turn
+from warpdiff.launches import Step, launch_in_turn
 
 if TYPE_CHECKING:
     import warp as wp
@@ -57,10 +57,10 @@ class Integrator:
             footprints: How (u, v) changes over each pixel, for a plan with footprints.
             left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
             among: Which of them, from a whole run on; None is all.
-            options: Of ``launch_in_turn``, ``least_slice`` and ``progress``.
+            options: Of ``launch_in_turn``, ``slice_size`` and ``progress``.
         """
         if self._plan.nodes and not self.leaves_out:
-            options.setdefault("least_slice", _LOOK_UPS)
+            options.setdefault("slice_size", _LOOK_UPS)
         steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)
         launch_in_turn(
             steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options

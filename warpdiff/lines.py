@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import launch
+from warpdiff.launches import launch
 
 if TYPE_CHECKING:
     import warp as wp

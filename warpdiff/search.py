@@ -16,9 +16,10 @@ import numpy as np
 
 from warpdiff import coefficients, colour_table, polar, tables
 from warpdiff.coefficients import holds_powers
-from warpdiff.device import launch, load
+from warpdiff.device import load
 from warpdiff.expansions import EXPANSIONS
 from warpdiff.integration import Integrator
+from warpdiff.launches import launch
 from warpdiff.scope import Scope, lateral
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
@@ -309,14 +310,14 @@ class Trial:
             values = wp.empty((self._count, len(self._wavenumbers)), dtype=wp.float32, device=self._device)
             launch(
                 table.sample, self._count, inputs, [values], device=self._device, threads=self._threads,
-                least_slice=_SLICE,
+                slice_size=_SLICE,
             )  # fmt: skip
             return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
         integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
         results = []
         for illuminant in self._illuminants:
             xyz = wp.zeros(self._count, dtype=wp.vec3f, device=self._device)
-            integrator.add(self._deflections, self._to_lights, self._gains, illuminant, xyz, least_slice=_SLICE)
+            integrator.add(self._deflections, self._to_lights, self._gains, illuminant, xyz, slice_size=_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import launch
+from warpdiff.launches import launch
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.recent import found_again
 
@@ -79,7 +79,7 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
     grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
     grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
     grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
     spans = wp.empty(faces, dtype=wp.int32, device=device)
     launch(shadows.project, faces, [grid, scene.bare.positions, scene.bare.faces], [spans], **options)
     listed = int(spans.numpy().sum(dtype=np.int64))

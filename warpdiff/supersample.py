@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.device import Step, launch, launch_in_turn, slices_of
+from warpdiff.launches import Step, launch, launch_in_turn
+from warpdiff.work import slices_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -218,8 +219,7 @@ def batches(
         rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
         least = FLOOR * float(np.partition(bright, rank)[rank])
     floor = wp.array([max(least, TINY)], dtype=wp.float32, device=device)
-    slices = slices_of(len(among), least=_SLICE, most=_SLICE, threads=threads)
-    starts = [among.start + part.start for part in slices]
+    starts = among[::_SLICE]
 
     def empty(shape: Any, dtype: Any = wp.int32) -> Any:
         return wp.empty(shape, dtype=dtype, device=device)
@@ -227,7 +227,7 @@ def batches(
     lists, counts = empty((len(KINDS), len(gains))), empty((len(starts), len(KINDS) + 1))
     inputs = [colours, deflections, gains, width, floor, _bounds(tolerance, device.alias), among.start, _SLICE]
     step = Step(directions.list_steep, inputs, [empty(len(gains), wp.uint8), lists, counts], in_runs=True)
-    launch_in_turn([step], among, device=device, threads=threads, least_slice=_SLICE, most_slice=_SLICE)
+    launch_in_turn([step], among, device=device, threads=threads, slice_size=_SLICE)
     listed, numbers = lists.numpy(), counts.numpy()
     found, rays = [], 0
     for kind in KINDS:
@@ -261,7 +261,7 @@ class Queue:
             return wp.empty(shape, dtype=dtype, device=device)
 
         self._device = device
-        self._options: dict[str, Any] = {"device": device, "threads": threads, "least_slice": _SLICE, "in_runs": True}
+        self._options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
         self._bounds = _bounds(tolerance, device.alias)
         self._tallies, self._floor = empty(steep.GROUPS * (1 + steep.BINS)), empty(1, wp.float32)
         self._classes = empty(pixels, wp.uint8)
@@ -363,4 +363,4 @@ def add(colours: wp.array, xyz: wp.array, *, among: range, device: wp.Device, th
     from warpdiff.kernels import directions
 
     step = Step(directions.accumulate, [colours], [xyz], in_runs=True)
-    launch_in_turn([step], among, device=device, threads=threads, least_slice=_SLICE)
+    launch_in_turn([step], among, device=device, threads=threads, slice_size=_SLICE)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.device import Step, launch
+from warpdiff.launches import Step, launch
 from warpdiff.scope import CROWD, Pilots, Scope, equally_far
 
 if TYPE_CHECKING:

@@ -16,9 +16,10 @@ import warp as wp
 
 from warpdiff import scene
 from warpdiff.bench import brute_force
-from warpdiff.device import launch, resolve_device
+from warpdiff.device import resolve_device
 from warpdiff.frame import Frame
 from warpdiff.kernels import hierarchy, spectral
+from warpdiff.launches import launch
 from warpdiff.surface import prepare_surface
 
 if TYPE_CHECKING:
