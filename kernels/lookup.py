@@ -235,9 +235,10 @@ _POINTS = """
 _MEANS = """
 #if defined(__CUDA_ARCH__)
     // Nodes of a segment: any number, as they are not kept.
-    constexpr int MOST = 1, SEGMENTS = 1, AT_ONCE = 1 << 20;
+    constexpr int MOST = 1, SEGMENTS = 1, AT_ONCE = 1 << 20, ABREAST = 1;
 #else
-    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8;
+    // Loops are of so many ABREAST, whole ones, as compilers round otherwise in what is left over by vectors.
+    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8, ABREAST = 16;
 #endif
     constexpr float PI = 3.14159265f;
     // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds
@@ -272,33 +273,30 @@ _MEANS = """
     // Covariance of (u, v), and along it and across, relative to |(u, v)|, within the narrowest lobe to its size.
     float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
     float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST], w0[MOST], w1[MOST], w2[MOST], w3[MOST];
+    float light_x[MOST], light_y[MOST], light_z[MOST], along_x[MOST], along_y[MOST], across_x[MOST], across_y[MOST];
     int entries_at_w[MOST];
     for (int i = 0; i < count; ++i) {
         u[i] = (float)given[3 * i];
         v[i] = (float)given[3 * i + 1];
         w[i] = (float)-given[3 * i + 2];
-        float sum_xx = 0.0f, sum_xy = 0.0f, sum_yy = 0.0f;
-        if (SOURCE) {
-            // Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
-            const float t0 = lights[3 * i], t1 = lights[3 * i + 1];
-            size2[i] = table.spread2 * lights[3 * i + 2];
-            sum_xx = table.spread2 * (1.0f - t0 * t0);
-            sum_xy = -table.spread2 * t0 * t1;
-            sum_yy = table.spread2 * (1.0f - t1 * t1);
-        } else {
-            size2[i] = 0.0f;
-        }
-        if (with_footprints) {
-            const float* const f = seen + 4 * i;
-            sum_xx += f[0] * f[0] + f[2] * f[2];
-            sum_xy += f[0] * f[1] + f[2] * f[3];
-            sum_yy += f[1] * f[1] + f[3] * f[3];
-        }
-        xx[i] = sum_xx;
-        xy[i] = sum_xy;
-        yy[i] = sum_yy;
+        light_x[i] = SOURCE ? lights[3 * i] : 0.0f;
+        light_y[i] = SOURCE ? lights[3 * i + 1] : 0.0f;
+        light_z[i] = SOURCE ? lights[3 * i + 2] : 0.0f;
+        along_x[i] = with_footprints ? seen[4 * i] : 0.0f;
+        along_y[i] = with_footprints ? seen[4 * i + 1] : 0.0f;
+        across_x[i] = with_footprints ? seen[4 * i + 2] : 0.0f;
+        across_y[i] = with_footprints ? seen[4 * i + 3] : 0.0f;
     }
-    for (int i = 0; i < count; ++i) {
+    for (int i = count; i % ABREAST != 0; ++i)
+        u[i] = v[i] = w[i] = light_x[i] = light_y[i] = light_z[i] = along_x[i] = along_y[i] = across_x[i]
+            = across_y[i] = 0.0f;
+    for (int from = 0; from < count; from += ABREAST) for (int i = from; i < from + ABREAST; ++i) {
+        // A source's is Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
+        const float source2 = SOURCE ? table.spread2 : 0.0f, t0 = light_x[i], t1 = light_y[i];
+        size2[i] = source2 * light_z[i];
+        xx[i] = source2 * (1.0f - t0 * t0) + (along_x[i] * along_x[i] + across_x[i] * across_x[i]);
+        xy[i] = -source2 * t0 * t1 + (along_x[i] * along_y[i] + across_x[i] * across_y[i]);
+        yy[i] = source2 * (1.0f - t1 * t1) + (along_y[i] * along_y[i] + across_y[i] * across_y[i]);
         find_w(w[i], entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
         uv2[i] = larger(u[i] * u[i] + v[i] * v[i] + table.spread * table.spread, table.least_uv * table.least_uv);
         const float x = u[i] / uv2[i], y = v[i] / uv2[i];
@@ -380,7 +378,14 @@ _MEANS = """
             }
         }
         if (filled == 0) break;
-        for (int k = 0; k < filled; ++k) {
+        for (int k = filled; k % ABREAST != 0; ++k) {
+            at_u[k] = at_u[k - 1];
+            at_v[k] = at_v[k - 1];
+            of_angle2[k] = of_angle2[k - 1];
+            of_ratio2[k] = of_ratio2[k - 1];
+            of_both[k] = of_both[k - 1];
+        }
+        for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k) {
             const float turn_share = smaller(WIDEST_ANGLE / wp::sqrt(larger(of_angle2[k], 1.0e-12f)), 1.0f);
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2[k], 1.0e-12f)), 1.0f);
             const float a2 = of_angle2[k] * turn_share * turn_share, r2 = of_ratio2[k] * ratio_share * ratio_share;
@@ -402,9 +407,9 @@ _MEANS = """
             skews[k] = -0.5f * r2 * r2 * per_log * per_log * per_log / (variance * deviation);
         }
         // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
-        for (int k = 0; k < filled; ++k)
+        for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k)
             spacings[k] = widths[octaves + wp::clamp((int)(places[k] * table.per_octave), 0, octaves - 1)];
-        for (int k = 0; k < filled; ++k) {
+        for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k) {
             // A source's lines are narrower than the rays are apart, and what blurs them has that in it.
             const float across2 = aside2[k] + (SOURCE ? 1.0e-12f : spacings[k] * spacings[k]);
             const float variance = deviations[k] * deviations[k];
@@ -413,8 +418,9 @@ _MEANS = """
             aparts[k] = most < 2.0f ? 1 : most < 4.0f ? 2 : most < 8.0f ? 4 : 8;
             steps[k] = variance < NARROW + 0.25f ? (int)((variance - 0.25f) * blending.per_variance + 0.5f) : -1;
         }
-        for (int k = 0; k < filled; ++k) counted[k] = lengths[steps[k] < 0 ? 0 : steps[k]];
-        for (int k = 0; k < filled; ++k) {
+        for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k)
+            counted[k] = lengths[steps[k] < 0 ? 0 : steps[k]];
+        for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k) {
             const bool narrow = steps[k] >= 0;
             const float half = narrow ? 0.5f * (float)(counted[k] - 1) : DEVIATIONS * deviations[k];
             const float start = places[k] - half, first = narrow ? wp::rint(start) : -wp::floor(-start);
@@ -439,9 +445,14 @@ _MEANS = """
                 node += counts[segments++] * apart;
                 if (node >= ends[k] && ++k < filled) node = begins[k];
             }
+            for (int s = segments; s % ABREAST != 0; ++s) {
+                part_of[s] = part_of[s - 1];
+                firsts_of[s] = firsts_of[s - 1];
+                apart_of[s] = apart_of[s - 1];
+            }
             float positions[SEGMENTS], slopes[SEGMENTS], aways[SEGMENTS], skew_of[SEGMENTS], per_deviation[SEGMENTS];
             int rays_of[SEGMENTS], count_of[SEGMENTS], tap_of[SEGMENTS], row_of[SEGMENTS];
-            for (int s = 0; s < segments; ++s) {
+            for (int from = 0; from < segments; from += ABREAST) for (int s = from; s < from + ABREAST; ++s) {
                 const int of = part_of[s], octave = (int)((float)firsts_of[s] * table.per_octave);
                 // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
                 const float blur2 = SOURCE ? larger(aside2[of] - blurs2[octave], 0.0f) : aside2[of];

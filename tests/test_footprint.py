@@ -14,6 +14,7 @@ from warpdiff import colour_table, meshes, supersample
 from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
 from warpdiff.kernels import directions, tiles
+from warpdiff.launches import launch_in_turn
 
 SHORT = wd.Coherence(sigma_um=3.25)
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
@@ -91,29 +92,35 @@ def test_rays_are_a_circle(fingers, angle_deg):
     np.testing.assert_allclose(found[0], found[1], rtol=0.05)
 
 
-@pytest.mark.parametrize("blurred", [True, False])
-def test_a_colour_does_not_depend_on_those_beside_it(fingers, blurred, rng):
-    """Look-ups of a run are computed abreast, and where a run begins depends on the number of threads."""
-    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+@pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
+def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, rng):
+    """Look-ups of a run are computed abreast, and where a run begins depends on the number of threads.
+
+    What compilers leave over from vectors they round otherwise: one of two thousand took another row or weight then.
+    """
+    plan = wd.plan(fingers, coherence=window, method="low-rank/table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
     integrator = Integrator(fingers, dataclasses.replace(plan, footprint=True), plan.scope, device=device, threads=1)
-    count = 700
+    count = 100_000
+    # Any of these runs has a last one that is not whole.
+    runs = (256, 1, 7, 61)
     deflections = np.concatenate([rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, (count, 1))], axis=1)
     spreads = rng.normal(0.0, 0.03, (count, 4)) * rng.choice([0.1, 1.0, 5.0], (count, 1))
     gains = np.where(rng.uniform(size=count) < 0.8, rng.uniform(size=count), 0.0)
-
-    def colours(begin, end):
-        xyz = wp.zeros(end - begin, dtype=wp.vec3f, device=device)
-        footprints = wp.array(spreads[begin:end], dtype=wp.vec4f, device=device) if blurred else None
-        given = wp.array(deflections[begin:end], dtype=wp.vec3d, device=device)
-        factors = wp.array(gains[begin:end], dtype=wp.float32, device=device)
-        integrator.add(given, None, factors, "D65", xyz, footprints=footprints)
-        return xyz.numpy()
-
-    together = colours(0, count)
-    assert np.count_nonzero(together) > count
-    for begin, end in ((1, count), (2, 301), (7, 520), (256, 257), (299, count)):
-        np.testing.assert_array_equal(colours(begin, end), together[begin:end])
+    to_lights = wp.array(np.tile([0.3, 0.1, 0.9], (count, 1)), dtype=wp.vec3f, device=device)
+    footprints = wp.array(spreads, dtype=wp.vec4f, device=device) if blurred else None
+    given = wp.array(deflections, dtype=wp.vec3d, device=device)
+    factors = wp.array(gains, dtype=wp.float32, device=device)
+    found = []
+    for run in runs:
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
+        step = integrator.steps(given, to_lights, factors, "D65", xyz, footprints)[0]
+        step = dataclasses.replace(step, inputs=[*step.inputs[:-1], run], block=run)
+        launch_in_turn([step], count, device=device, threads=1, slice_size=count)
+        found.append(xyz.numpy())
+    for each in found[1:]:
+        np.testing.assert_array_equal(each, found[0])
+    assert np.count_nonzero(found[0][:, 1]) > count / 2
 
 
 @pytest.mark.parametrize(
