@@ -218,7 +218,7 @@ def batches(
     if len(bright):
         rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
         least = FLOOR * float(np.partition(bright, rank)[rank])
-    floor = wp.array([max(least, TINY)], dtype=wp.float32, device=device)
+    floor = wp.array(np.array([max(least, TINY)], dtype=np.float32), dtype=wp.float32, device=device, copy=False)
     starts = among[::_SLICE]
 
     def empty(shape: Any, dtype: Any = wp.int32) -> Any:
@@ -344,7 +344,7 @@ def tiles_of(batches: Sequence[Batch], width: int, height: int, device: wp.Devic
     result = scene.Tiles()
     result.marks = wp.array(words, dtype=wp.uint64, device=device, copy=False)
     result.first_rays = wp.array(first_rays, dtype=wp.int32, device=device, copy=False)
-    result.ends = wp.array(np.maximum.accumulate(ends), dtype=wp.int32, device=device)
+    result.ends = wp.array(np.maximum.accumulate(ends), dtype=wp.int32, device=device, copy=False)
     result.across, result.apart = _grids(device.alias)
     return result
 
