@@ -23,7 +23,7 @@ import numpy as np
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.bench import errors as judged
-from warpdiff.bench import inputs, multiply_adds, numba_published, row_sums
+from warpdiff.bench import inputs, mean_bounds, multiply_adds, numba_published
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
@@ -243,8 +243,9 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device:
     # What is measured of a core says nothing of a GPU.
     if device.is_cpu:
         on_device = wp.array(seen, dtype=wp.vec3d, device=device)
-        rows = row_sums.RowSums(made.steps(on_device, to_lights, gains, "D65", xyz, spread)[0])
-        calls["the last footprints' sums of rows alone, 1 threads"] = lambda _: rows.add()
+        bounds = mean_bounds.MeanBounds(made.steps(on_device, to_lights, gains, "D65", xyz, spread)[0])
+        calls["the last footprints' rows, found alone, 1 threads"] = lambda _: bounds.find()
+        calls["the last footprints' rows, summed alone, 1 threads"] = lambda _: bounds.add()
         rate: dict[str, Any] = {"device": device, "slice_size": 1}
         for name, workers in (("rate of all", threads), ("rate", 1)):
             calls[name] = lambda _, workers=workers: launch(
@@ -259,12 +260,12 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device:
     if device.is_cpu:
         (_, of_one), (_, of_all) = times["rate"], times["rate of all"]
         per_second = multiply_adds.SUMS * RATE_ROUNDS / (1e-3 * of_one)
-        a_row = 1e9 * rows.numbers / 16 / per_second
-        a_pixel = rows.entries[:, 2].sum() / len(lit)
+        a_row = 1e9 * bounds.numbers / 16 / per_second
+        a_pixel = bounds.entries[:, 2].sum() / len(lit)
         print(
-            f"\nA core does {per_second / 1e9:.1f} G multiply-adds of 16 floats a second: the 9 rows of {rows.numbers} "
-            f"numbers that a point takes are {9 * a_row:.1f} ns, the {a_pixel:.0f} of the last footprints "
-            f"{a_pixel * a_row:.1f} ns. {threads} cores do {threads * of_one / of_all:.2f} times as many."
+            f"\nA core does {per_second / 1e9:.1f} G multiply-adds of 16 floats a second: the 9 rows of "
+            f"{bounds.numbers} numbers that a point takes are {9 * a_row:.1f} ns, the {a_pixel:.0f} of the last "
+            f"footprints {a_pixel * a_row:.1f} ns. {threads} cores do {threads * of_one / of_all:.2f} times as many."
         )
 
 

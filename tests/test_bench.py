@@ -12,7 +12,7 @@ import warp as wp
 
 import warpdiff as wd
 from warpdiff import cli
-from warpdiff.bench import inputs, reference, row_sums, suite
+from warpdiff.bench import inputs, mean_bounds, reference, suite
 from warpdiff.bench.scenes import Directions, scenes
 from warpdiff.device import resolve_device
 from warpdiff.integration import Integrator
@@ -123,7 +123,7 @@ def test_the_rows_that_are_summed_are_those_that_means_take():
     footprints = wp.array([(1e-3, 0, 0, 1e-3), (0.1, 0, 0, 0.1), (0.1, 0, 0, 0.1)], dtype=wp.vec4f, device=device)
     xyz = wp.zeros(3, dtype=wp.vec3f, device=device)
     step = made.steps(deflections, to_lights, gains, "D65", xyz, footprints)[0]
-    rows = row_sums.RowSums(step)
+    rows = mean_bounds.MeanBounds(step)
     pixel, first, rays, _ = rows.entries.T
     # Dark ones take none, and wide footprints take more than narrow ones.
     assert set(pixel) == {0, 1}
@@ -132,3 +132,9 @@ def test_the_rows_that_are_summed_are_those_that_means_take():
     assert first.min() >= 0
     assert np.all(first + (rays - 1) * table.nodes < len(table.rows))
     rows.add()
+    # To find rows reads none of them.
+    table.rows.fill_(np.nan)
+    rows.xyz.zero_()
+    rows.find()
+    assert np.all(np.isfinite(rows.xyz.numpy()))
+    np.testing.assert_array_equal(rows.xyz.numpy().any(axis=1), [True, True, False])

@@ -1,10 +1,12 @@
-"""What bounds look-ups of means: the sums of the very rows that they read, in their order, with nothing to be found.
+"""What bounds look-ups of means: to find rows, and to sum them, each with nothing of the other.
 
 An instrumented copy of the look-ups' code lists each node's first row, its number of rays and where their weights
-stand; a kernel then does nothing but these sums. It takes what loads and memory take at least.
+stand; a kernel then sums the very same rows in the same order, with nothing to be found: what loads and memory take at
+least. Another copy finds the rows and reads none of them: arithmetic alone. Together they take what look-ups take.
 """
 
 import functools
+import re
 import types
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,12 @@ _LIST = """
                     entry[2] = count_of[s];
                     entry[3] = tap_at;
 """
+# What is done with a row there, and what asks for those to come.
+_SUMMED = re.compile(re.escape(_KNOWN) + r".*?sum\[l\] \+= weight \* of_rays\[l\];\n", re.DOTALL)
+_ASKED = (
+    "for (int s = 0; s < segments && s < AHEAD; ++s) ask(s);",
+    "if (s + AHEAD < segments) ask(s + AHEAD);",
+)
 # Entries ahead whose outermost rows are asked for: of 1 to 24 none took less time.
 _AHEAD = 12
 
@@ -67,12 +75,35 @@ _SUMS = """
 """
 
 
+def _that_reads_no_rows() -> str:
+    """The look-ups' code without them."""
+    code, found = _SUMMED.subn("sum[0] += weight * (float)(row_at + tap_at);\n", lookup.MEANS)
+    if (found, *map(code.count, _ASKED)) != (1, 1, 1):
+        raise RuntimeError("the look-ups' code has changed: say anew where a node's row is known, and asked for")
+    for each in _ASKED:
+        code = code.replace(each, "")
+    return code
+
+
 @functools.cache
 def _kernels(functions: int) -> types.SimpleNamespace:
-    """The kernels that list and sum rows of a table with so many functions of w."""
+    """The kernels that list, find and sum rows of a table with so many functions of w."""
     colours, blending, width = lookup.lookup(functions).Colours, lookup.Blending, 3 * functions
-    if lookup.MEANS.count(_KNOWN) != 1:
-        raise RuntimeError("the look-ups' code has changed: say anew where a node's row is known")
+    that_finds = _that_reads_no_rows()
+
+    @wp.func_native(lookup.native_code(that_finds, functions=functions))
+    def find_rows(
+        table: colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: blending,
+        begin: wp.int32,
+        end: wp.int32,
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ): ...
 
     @wp.func_native(lookup.native_code(lookup.MEANS.replace(_KNOWN, _LIST + _KNOWN), functions=functions))
     def list_means(
@@ -121,6 +152,22 @@ def _kernels(functions: int) -> types.SimpleNamespace:
         )  # fmt: skip
 
     @wp.kernel(module="unique", module_options=lookup.OPTIONS)
+    def found(
+        table: colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: blending,
+        run: wp.int32,
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        begin = wp.tid() * run
+        end = wp.min(begin + run, gains.shape[0])
+        find_rows(table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out)
+
+    @wp.kernel(module="unique", module_options=lookup.OPTIONS)
     def summed(
         table: colours,
         blending: blending,
@@ -130,10 +177,10 @@ def _kernels(functions: int) -> types.SimpleNamespace:
     ):
         sum_rows(table, blending, entries, count, out)
 
-    return types.SimpleNamespace(listed=listed, summed=summed)
+    return types.SimpleNamespace(listed=listed, found=found, summed=summed)
 
 
-class RowSums:
+class MeanBounds:
     """The rows that means take.
 
     Attributes:
@@ -146,21 +193,27 @@ class RowSums:
 
     def __init__(self, look_up: "Step") -> None:
         """List those of a look-up of means on the CPU, in a table of no source."""
-        table, deflections, to_lights, gains, footprints, blending, run = look_up.inputs
+        table, _, _, _, footprints, blending, run = look_up.inputs
         pixels = len(footprints)
         self._kernels = _kernels(int(table.functions.dtype._length_))
-        self._table, self._blending = table, blending
+        self._table, self._blending, self._runs = table, blending, -(-pixels // run)
         entries = wp.empty(self._MOST * pixels, dtype=wp.vec4i, device="cpu")
         count = wp.zeros(1, dtype=wp.int32, device="cpu")
-        unused, xyz = wp.empty(0, dtype=wp.float32, device="cpu"), wp.zeros(pixels, dtype=wp.vec3f, device="cpu")
-        inputs = [table, deflections, to_lights, gains, footprints, blending, run, unused, xyz]
-        wp.launch(self._kernels.listed, dim=-(-pixels // run), inputs=inputs, outputs=[entries, count], device="cpu")
+        unused = wp.empty(0, dtype=wp.float32, device="cpu")
+        # Colours, or of rows that are only found what their places come to.
+        self.xyz = wp.zeros(pixels, dtype=wp.vec3f, device="cpu")
+        self._inputs = [*look_up.inputs, unused, self.xyz]
+        wp.launch(self._kernels.listed, self._runs, self._inputs, [entries, count], device="cpu")
         self.entries = entries.numpy()[: int(count.numpy()[0])].copy()
         self._on_device = wp.array(self.entries, dtype=wp.vec4i, device="cpu")
         self.numbers = int(table.rows.dtype._length_)
         self._out = wp.zeros(self.numbers, dtype=wp.float32, device="cpu")
 
+    def find(self) -> None:
+        """Find them, on one thread."""
+        wp.launch(self._kernels.found, self._runs, self._inputs, device="cpu")
+
     def add(self) -> None:
         """Sum them, on one thread."""
         inputs = [self._table, self._blending, self._on_device, len(self.entries)]
-        wp.launch(self._kernels.summed, dim=1, inputs=inputs, outputs=[self._out], device="cpu")
+        wp.launch(self._kernels.summed, 1, inputs, [self._out], device="cpu")
