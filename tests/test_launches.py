@@ -1,6 +1,8 @@
 """Launches in turn on the CPU: every element goes through all kernels once, whatever the slices and threads."""
 
+import gc
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -109,3 +111,18 @@ def test_arrays_of_another_type_are_refused():
     launch(double, 4, [wp.zeros(4, dtype=wp.int32, device=device)], [], device=device, threads=1)
     with pytest.raises(RuntimeError, match="dtype"):
         launch(double, 4, [wp.zeros(4, dtype=wp.float64, device=device)], [], device=device, threads=1)
+
+
+def test_what_was_launched_may_go():
+    values = wp.zeros(4, dtype=wp.int32, device="cpu")
+    kept = weakref.ref(values)
+    launch(triple, 4, [values], [], device=resolve_device("cpu"), threads=1)
+    np.testing.assert_array_equal(values.numpy(), 0)
+    del values
+    gc.collect()
+    assert kept() is None
+
+
+@wp.kernel(enable_backward=False)
+def triple(values: wp.array(dtype=wp.int32), first: wp.int32):
+    values[first + wp.tid()] *= 3

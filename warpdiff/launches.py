@@ -86,8 +86,8 @@ class _Call:
         recorded.launch()
         self.call = hooks.forward
         self.function = int(ctypes.cast(self.call, ctypes.c_void_p).value or 0)
-        # The code must not be unloaded.
-        self._recorded = recorded
+        # So that it is not unloaded; what the launch holds may go.
+        self._code = recorded.module_exec
 
     def forward(self, bounds: Any, arguments: Any) -> None:
         """Called by Warp in place of the function."""
