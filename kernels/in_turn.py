@@ -5,9 +5,11 @@ A GPU has a queue for that.
 
 import warp as wp
 
+from warpdiff.kernels import spectral
 from warpdiff.kernels.native import filled
 
-wp.set_module_options({"enable_backward": False})
+# Those of all others: Warp's headers are compiled once for modules of the same options.
+wp.set_module_options(spectral.OPTIONS)
 
 # Of a launch that is recorded, in numbers of 64 bits: the function, its bounds of one index, its arguments, their size,
 # where among them the first index and the number of indices are (−1 for kernels that take one a call), and how many

@@ -238,7 +238,7 @@ _MEANS = """
     constexpr int MOST = 1, SEGMENTS = 1, AT_ONCE = 1 << 20, ABREAST = 1;
 #else
     // Loops are of so many ABREAST, whole ones, as compilers round otherwise in what is left over by vectors.
-    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8, ABREAST = 16;
+    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8, ABREAST = 8;
 #endif
     constexpr float PI = 3.14159265f;
     // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds

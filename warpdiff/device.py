@@ -47,12 +47,16 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
     """
     if not device.is_cpu:
         return []
+    from warpdiff.kernels import in_turn
+
+    # Those that begin at once, and then what launches any of them.
+    in_order = [*kernels[:_LOADERS], in_turn.run, *kernels[_LOADERS:]]
     with _load_once:
-        for kernel in kernels:
+        for kernel in in_order:
             if kernel.module not in _loading:
                 # What launches on the CPU take is the module for blocks of one.
                 _loading[kernel.module] = _loaders().submit(kernel.module.load, device, 1)
-        return [_loading[kernel.module] for kernel in kernels]
+        return [_loading[kernel.module] for kernel in in_order]
 
 
 def load_now(kernels: Sequence[Any], device: wp.Device) -> None:

@@ -202,8 +202,6 @@ def begin_in_turn(
     """
     import warp as wp
 
-    from warpdiff.kernels import in_turn
-
     among = range(elements) if isinstance(elements, int) else elements
     if not among:
         if progress is not None:
@@ -221,7 +219,7 @@ def begin_in_turn(
     size = -(-slice_size // block) * block
     slices = -(-len(among) // size)
     at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TIMES * threads)), 1)
-    load_now([in_turn.run, *(step.kernel for step in steps)], device)
+    load_now([step.kernel for step in steps], device)
     taken = _Slices(Chain(steps), among, slice_size=size, at_a_time=at_a_time)
     return Work(taken.take, range(-(-slices // at_a_time)), threads=threads, progress=progress, joins=joins)
 
