@@ -6,9 +6,7 @@ least. Another copy finds the rows and reads none of them: arithmetic alone. Tog
 """
 
 import functools
-import re
-import types
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
@@ -27,8 +25,8 @@ _LIST = """
                     entry[2] = count_of[s];
                     entry[3] = tap_at;
 """
-# What is done with a row there, and what asks for those to come.
-_SUMMED = re.compile(re.escape(_KNOWN) + r".*?sum\[l\] \+= weight \* of_rays\[l\];\n", re.DOTALL)
+# Where its rows are summed up, and where those to come are asked for.
+_ADDED = "sum[l] += weight * of_rays[l];"
 _ASKED = (
     "for (int s = 0; s < segments && s < AHEAD; ++s) ask(s);",
     "if (s + AHEAD < segments) ask(s + AHEAD);",
@@ -75,38 +73,34 @@ _SUMS = """
 """
 
 
+def _that_lists_rows() -> str:
+    """The look-ups' code, which lists them, too."""
+    return _once(_KNOWN, _LIST + _KNOWN, lookup.MEANS)
+
+
 def _that_reads_no_rows() -> str:
     """The look-ups' code without them."""
-    code, found = _SUMMED.subn("sum[0] += weight * (float)(row_at + tap_at);\n", lookup.MEANS)
-    if (found, *map(code.count, _ASKED)) != (1, 1, 1):
-        raise RuntimeError("the look-ups' code has changed: say anew where a node's row is known, and asked for")
-    for each in _ASKED:
-        code = code.replace(each, "")
+    done = lookup.MEANS[lookup.MEANS.index(_KNOWN) : lookup.MEANS.index(_ADDED) + len(_ADDED)]
+    code = _once(done, "sum[0] += weight * (float)(row_at + tap_at);", lookup.MEANS)
+    for asked in _ASKED:
+        code = _once(asked, "", code)
     return code
 
 
+def _once(part: str, other: str, code: str) -> str:
+    """Code with another part in place of one that is there once."""
+    if code.count(part) != 1:
+        raise RuntimeError("the look-ups' code has changed: say anew where a node's row is known, summed and asked for")
+    return code.replace(part, other)
+
+
 @functools.cache
-def _kernels(functions: int) -> types.SimpleNamespace:
-    """The kernels that list, find and sum rows of a table with so many functions of w."""
-    colours, blending, width = lookup.lookup(functions).Colours, lookup.Blending, 3 * functions
-    that_finds = _that_reads_no_rows()
+def _of_means(code: str, functions: int) -> Any:
+    """The kernel of such code for a table with so many functions of w."""
+    colours, blending = lookup.lookup(functions).Colours, lookup.Blending
 
-    @wp.func_native(lookup.native_code(that_finds, functions=functions))
-    def find_rows(
-        table: colours,
-        deflections: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
-        blending: blending,
-        begin: wp.int32,
-        end: wp.int32,
-        left_out: wp.array(dtype=wp.float32),
-        xyz_out: wp.array(dtype=wp.vec3f),
-    ): ...
-
-    @wp.func_native(lookup.native_code(lookup.MEANS.replace(_KNOWN, _LIST + _KNOWN), functions=functions))
-    def list_means(
+    @wp.func_native(lookup.native_code(code, functions=functions))
+    def meet_rows(
         table: colours,
         deflections: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
@@ -120,6 +114,35 @@ def _kernels(functions: int) -> types.SimpleNamespace:
         entries_out: wp.array(dtype=wp.vec4i),
         count_out: wp.array(dtype=wp.int32),
     ): ...
+
+    @wp.kernel(module="unique", module_options=lookup.OPTIONS)
+    def met(
+        table: colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=wp.vec4f),
+        blending: blending,
+        run: wp.int32,
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+        entries_out: wp.array(dtype=wp.vec4i),
+        count_out: wp.array(dtype=wp.int32),
+    ):
+        begin = wp.tid() * run
+        end = wp.min(begin + run, gains.shape[0])
+        meet_rows(
+            table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out, entries_out,
+            count_out,
+        )  # fmt: skip
+
+    return met
+
+
+@functools.cache
+def _of_rows(functions: int) -> Any:
+    """The kernel that sums rows of such a table."""
+    colours, blending, width = lookup.lookup(functions).Colours, lookup.Blending, 3 * functions
 
     @wp.func_native(filled(CHUNKS_OF_ROWS + _SUMS, WIDTH=width, AHEAD=_AHEAD))
     def sum_rows(
@@ -131,43 +154,6 @@ def _kernels(functions: int) -> types.SimpleNamespace:
     ): ...
 
     @wp.kernel(module="unique", module_options=lookup.OPTIONS)
-    def listed(
-        table: colours,
-        deflections: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
-        blending: blending,
-        run: wp.int32,
-        left_out: wp.array(dtype=wp.float32),
-        xyz_out: wp.array(dtype=wp.vec3f),
-        entries_out: wp.array(dtype=wp.vec4i),
-        count_out: wp.array(dtype=wp.int32),
-    ):
-        begin = wp.tid() * run
-        end = wp.min(begin + run, gains.shape[0])
-        list_means(
-            table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out, entries_out,
-            count_out,
-        )  # fmt: skip
-
-    @wp.kernel(module="unique", module_options=lookup.OPTIONS)
-    def found(
-        table: colours,
-        deflections: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
-        blending: blending,
-        run: wp.int32,
-        left_out: wp.array(dtype=wp.float32),
-        xyz_out: wp.array(dtype=wp.vec3f),
-    ):
-        begin = wp.tid() * run
-        end = wp.min(begin + run, gains.shape[0])
-        find_rows(table, deflections, to_lights, gains, footprints, blending, begin, end, left_out, xyz_out)
-
-    @wp.kernel(module="unique", module_options=lookup.OPTIONS)
     def summed(
         table: colours,
         blending: blending,
@@ -177,7 +163,7 @@ def _kernels(functions: int) -> types.SimpleNamespace:
     ):
         sum_rows(table, blending, entries, count, out)
 
-    return types.SimpleNamespace(listed=listed, found=found, summed=summed)
+    return summed
 
 
 class MeanBounds:
@@ -194,16 +180,17 @@ class MeanBounds:
     def __init__(self, look_up: "Step") -> None:
         """List those of a look-up of means on the CPU, in a table of no source."""
         table, _, _, _, footprints, blending, run = look_up.inputs
-        pixels = len(footprints)
-        self._kernels = _kernels(int(table.functions.dtype._length_))
+        pixels, functions = len(footprints), int(table.functions.dtype._length_)
+        self._found, self._summed = _of_means(_that_reads_no_rows(), functions), _of_rows(functions)
         self._table, self._blending, self._runs = table, blending, -(-pixels // run)
         entries = wp.empty(self._MOST * pixels, dtype=wp.vec4i, device="cpu")
         count = wp.zeros(1, dtype=wp.int32, device="cpu")
         unused = wp.empty(0, dtype=wp.float32, device="cpu")
         # Colours, or of rows that are only found what their places come to.
         self.xyz = wp.zeros(pixels, dtype=wp.vec3f, device="cpu")
-        self._inputs = [*look_up.inputs, unused, self.xyz]
-        wp.launch(self._kernels.listed, self._runs, self._inputs, [entries, count], device="cpu")
+        inputs = [*look_up.inputs, unused, self.xyz]
+        wp.launch(_of_means(_that_lists_rows(), functions), self._runs, inputs, [entries, count], device="cpu")
+        self._inputs = [*inputs, entries[:0], count]
         self.entries = entries.numpy()[: int(count.numpy()[0])].copy()
         self._on_device = wp.array(self.entries, dtype=wp.vec4i, device="cpu")
         self.numbers = int(table.rows.dtype._length_)
@@ -211,9 +198,9 @@ class MeanBounds:
 
     def find(self) -> None:
         """Find them, on one thread."""
-        wp.launch(self._kernels.found, self._runs, self._inputs, device="cpu")
+        wp.launch(self._found, self._runs, self._inputs, device="cpu")
 
     def add(self) -> None:
         """Sum them, on one thread."""
         inputs = [self._table, self._blending, self._on_device, len(self.entries)]
-        wp.launch(self._kernels.summed, 1, inputs, [self._out], device="cpu")
+        wp.launch(self._summed, 1, inputs, [self._out], device="cpu")
