@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 # Where a node's row and weights are known, in the code of look-ups.
 _KNOWN = "const float* row = all_rows + (long long)row_at * WIDTH;"
 _LIST = """
-                    int* const entry = (int*)entries_out.data + 4LL * ((int*)count_out.data)[0]++;
-                    entry[0] = begin + pixels[of];
-                    entry[1] = row_at;
-                    entry[2] = count_of[s];
-                    entry[3] = tap_at;
+                    const int listed = ((int*)count_out.data)[0]++;
+                    if (listed < entries_out.shape[0]) {
+                        int* const entry = (int*)entries_out.data + 4LL * listed;
+                        entry[0] = begin + pixels[of];
+                        entry[1] = row_at;
+                        entry[2] = count_of[s];
+                        entry[3] = tap_at;
+                    }
 """
 # Where its rows are summed up, and where those to come are asked for.
 _ADDED = "sum[l] += weight * of_rays[l];"
@@ -191,7 +194,11 @@ class MeanBounds:
         inputs = [*look_up.inputs, unused, self.xyz]
         wp.launch(_of_means(_that_lists_rows(), functions), self._runs, inputs, [entries, count], device="cpu")
         self._inputs = [*inputs, entries[:0], count]
-        self.entries = entries.numpy()[: int(count.numpy()[0])].copy()
+        self.xyz.zero_()
+        listed = int(count.numpy()[0])
+        if listed > len(entries):
+            raise RuntimeError(f"there is room for {self._MOST} nodes a pixel, and {listed / pixels:.0f} were listed")
+        self.entries = entries.numpy()[:listed].copy()
         self._on_device = wp.array(self.entries, dtype=wp.vec4i, device="cpu")
         self.numbers = int(table.rows.dtype._length_)
         self._out = wp.zeros(self.numbers, dtype=wp.float32, device="cpu")

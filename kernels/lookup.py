@@ -287,7 +287,7 @@ _MEANS = """
         across_x[i] = with_footprints ? seen[4 * i + 2] : 0.0f;
         across_y[i] = with_footprints ? seen[4 * i + 3] : 0.0f;
     }
-    for (int i = count; i % ABREAST != 0; ++i)
+    for (int i = wp::max(count, 0); i % ABREAST != 0; ++i)
         u[i] = v[i] = w[i] = light_x[i] = light_y[i] = light_z[i] = along_x[i] = along_y[i] = across_x[i]
             = across_y[i] = 0.0f;
     for (int from = 0; from < count; from += ABREAST) for (int i = from; i < from + ABREAST; ++i) {

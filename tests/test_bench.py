@@ -134,7 +134,6 @@ def test_the_rows_that_are_summed_are_those_that_means_take():
     rows.add()
     # To find rows reads none of them.
     table.rows.fill_(np.nan)
-    rows.xyz.zero_()
     rows.find()
     assert np.all(np.isfinite(rows.xyz.numpy()))
     np.testing.assert_array_equal(rows.xyz.numpy().any(axis=1), [True, True, False])

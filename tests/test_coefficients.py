@@ -127,8 +127,8 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
     plan = wd.plan(hf, (0, 0, 1), (0.3, 0, 1))
     found = [
         tables.coefficients_for(
-            hf, "low-rank", wd.Coherence(), plan.scope, dataclasses.replace(plan, least_weight=weight).reach(hf),
-            terms=1, threads=1,
+            hf, "low-rank", wd.Coherence(), plan.scope,
+            tables.reach(dataclasses.replace(plan, least_weight=weight), hf), terms=1, threads=1,
         )[0]
         for weight in (0.5, 1e-3, 1e-13)
     ]  # fmt: skip

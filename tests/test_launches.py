@@ -1,6 +1,7 @@
 """Launches in turn on the CPU: every element goes through all kernels once, whatever the slices and threads."""
 
 import gc
+import sys
 import threading
 import weakref
 
@@ -111,6 +112,31 @@ def test_arrays_of_another_type_are_refused():
     launch(double, 4, [wp.zeros(4, dtype=wp.int32, device=device)], [], device=device, threads=1)
     with pytest.raises(RuntimeError, match="dtype"):
         launch(double, 4, [wp.zeros(4, dtype=wp.float64, device=device)], [], device=device, threads=1)
+
+
+@wp.kernel(enable_backward=False)
+def count_up(values: wp.array(dtype=wp.int64), first: wp.int32):
+    values[first + wp.tid()] += wp.int64(1)
+
+
+def test_threads_may_be_the_first_to_launch_a_kernel():
+    """All of them ask at once how it is called."""
+    values = wp.zeros(4, dtype=wp.int64, device="cpu")
+    together = threading.Barrier(4)
+
+    def add(index):
+        together.wait(60.0)
+        chain = Chain([Step(count_up, [values], [])])
+        for _ in range(100):
+            chain.launch(range(index, index + 1))
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        side_by_side(add, range(4), threads=4)
+    finally:
+        sys.setswitchinterval(interval)
+    np.testing.assert_array_equal(values.numpy(), 100)
 
 
 def test_what_was_launched_may_go():

@@ -4,8 +4,8 @@ The map of the package, in the order in which data flows:
 
 - ``heightfield``, ``gratings``: a measured or synthetic surface, and its cleaning
 - ``coherence``: the window, source or copies that limit the coherent part of the surface
-- ``planning``, ``search``, ``scope``: from a tolerance to numbers: by bounds, by trying them, and for which directions;
-  ``aliasing``: what the pitch cannot carry
+- ``plans``: the numbers that kernels get; ``planning``, ``search``, ``scope``: from a tolerance to these: by bounds, by
+  trying them, and for which directions; ``aliasing``: what the pitch cannot carry
 - ``expansions``, ``fourier``: series of exp(2πiκh) that separate the wavelength from the heights; their transforms, in
   NumPy
 - ``coefficients``, ``interpolation``, ``tables``: Fourier coefficients as functions of κ, in a basis fitted to them;
@@ -13,12 +13,13 @@ The map of the package, in the order in which data flows:
 - ``meshes``, ``snake``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where, under which light
 - ``kernels``: Warp kernels: ray casting, directions, spectral integration
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
-- ``render``: ``shade``, a picture of a mesh; ``renderer``: many of one mesh, recorded on a GPU; ``frame``,
-  ``survey``, ``supersample``, ``shadows``: their launches
+- ``render``: ``shade``, a picture of a mesh; ``renderer``: many of one mesh, recorded on a GPU; ``frame``, ``rooms``,
+  ``survey``, ``supersample``, ``shadows``: what they launch, over which arrays
 - ``evaluate``: the reflectance at arrays of directions; ``direct``: the same by a sum that approximates nothing
 - ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
-- ``device``, ``checks``, ``errors``: launches over threads; validation of arguments; the warning category
+- ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
+- ``checks``, ``errors``: validation of arguments; the warning category
 """
 
 from importlib.metadata import version
@@ -31,7 +32,8 @@ from warpdiff.heightfield import HeightField
 from warpdiff.image import Image
 from warpdiff.light import DirectionalLight
 from warpdiff.orders import OrderEfficiencies, order_efficiencies
-from warpdiff.planning import Plan, plan
+from warpdiff.planning import plan
+from warpdiff.plans import Plan
 from warpdiff.render import shade
 from warpdiff.renderer import Renderer
 from warpdiff.view import View

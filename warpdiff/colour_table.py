@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
     from warpdiff.scope import Scope
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.

@@ -15,7 +15,8 @@ from warpdiff.errors import WarpdiffWarning
 from warpdiff.image import Image
 from warpdiff.integration import Integrator
 from warpdiff.launches import launch
-from warpdiff.planning import Plan, broadcast_directions, check_request, plan_for, warn_outside
+from warpdiff.planning import broadcast_directions, check_request, plan_for, warn_outside
+from warpdiff.plans import Plan
 from warpdiff.scope import Pilots, Scope
 from warpdiff.tables import table_for
 

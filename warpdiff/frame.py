@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
     from warpdiff.integration import Integrator
     from warpdiff.light import DirectionalLight
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
     from warpdiff.surface import Surface
     from warpdiff.view import View
     from warpdiff.work import Work
@@ -303,8 +303,8 @@ class Frame:
                 launch_in_turn(steps, self._among, **options)
                 self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
             else:
-                parts = min(self._threads, supersample.most_threads(len(self._among)))
-                with shared_room(parts, leaves_out=integrator.leaves_out, device=self._device) as shared:
+                threads = max(min(self._threads, supersample.most_threads(len(self._among))), 1)
+                with shared_room(threads, leaves_out=integrator.leaves_out, device=self._device) as shared:
                     with begin_in_turn(steps, self._among, **options):
                         of_kinds = self._steps_of_tiles(integrator, which, illuminant, shared.room, colours)
                         chains = [Chain(each) for each in of_kinds]
@@ -312,7 +312,7 @@ class Frame:
                         colours, seen.deflections, seen.gains, width, tolerance, among=self._among, **self._options
                     )
                     for group in supersample.groups(batches):
-                        shared.meet(group, chains, self._meet_tiles(group))
+                        shared.meet(group, chains, self._meet_tiles(group), threads=threads)
                 self._lit += lit
                 self._tiled += sum(len(batch.pixels) for batch in batches)
             if not are_picture:

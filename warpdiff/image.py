@@ -15,7 +15,7 @@ from warpdiff import checks, spectrum
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
 
 _FORMATS = (".exr", ".png")
 

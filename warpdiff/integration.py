@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import warp as wp
 
     from warpdiff.heightfield import HeightField
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
     from warpdiff.scope import Scope
 
 # Look-ups that are worth a launch.

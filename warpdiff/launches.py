@@ -42,7 +42,7 @@ class Step:
     outputs: list[Any]
     in_runs: bool = False
     block: int = 1
-    _native: list[tuple[list[int], Any]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _native: list[tuple[list[int], Any, _Call]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
         """Launch it for each index by itself."""
@@ -65,7 +65,7 @@ class Step:
                 call.function, ctypes.addressof(call.bounds), ctypes.addressof(arguments), ctypes.sizeof(arguments),
                 call.offset("first"), of_run, self.block,
             ]  # fmt: skip
-            self._native.append((row, arguments))
+            self._native.append((row, arguments, call))
         return self._native[0][0]
 
 
@@ -117,16 +117,16 @@ def _call_of(kernel: Any, values: Sequence[Any]) -> _Call:
 
     types = tuple((each.dtype, each.ndim) if isinstance(each, wp.array) else type(each) for each in values)
     key = kernel, types
-    if key not in _calls:
-        _calls[key] = _Call(kernel, values)
-    return _calls[key]
+    # Of two threads that ask at once, both get the first one's.
+    return _calls.get(key) or _calls.setdefault(key, _Call(kernel, values))
 
 
 class Chain:
     """Steps in turn on the CPU, without the interpreter in between."""
 
     def __init__(self, steps: Sequence[Step]) -> None:
-        """Get ready to call them."""
+        """Get ready to call them, once they are compiled."""
+        load_now([step.kernel for step in steps], resolve_device(None))
         self.count = len(steps)
         self._steps, self._rows = steps, np.array([step.native() for step in steps], dtype=np.int64)
         self.address = self._rows.ctypes.data
@@ -219,9 +219,10 @@ def begin_in_turn(
     size = -(-slice_size // block) * block
     slices = -(-len(among) // size)
     at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TIMES * threads)), 1)
-    load_now([step.kernel for step in steps], device)
     taken = _Slices(Chain(steps), among, slice_size=size, at_a_time=at_a_time)
-    return Work(taken.take, range(-(-slices // at_a_time)), threads=threads, progress=progress, joins=joins)
+    # Whoever has taken so many helps those that have not.
+    times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
+    return Work(taken.take, range(times), threads=threads, progress=progress, joins=joins)
 
 
-_NOTHING = Work(print, [], threads=1)
+_NOTHING = Work(lambda _: None, [], threads=1)

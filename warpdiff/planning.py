@@ -8,36 +8,25 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, validity
-from warpdiff.coefficients import METHODS as EXPANDED
-from warpdiff.coefficients import POWER_METHODS
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
-from warpdiff.expansions import EXPANSIONS, MAX_TERMS, check_cycles
+from warpdiff.expansions import EXPANSIONS, check_cycles
 from warpdiff.heightfield import HeightField
 from warpdiff.linear_algebra import on_one_thread
-from warpdiff.polar import MAX_NODES, MIN_NODES
+from warpdiff.plans import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
 from warpdiff.scope import CROWD, Pilots, Scope, hemisphere_pairs
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import ArrayLike, NDArray
-
-INTEGRATIONS = ("sampled", "table")
-METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
-AUTOMATIC = "low-rank"
-LABELS = {
-    "low-rank": "Low-rank basis",
-    "power": "Chebyshev series of the powers",
-    **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
-}
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
 # mirror by as much again: what a series leaves out of an amplitude must be smaller by this factor.
@@ -57,7 +46,6 @@ _QUADRATURE_SHARE = 0.25
 _SAMPLES_PER_ORDER = 10.0
 # Samples of the copies' factor for each of its lobes.
 _SAMPLES_PER_LOBE = 2.0
-_REACHED_WEIGHT = 1e-14
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
 _PATCH_IN_SIGMAS = 20.0
@@ -85,170 +73,6 @@ _GRAZING = 0.05
 _LITTLE = 0.03
 _SEED = 0
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
-
-    Errors are relative ones of XYZ, as ``tolerance`` is.
-
-    Attributes:
-        method: One of ``coefficients.METHODS``, or ``"direct"``.
-        coherence: The window, source or copies.
-        tolerance: What was asked for.
-        terms: Terms of the basis, n = 0 … terms − 1.
-        least_weight: Neighbours whose Gaussian weight, on powers or on amplitudes, is less are left out.
-        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 where the caller
-            gives wavelengths.
-        subdivisions: For copies: samples of their factor for one of the patch's.
-        bandwidth_um: What a direction takes of them as a, b, c of a·lateral + b·|w| + c, samples per unit of 1/λ;
-            lateral is |(u, v)|, for a source stretched along its foreshortening, for copies |(u Lx, v Ly)|.
-        adaptive: Whether directions with less than the largest bandwidth take fewer of them.
-        nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
-        rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
-        footprint: Whether the table has levels, from which a pixel's mean over its range of (u, v) is taken.
-        supersampled: Of a picture, the share of its lit pixels that took more rays, as the predicted error of their
-            footprint exceeds the tolerance.
-        max_uv: Largest |(u, v)| of the directions that the numbers hold for.
-        max_lateral: Largest lateral of these.
-        min_w: Smallest |w| of these.
-        max_w: Largest |w| of these.
-        lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
-        lambda_max_nm: Longest wavelength that the numbers hold for [nm].
-        height_range_um: Largest height range that the numbers hold for [µm].
-        truncation: Predicted error from the terms left out.
-        neighbourhood: Predicted error from the neighbours left out.
-        quadrature: Predicted error of the integral over λ; 0 without one.
-        rounding: Predicted error from float32 arithmetic.
-        aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
-            relative to theirs. It is a property of the data and no part of ``error``.
-        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
-            the surface and no part of ``error``.
-        multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
-        searched: Whether the errors were measured on a sample of the directions; otherwise they are bounds.
-    """
-
-    method: str
-    coherence: Coherence
-    tolerance: float
-    terms: int
-    least_weight: float
-    wavelengths: int
-    subdivisions: int
-    bandwidth_um: tuple[float, float, float]
-    adaptive: bool
-    nodes: int
-    rays_per_width: float
-    footprint: bool
-    supersampled: float
-    max_uv: float
-    max_lateral: float
-    min_w: float
-    max_w: float
-    lambda_min_nm: float
-    lambda_max_nm: float
-    height_range_um: float
-    truncation: float
-    neighbourhood: float
-    quadrature: float
-    rounding: float
-    aliasing: float
-    scalar_error: float
-    multiply_adds: float
-    searched: bool
-
-    def __post_init__(self) -> None:
-        checks.choice(self.method, "method", (*EXPANDED, "direct"))
-        checks.instance(self.coherence, Coherence, "coherence")
-        if checks.count(self.nodes, "nodes", least=0):
-            checks.number(self.rays_per_width, "rays_per_width", above=0.0)
-            if not MIN_NODES <= self.nodes <= MAX_NODES:
-                raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
-        checks.flag(self.footprint, "footprint")
-        if self.footprint and not self.nodes:
-            raise ValueError("footprint=True takes a table: give nodes, or method='low-rank/table'")
-        check_method(f"{self.method}/table" if self.nodes else self.method, self.coherence)
-        check_tolerance(self.tolerance)
-        if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
-            raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
-        weight = checks.number(self.least_weight, "least_weight", above=0.0)
-        if weight >= 1.0:
-            raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
-        for name in ("max_uv", "max_lateral", "min_w", "max_w", "lambda_min_nm", "lambda_max_nm", "height_range_um"):
-            checks.number(getattr(self, name), name, least=0.0)
-        bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um")
-        if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
-            raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
-        checks.flag(self.adaptive, "adaptive")
-        checks.count(self.subdivisions, "subdivisions")
-        if self.wavelengths != 0:
-            checks.count(self.wavelengths, "wavelengths", least=2)
-
-    @property
-    def error(self) -> float:
-        """Predicted error of the call: all sources but aliasing."""
-        return self.truncation + self.neighbourhood + self.quadrature + self.rounding
-
-    @property
-    def scope(self) -> Scope:
-        """The range of directions and wavelengths that the numbers hold for."""
-        return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
-
-    @property
-    def radius(self) -> float:
-        """Distance in frequency [1/µm] of the coefficients to keep at hand, of all but the least weights."""
-        falloff = tables.falloff_um2(self.coherence, self.lambda_min_nm * 1e-3)
-        return math.sqrt(-math.log(min(self.least_weight, _REACHED_WEIGHT)) / falloff)
-
-    def reach(self, hf: HeightField) -> tuple[int, int]:
-        """Coefficients (y, x) on either side of a direction to keep at hand.
-
-        They are the same for all but the least weights, as is then a basis that is fitted to them.
-        """
-        from warpdiff.kernels import spectral
-
-        if self.coherence.kind == "replicas":
-            return spectral.TAPS, spectral.TAPS
-        # A slanted ellipse is covered by a parallelogram.
-        radius = self.radius * (math.sqrt(2.0) if self.coherence.kind == "source" else 1.0)
-        reach = [math.ceil(radius * length + 0.5) for length in tables.grid_for(hf, self.coherence).lengths_um]
-        return reach[0], reach[1]
-
-    def __str__(self) -> str:
-        if self.method == "direct":
-            sums = f"Direct sum over the height samples in float64, {self.coherence}"
-            return f"{sums}: no approximation but the integral over λ. {self._scalar}"
-        scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
-        how = "measured on a sample of the directions" if self.searched else "bounded for all directions"
-        start = (
-            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, {scope}. Predicted error "
-            f"{self.error:.1e}, {how}: {self.terms} terms leave out {self.truncation:.1e}"
-        )
-        parts = [start]
-        if self.coherence.kind != "replicas":
-            parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
-        if self.nodes:
-            rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
-            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.footprint else ""
-            parts.append(f"a polar table of {rays}{pixels} integrates to {self.quadrature:.1e}")
-            if self.supersampled:
-                parts.append(f"{100.0 * self.supersampled:.2g} % of the lit pixels, too steep for that, took more rays")
-        elif self.wavelengths:
-            spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
-            asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
-            asides += ["fewer where coefficients pass slower"] if self.adaptive else []
-            aside = f" ({', '.join(asides)})" if asides else ""
-            spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
-            parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
-        parts.append(f"float32 rounds by {self.rounding:.1e}")
-        text = "; ".join(parts)
-        text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
-        return text + f" Some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction. {self._scalar}"
-
-    @property
-    def _scalar(self) -> str:
-        return f"Scalar theory itself: {validity.told(self.scalar_error)}."
 
 
 def plan(
@@ -359,31 +183,6 @@ def _any_direction(hf: HeightField, coherence: Coherence, scope: Scope, given: N
     return Scope(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
 
-def check_tolerance(tolerance: Any) -> float:
-    """Return a tolerance within the range that float32 and a picture make sense of."""
-    return checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
-
-
-def check_method(method: str, coherence: Coherence) -> None:
-    """Refuse a method that a coherence form lacks."""
-    if not _is_legal(method, coherence):
-        why = f"expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes"
-        if method.endswith("/table"):
-            why = f"asks for a table, which coherence of kind={coherence.kind!r} does not have for it"
-        suffix = method.partition("/")[2]
-        legal = [each for each in METHODS if each.partition("/")[2] == suffix and _is_legal(each, coherence)]
-        others = ", ".join(map(repr, legal)) or "the methods without a table"
-        raise ValueError(f"method={method!r} {why}: use one of {others}")
-
-
-def _is_legal(method: str, coherence: Coherence) -> bool:
-    """Whether a coherence form has a method."""
-    expansion, _, integration = method.partition("/")
-    if expansion in POWER_METHODS and not coherence.adds_powers:
-        return False
-    return integration != "table" or polar.serves(expansion, coherence)
-
-
 def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
     """Refuse what no plan can be made for, before anything is computed."""
     checks.instance(hf, HeightField, "hf")
@@ -438,13 +237,13 @@ def plan_for(
     pitch = aliasing.coarsest_pitch_um(hf)
     ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=wavelengths_nm is None)
     between = coherence.centre_um is not None and method != "direct"
-    _warn_of_aliasing(scope, pitch, ample.radius if between else 0.0)
+    _warn_of_aliasing(scope, pitch, tables.radius(ample) if between else 0.0)
     if method == "direct":
         return ample
     found = ample
     if ample.method not in EXPANSIONS:
         basis, _, _ = tables.coefficients_for(
-            hf, ample.method, coherence, scope, ample.reach(hf), terms=ample.terms, threads=threads
+            hf, ample.method, coherence, scope, tables.reach(ample, hf), terms=ample.terms, threads=threads
         )
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
@@ -479,7 +278,7 @@ def plan_for(
 def _pays(hf: HeightField, plan: Plan, count: float) -> bool:
     """Whether a table takes less time to make than it saves."""
     rung = polar.smallest_rung(plan)
-    if rung is None or not polar.serves(plan.method, plan.coherence):
+    if rung is None or not has_table(plan.method, plan.coherence):
         return False
     smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
     return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST > polar.making_multiply_adds(hf, smallest)
@@ -556,7 +355,7 @@ def _bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tu
 
 def _check_neighbours(hf: HeightField, plan: Plan) -> None:
     """Refuse a neighbourhood that no one means."""
-    rows, columns = (2 * n + 1 for n in plan.reach(hf))
+    rows, columns = (2 * n + 1 for n in tables.reach(plan, hf))
     if plan.coherence.kind == "replicas" or rows * columns <= _MOST_NEIGHBOURS:
         return
     size = f"{hf.size_um[0]:g} × {hf.size_um[1]:g} µm: {rows} × {columns} coefficients lie in its reach; crop"

@@ -18,16 +18,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff import spectrum, tables
-from warpdiff.coefficients import holds_powers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
 
-KINDS = ("averaged", "centred", "source")
 # Samples along a ray, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of Gaussians
 # is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of some samples.
 _ALONG = 1.6
@@ -57,7 +55,6 @@ _DENSE = 0.2
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (spectrum.LAMBDA_MAX_NM, spectrum.LAMBDA_MIN_NM))
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1))
-MIN_NODES, MAX_NODES = 4, 512
 # Orders so many standard deviations of the blur apart hardly touch.
 _APART = 4.0
 # A table that is much larger than this takes longer to make than it saves.
@@ -200,11 +197,6 @@ def blur(coherence: Coherence) -> float:
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
-
-
-def serves(method: str, coherence: Coherence) -> bool:
-    """Whether tables can be made for an expansion and a coherence."""
-    return coherence.kind in KINDS and holds_powers(method, adds_powers=coherence.adds_powers) == coherence.adds_powers
 
 
 def node_count(nodes: int) -> int:

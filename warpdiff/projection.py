@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
 
 # Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
 _ENTRIES = 160

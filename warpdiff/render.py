@@ -15,7 +15,8 @@ from warpdiff.evaluate import check_call, check_plan
 from warpdiff.frame import Frame, load_kernels
 from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
-from warpdiff.planning import AUTOMATIC, Plan, check_method, plan_for, warn_outside
+from warpdiff.planning import plan_for, warn_outside
+from warpdiff.plans import AUTOMATIC, Plan, check_method
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 

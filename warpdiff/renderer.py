@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield import HeightField
     from warpdiff.image import Image
     from warpdiff.light import DirectionalLight
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
 
 
 class Renderer:

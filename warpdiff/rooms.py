@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +89,7 @@ class SharedRoom:
 
     Attributes:
         room: All of it.
+        parts: How many there are.
     """
 
     def __init__(self, parts: int, *, leaves_out: bool, device: wp.Device) -> None:
@@ -98,7 +98,7 @@ class SharedRoom:
 
         from warpdiff.kernels.lookup import RUN
 
-        self._run = RUN
+        self.parts, self._run = parts, RUN
         # Whole tiles of any kind, and whole runs of look-ups.
         whole = math.lcm(*(kind.rays for kind in supersample.KINDS), RUN)
         self._size = -(-supersample.MOST_RAYS // whole) * whole
@@ -111,12 +111,18 @@ class SharedRoom:
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]
 
-    def meet(self, batches: Sequence[supersample.Batch], chains: Sequence[Chain], nearest: NDArray[np.uint64]) -> None:
+    def meet(
+        self,
+        batches: Sequence[supersample.Batch],
+        chains: Sequence[Chain],
+        nearest: NDArray[np.uint64],
+        *,
+        threads: int,
+    ) -> None:
         """Launch the chain of each kind over the tiles of batches, of whose rays ``nearest`` tells the faces.
 
-        It adds colours to zeros, and as many threads as there are parts do so.
+        It adds colours to zeros, on so many threads, for each of which there is a part.
         """
-        threads = len(self._free)
         parts = [(batch, part) for batch in batches for part in batch.parts(threads)]
         # The largest first, so that threads finish together.
         parts.sort(key=lambda each: -len(each[1]) * each[0].kind.rays)
@@ -140,19 +146,21 @@ class SharedRoom:
         side_by_side(work, parts, threads=threads)
 
 
-# Those that no picture is in, by what they were made for, and how many of these are kept: to make one takes as long as
-# to look up thousands of pixels.
-_free: defaultdict[tuple[int, bool], list[SharedRoom]] = defaultdict(list)
+# Those that no picture is in, with and without arrays for what is left out, and how many are kept: to make one takes as
+# long as to look up thousands of pixels.
+_free: dict[bool, list[SharedRoom]] = {False: [], True: []}
 _MOST_FREE = 2
 
 
 @contextlib.contextmanager
 def shared_room(parts: int, *, leaves_out: bool, device: wp.Device) -> Iterator[SharedRoom]:
-    """A room of so many parts that nobody else is in."""
-    free = _free[parts, leaves_out]
+    """A room of so many parts or more that nobody else is in."""
+    free = _free[leaves_out]
     try:
         room = free.pop()
     except IndexError:
+        room = None
+    if room is None or room.parts < parts:
         room = SharedRoom(parts, leaves_out=leaves_out, device=device)
     yield room
     free.append(room)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
     from warpdiff.scope import Pilots
 
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
@@ -330,7 +330,7 @@ class Trial:
     def fitted(self, plan: Plan) -> coefficients.Coefficients:
         """The coefficients of a plan with a fitted basis."""
         found, _, _ = tables.coefficients_for(
-            self.hf, plan.method, plan.coherence, self._scope, plan.reach(self.hf), terms=plan.terms,
+            self.hf, plan.method, plan.coherence, self._scope, tables.reach(plan, self.hf), terms=plan.terms,
             threads=self._threads,
         )  # fmt: skip
         return found

@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from warpdiff.coherence import Coherence
     from warpdiff.fourier import Block, Grid
     from warpdiff.heightfield import HeightField
-    from warpdiff.planning import Plan
+    from warpdiff.plans import Plan
     from warpdiff.scope import Scope
 
 # Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
 LANES = 8
 _FEWEST_WAVELENGTHS = 16
+_REACHED_WEIGHT = 1e-14
 # The cubics of a patch's power take four samples.
 _FEWEST_INTERVALS = 4
 # Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
@@ -190,7 +191,7 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
     scope = plan.scope.joined(scope)
     found, block, grid = coefficients_for(
-        hf, plan.method, coherence, scope, plan.reach(hf), terms=plan.terms, threads=threads
+        hf, plan.method, coherence, scope, reach(plan, hf), terms=plan.terms, threads=threads
     )
     terms = min(plan.terms, found.terms)
     lanes = lanes_of(terms)
@@ -240,6 +241,27 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
     if coherence.sigma_um is None:
         return wavelength_um**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * coherence.sigma_um) ** 2
+
+
+def radius(plan: Plan) -> float:
+    """Distance in frequency [1/µm] of the coefficients to keep at hand, of all but the least weights."""
+    falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
+    return math.sqrt(-math.log(min(plan.least_weight, _REACHED_WEIGHT)) / falloff)
+
+
+def reach(plan: Plan, hf: HeightField) -> tuple[int, int]:
+    """Coefficients (y, x) on either side of a direction to keep at hand.
+
+    They are the same for all but the least weights, as is then a basis that is fitted to them.
+    """
+    from warpdiff.kernels import spectral
+
+    if plan.coherence.kind == "replicas":
+        return spectral.TAPS, spectral.TAPS
+    # A slanted ellipse is covered by a parallelogram.
+    around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
+    rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(hf, plan.coherence).lengths_um)
+    return rows, columns
 
 
 def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.Device) -> Any:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, field
+import functools
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -64,44 +65,21 @@ class View:
     width: int = 640
     height: int = 480
     extent_y: float | None = None
-    _frame: ViewFrame = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        eye = checks.vector(self.eye, "eye")
-        target = checks.vector(self.target, "target")
-        up = checks.vector(self.up, "up")
-        with np.errstate(over="ignore"):
-            distance = eye - target
-        if not np.any(distance) or not np.all(np.isfinite(distance)):
-            raise ValueError(
-                f"eye and target must be two different points, got eye={self.eye!r}, target={self.target!r}"
-            )
-        back = checks.directions(distance, "eye - target")[0][0]
-        right = _cross(checks.directions(up, "up")[0][0], back)
-        if float(np.linalg.norm(right)) < 1e-6:
-            raise ValueError(f"up must not be parallel to the line of sight from eye to target, got {self.up!r}")
+        for name in ("eye", "target", "up"):
+            x, y, z = checks.vector(getattr(self, name), name).tolist()
+            object.__setattr__(self, name, (x, y, z))
         fov = checks.positive(self.fov_y_deg, "fov_y_deg")
         if fov >= 180.0:
             raise ValueError(f"fov_y_deg must be a finite number > 0 and < 180, got {self.fov_y_deg!r}")
-        for name, value in (("eye", eye), ("target", target), ("up", up)):
-            object.__setattr__(self, name, (float(value[0]), float(value[1]), float(value[2])))
         object.__setattr__(self, "fov_y_deg", fov)
         object.__setattr__(self, "width", checks.count(self.width, "width"))
         object.__setattr__(self, "height", checks.count(self.height, "height"))
         if self.extent_y is not None:
             object.__setattr__(self, "extent_y", checks.positive(self.extent_y, "extent_y"))
-        object.__setattr__(self, "_frame", self._frame_of(eye, checks.directions(right, "up")[0][0], back))
-
-    def _frame_of(
-        self, origin: NDArray[np.float64], right: NDArray[np.float64], back: NDArray[np.float64]
-    ) -> ViewFrame:
-        """What rays need."""
-        up = _cross(back, right)
-        for each in (origin, right, up, back):
-            each.setflags(write=False)
-        half_height = float(np.tan(np.radians(self.fov_y_deg) / 2.0)) if self.extent_y is None else self.extent_y / 2.0
-        half_width = half_height * self.width / self.height
-        return ViewFrame(origin, right, up, back, half_width, half_height, self.extent_y is not None)
+        # Refuses what makes none.
+        self.frame()
 
     @classmethod
     def orthographic(
@@ -132,6 +110,27 @@ class View:
     def frame(self) -> ViewFrame:
         """The camera's origin and axes, in float64, not to be written to."""
         return self._frame
+
+    @functools.cached_property
+    def _frame(self) -> ViewFrame:
+        origin = np.array(self.eye)
+        with np.errstate(over="ignore"):
+            distance = origin - np.array(self.target)
+        if not np.any(distance) or not np.all(np.isfinite(distance)):
+            raise ValueError(
+                f"eye and target must be two different points, got eye={self.eye!r}, target={self.target!r}"
+            )
+        back = checks.directions(distance, "eye - target")[0][0]
+        across = _cross(checks.directions(self.up, "up")[0][0], back)
+        if float(np.linalg.norm(across)) < 1e-6:
+            raise ValueError(f"up must not be parallel to the line of sight from eye to target, got {self.up!r}")
+        right = checks.directions(across, "up")[0][0]
+        up = _cross(back, right)
+        for each in (origin, right, up, back):
+            each.setflags(write=False)
+        half_height = float(np.tan(np.radians(self.fov_y_deg) / 2.0)) if self.extent_y is None else self.extent_y / 2.0
+        half_width = half_height * self.width / self.height
+        return ViewFrame(origin, right, up, back, half_width, half_height, self.extent_y is not None)
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

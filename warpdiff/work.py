@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-_MOST_WAIT_S = 1e-3
+_MOST_WAIT_S = 3e-4
 
 
 class Work:

@@ -1,0 +1,201 @@
+"""What a plan is: the numbers that the kernels get, and which methods and tolerances there are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from warpdiff import checks, validity
+from warpdiff.coefficients import METHODS as EXPANDED
+from warpdiff.coefficients import POWER_METHODS, holds_powers
+from warpdiff.coherence import Coherence
+from warpdiff.expansions import EXPANSIONS, MAX_TERMS
+from warpdiff.scope import Scope
+
+INTEGRATIONS = ("sampled", "table")
+METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
+AUTOMATIC = "low-rank"
+LABELS = {
+    "low-rank": "Low-rank basis",
+    "power": "Chebyshev series of the powers",
+    **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
+}
+# An octave, of a table.
+MIN_NODES, MAX_NODES = 4, 512
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
+
+    Errors are relative ones of XYZ, as ``tolerance`` is.
+
+    Attributes:
+        method: One of ``coefficients.METHODS``, or ``"direct"``.
+        coherence: The window, source or copies.
+        tolerance: What was asked for.
+        terms: Terms of the basis, n = 0 … terms − 1.
+        least_weight: Neighbours whose Gaussian weight, on powers or on amplitudes, is less are left out.
+        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 where the caller
+            gives wavelengths.
+        subdivisions: For copies: samples of their factor for one of the patch's.
+        bandwidth_um: What a direction takes of them as a, b, c of a·lateral + b·|w| + c, samples per unit of 1/λ;
+            lateral is |(u, v)|, for a source stretched along its foreshortening, for copies |(u Lx, v Ly)|.
+        adaptive: Whether directions with less than the largest bandwidth take fewer of them.
+        nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
+        rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
+        footprint: Whether the table has levels, from which a pixel's mean over its range of (u, v) is taken.
+        supersampled: Of a picture, the share of its lit pixels that took more rays, as the predicted error of their
+            footprint exceeds the tolerance.
+        max_uv: Largest |(u, v)| of the directions that the numbers hold for.
+        max_lateral: Largest lateral of these.
+        min_w: Smallest |w| of these.
+        max_w: Largest |w| of these.
+        lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
+        lambda_max_nm: Longest wavelength that the numbers hold for [nm].
+        height_range_um: Largest height range that the numbers hold for [µm].
+        truncation: Predicted error from the terms left out.
+        neighbourhood: Predicted error from the neighbours left out.
+        quadrature: Predicted error of the integral over λ; 0 without one.
+        rounding: Predicted error from float32 arithmetic.
+        aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
+            relative to theirs. It is a property of the data and no part of ``error``.
+        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
+            the surface and no part of ``error``.
+        multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
+        searched: Whether the errors were measured on a sample of the directions; otherwise they are bounds.
+    """
+
+    method: str
+    coherence: Coherence
+    tolerance: float
+    terms: int
+    least_weight: float
+    wavelengths: int
+    subdivisions: int
+    bandwidth_um: tuple[float, float, float]
+    adaptive: bool
+    nodes: int
+    rays_per_width: float
+    footprint: bool
+    supersampled: float
+    max_uv: float
+    max_lateral: float
+    min_w: float
+    max_w: float
+    lambda_min_nm: float
+    lambda_max_nm: float
+    height_range_um: float
+    truncation: float
+    neighbourhood: float
+    quadrature: float
+    rounding: float
+    aliasing: float
+    scalar_error: float
+    multiply_adds: float
+    searched: bool
+
+    def __post_init__(self) -> None:
+        checks.choice(self.method, "method", (*EXPANDED, "direct"))
+        checks.instance(self.coherence, Coherence, "coherence")
+        if checks.count(self.nodes, "nodes", least=0):
+            checks.number(self.rays_per_width, "rays_per_width", above=0.0)
+            if not MIN_NODES <= self.nodes <= MAX_NODES:
+                raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
+        checks.flag(self.footprint, "footprint")
+        if self.footprint and not self.nodes:
+            raise ValueError("footprint=True takes a table: give nodes, or method='low-rank/table'")
+        check_method(f"{self.method}/table" if self.nodes else self.method, self.coherence)
+        check_tolerance(self.tolerance)
+        if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
+            raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
+        weight = checks.number(self.least_weight, "least_weight", above=0.0)
+        if weight >= 1.0:
+            raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
+        for name in ("max_uv", "max_lateral", "min_w", "max_w", "lambda_min_nm", "lambda_max_nm", "height_range_um"):
+            checks.number(getattr(self, name), name, least=0.0)
+        bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um")
+        if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
+            raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
+        checks.flag(self.adaptive, "adaptive")
+        checks.count(self.subdivisions, "subdivisions")
+        if self.wavelengths != 0:
+            checks.count(self.wavelengths, "wavelengths", least=2)
+
+    @property
+    def error(self) -> float:
+        """Predicted error of the call: all sources but aliasing."""
+        return self.truncation + self.neighbourhood + self.quadrature + self.rounding
+
+    @property
+    def scope(self) -> Scope:
+        """The range of directions and wavelengths that the numbers hold for."""
+        return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
+
+    def __str__(self) -> str:
+        if self.method == "direct":
+            sums = f"Direct sum over the height samples in float64, {self.coherence}"
+            return f"{sums}: no approximation but the integral over λ. {self._scalar}"
+        scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
+        how = "measured on a sample of the directions" if self.searched else "bounded for all directions"
+        start = (
+            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, {scope}. Predicted error "
+            f"{self.error:.1e}, {how}: {self.terms} terms leave out {self.truncation:.1e}"
+        )
+        parts = [start]
+        if self.coherence.kind != "replicas":
+            parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
+        if self.nodes:
+            rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
+            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.footprint else ""
+            parts.append(f"a polar table of {rays}{pixels} integrates to {self.quadrature:.1e}")
+            if self.supersampled:
+                parts.append(f"{100.0 * self.supersampled:.2g} % of the lit pixels, too steep for that, took more rays")
+        elif self.wavelengths:
+            spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
+            asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
+            asides += ["fewer where coefficients pass slower"] if self.adaptive else []
+            aside = f" ({', '.join(asides)})" if asides else ""
+            spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
+            parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
+        parts.append(f"float32 rounds by {self.rounding:.1e}")
+        text = "; ".join(parts)
+        text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
+        return text + f" Some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction. {self._scalar}"
+
+    @property
+    def _scalar(self) -> str:
+        return f"Scalar theory itself: {validity.told(self.scalar_error)}."
+
+
+def check_tolerance(tolerance: Any) -> float:
+    """Return a tolerance within the range that float32 and a picture make sense of."""
+    return checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
+
+
+def check_method(method: str, coherence: Coherence) -> None:
+    """Refuse a method that a coherence form lacks."""
+    if not _is_legal(method, coherence):
+        why = f"expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes"
+        if method.endswith("/table"):
+            why = f"asks for a table, which coherence of kind={coherence.kind!r} does not have for it"
+        suffix = method.partition("/")[2]
+        legal = [each for each in METHODS if each.partition("/")[2] == suffix and _is_legal(each, coherence)]
+        others = ", ".join(map(repr, legal)) or "the methods without a table"
+        raise ValueError(f"method={method!r} {why}: use one of {others}")
+
+
+def _is_legal(method: str, coherence: Coherence) -> bool:
+    """Whether a coherence form has a method."""
+    expansion, _, integration = method.partition("/")
+    if expansion in POWER_METHODS and not coherence.adds_powers:
+        return False
+    return integration != "table" or has_table(expansion, coherence)
+
+
+def has_table(expansion: str, coherence: Coherence) -> bool:
+    """Whether tables of colours can be made for an expansion and a coherence: of what adds as the rows do."""
+    return (
+        coherence.kind != "replicas"
+        and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers
+    )
