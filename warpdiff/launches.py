@@ -73,6 +73,7 @@ class _Call:
     """How Warp calls a kernel for one index on the CPU, which a launch tells.
 
     Attributes:
+        call: The function, which takes pointers to two structs, bounds and arguments.
         function: Its address.
         bounds: The struct for one index.
     """
