@@ -6,8 +6,9 @@ from warpdiff import supersample
 from warpdiff.kernels.native import abreast, filled
 
 # By how much the change of (u, v) from one pixel to the next may differ from that to the one before, relative to the
-# larger of them, where it counts as even.
-EVENLY = 0.02
+# larger of them, where it counts as even: if the contrast is at the bound from which pixels take tiles, and in
+# proportion less, the more it exceeds that, as the error goes with both.
+EVENLY = 0.06
 
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
 _CLASSIFY = """
@@ -57,12 +58,15 @@ _CLASSIFY = """
         compare(1, -1);
         compare(1, 1);
         compare(2, 0);
-        for (int k = 0; k < (int)bounds.shape[0]; ++k) {
+        // The larger bounds first, so that the least one's stay.
+        float bound2_of[ABREAST];
+        for (int k = (int)bounds.shape[0] - 1; k >= 0; --k) {
             const float bound = ((const float*)bounds.data)[k];
             for (int i = 0; i < count; ++i) {
                 const float x = colour[0][1][i + 1], y = colour[1][1][i + 1], z = colour[2][1][i + 1];
-                const float size = wp::sqrt(x * x + y * y + z * z);
-                exceeded[i] += wp::sqrt(largest[i]) > bound * (size > least ? size : least);
+                const float size2 = x * x + y * y + z * z, least2 = least * least;
+                bound2_of[i] = bound * bound * (size2 > least2 ? size2 : least2);
+                exceeded[i] += largest[i] > bound2_of[i];
             }
         }
         for (int i = 0; i < count; ++i) {
@@ -81,17 +85,18 @@ _CLASSIFY = """
                     u[line][j] = (float)(there[0] - here[0]);
                     v[line][j] = (float)(there[1] - here[1]);
                 }
+            const float allowed = EVENLY * EVENLY * bound2_of[i] / largest[i];
             auto square = [](float x, float y) { return x * x + y * y; };
             const float left = square(u[1][0], v[1][0]), right = square(u[1][2], v[1][2]);
             const float above = square(u[0][1], v[0][1]), below = square(u[2][1], v[2][1]);
             const float along = left > right ? left : right, down = above > below ? above : below;
             const float both = along > down ? along : down;
-            bool even = square(u[1][0] + u[1][2], v[1][0] + v[1][2]) <= EVENLY * EVENLY * along
-                && square(u[0][1] + u[2][1], v[0][1] + v[2][1]) <= EVENLY * EVENLY * down;
+            bool even = square(u[1][0] + u[1][2], v[1][0] + v[1][2]) <= allowed * along
+                && square(u[0][1] + u[2][1], v[0][1] + v[2][1]) <= allowed * down;
             for (int line = 0; line < 3; line += 2)
                 for (int j = 0; j < 3; j += 2)
                     even &= square(u[line][j] - u[line][1] - u[1][j], v[line][j] - v[line][1] - v[1][j])
-                        <= EVENLY * EVENLY * both;
+                        <= allowed * both;
             classes[i] -= even;
         }
     }

@@ -314,17 +314,17 @@ def test_tiles_stand_for_the_filter(tile, angle_deg):
     np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
 
 
-def changes_evenly(around):
-    """Whether (u, v) of 3 × 3 pixels does."""
+def changes_evenly(around, evenly):
+    """Whether (u, v) of 3 × 3 pixels does, but for such a share."""
     around = around - around[1, 1]
     size = np.linalg.norm
     along = max(size(around[1, 0]), size(around[1, 2]))
     down = max(size(around[0, 1]), size(around[2, 1]))
     corners = [around[i, j] - around[i, 1] - around[1, j] for i in (0, 2) for j in (0, 2)]
     return (
-        size(around[1, 0] + around[1, 2]) <= tiles.EVENLY * along
-        and size(around[0, 1] + around[2, 1]) <= tiles.EVENLY * down
-        and max(map(size, corners)) <= tiles.EVENLY * max(along, down)
+        size(around[1, 0] + around[1, 2]) <= evenly * along
+        and size(around[0, 1] + around[2, 1]) <= evenly * down
+        and max(map(size, corners)) <= evenly * max(along, down)
     )
 
 
@@ -340,10 +340,12 @@ def classes_by_hand(colours, deflections, gains, floor, bounds):
                     contrast = max(contrast, np.linalg.norm(colours[y, x] - colours[row, column]))
                 else:
                     dark = 1
-        exceeded = sum(contrast > bound * max(np.linalg.norm(colours[row, column]), floor) for bound in bounds)
+        relative = contrast / max(np.linalg.norm(colours[row, column]), floor)
+        exceeded = sum(relative > bound for bound in bounds)
         inside = 0 < row < height - 1 and 0 < column < width - 1
         all_lit = inside and np.all(gains[row - 1 : row + 2, column - 1 : column + 2] > 0.0)
-        even = all_lit and changes_evenly(deflections[row - 1 : row + 2, column - 1 : column + 2, :2])
+        around = deflections[row - 1 : row + 2, column - 1 : column + 2, :2]
+        even = exceeded and all_lit and changes_evenly(around, tiles.EVENLY * bounds[0] / relative)
         found[row, column] = 3 * exceeded + dark - even if exceeded else 1
     return found
 
@@ -460,7 +462,8 @@ def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, 
     assert even > 0.2 * sum(listed.values())
     error = errors(found, expected)
     assert np.count_nonzero(error) > 0.5 * even
-    assert np.percentile(error[error > 0.0], 99) < 5e-3
+    # What may be uneven goes with what pixels may err by.
+    assert np.percentile(error[error > 0.0], 99) < 0.5 * plan.tolerance
 
 
 def test_rays_whose_faces_take_too_much_memory_are_met_in_parts(tube, fingers, monkeypatch):
