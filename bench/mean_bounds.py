@@ -175,6 +175,7 @@ class MeanBounds:
     Attributes:
         entries: For each node the pixel, the first row, the number of rays, and where their weights begin, (n, 4).
         numbers: In a row.
+        xyz: What ``find`` adds to, instead of colours, (pixels,).
     """
 
     # Nodes for which there is room, a pixel.
@@ -189,7 +190,6 @@ class MeanBounds:
         entries = wp.empty(self._MOST * pixels, dtype=wp.vec4i, device="cpu")
         count = wp.zeros(1, dtype=wp.int32, device="cpu")
         unused = wp.empty(0, dtype=wp.float32, device="cpu")
-        # Colours, or of rows that are only found what their places come to.
         self.xyz = wp.zeros(pixels, dtype=wp.vec3f, device="cpu")
         inputs = [*look_up.inputs, unused, self.xyz]
         wp.launch(_of_means(_that_lists_rows(), functions), self._runs, inputs, [entries, count], device="cpu")

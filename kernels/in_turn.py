@@ -19,19 +19,20 @@ FIELDS = 7
 _RUN = """
     typedef void (*kernel)(void* bounds, void* arguments);
     const long long* const all = (const long long*)launches;
-    // Other threads have indices of their own.
+    // Other threads have indices of their own, in arguments of their own, one launch's after the other's.
+    auto room_for = [=](int k) { return (all[FIELDS * k + 3] + 15) / 16 * 16; };
     long long bytes = 0;
-    for (int k = 0; k < count; ++k) bytes += all[FIELDS * k + 3] + 15 & -16;
+    for (int k = 0; k < count; ++k) bytes += room_for(k);
     char* const own = (char*)__builtin_alloca_with_align(bytes, 128);
     char* arguments = own;
-    for (int k = 0; k < count; arguments += all[FIELDS * k++ + 3] + 15 & -16)
+    for (int k = 0; k < count; arguments += room_for(k++))
         memcpy(arguments, (const void*)all[FIELDS * k + 2], all[FIELDS * k + 3]);
     for (int taken = 0; taken < most; ++taken) {
         const long long slice = __atomic_fetch_add((int*)next, 1, __ATOMIC_RELAXED);
         const long long begin = first + slice * size, behind = wp::min(begin + size, (long long)end);
         if (begin >= end) break;
         arguments = own;
-        for (int k = 0; k < count; arguments += all[FIELDS * k++ + 3] + 15 & -16) {
+        for (int k = 0; k < count; arguments += room_for(k++)) {
             const long long* const launch = all + FIELDS * k;
             const kernel function = (kernel)launch[0];
             const int from = begin / launch[6], to = (behind + launch[6] - 1) / launch[6];

@@ -428,8 +428,9 @@ def test_rays_fan_out_along_parabolas(with_lights, rng):
             np.testing.assert_allclose(footprints[k, :, 2 + c], tile.deviation * along_y, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["averaged", "source"])
-def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, monkeypatch):
+# What may be uneven goes with what pixels may err by: 1e-2, and 1e-1 of the source.
+@pytest.mark.parametrize(("kind", "most"), [("averaged", 5e-3), ("source", 2e-2)])
+def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, most, monkeypatch):
     if kind == "source":
         plan = wd.plan(fingers, coherence=SOURCE, method="low-rank/table", tolerance=0.1, strict=False)
     else:
@@ -462,8 +463,7 @@ def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, 
     assert even > 0.2 * sum(listed.values())
     error = errors(found, expected)
     assert np.count_nonzero(error) > 0.5 * even
-    # What may be uneven goes with what pixels may err by.
-    assert np.percentile(error[error > 0.0], 99) < 0.5 * plan.tolerance
+    assert np.percentile(error[error > 0.0], 99) < most
 
 
 def test_rays_whose_faces_take_too_much_memory_are_met_in_parts(tube, fingers, monkeypatch):

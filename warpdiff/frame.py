@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _SEED = 0
 _SURVEYED = 4
-# Rays and frames take a tenth of a microsecond each, colours three, faces two, and a launch as much as hundreds.
+# Of a slice: pixels whose rays are found, or whose colours are, and faces.
 _SLICE, _COLOURS, _FACES = 8192, 2048, 2048
 
 

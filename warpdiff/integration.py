@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from warpdiff.plans import Plan
     from warpdiff.scope import Scope
 
-# Look-ups that are worth a launch.
+# Look-ups of a slice.
 _LOOK_UPS = 2048
 
 

@@ -106,7 +106,7 @@ class SharedRoom:
         self.room = Room.by(rays, leaves_out=leaves_out, device=device)
         self.room.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
         self._nearest = self.room.seen.pixels.nearest.numpy()
-        self._tiles = {rays: tiles.numpy() for rays, tiles in self.room.tiles.items()}
+        self._tiles = {of_tile: tiles.numpy() for of_tile, tiles in self.room.tiles.items()}
         self._colours, self._gains = self.room.colours.numpy(), self.room.seen.gains.numpy()
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]

@@ -30,7 +30,7 @@ FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(
 _ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
-# Rays at a time: worth the launches, and bounded by the memory that they take, of which a GPU has more.
+# Rays at a time: worth what comes before their launches, and bounded by their memory, of which a GPU has more.
 _LEAST_RAYS, MOST_RAYS, _MOST_RAYS_ALONE = 8192, 32_768, 1 << 20
 # Rays whose faces are found together, eight bytes each.
 _MOST_FOUND = 1 << 26
@@ -38,7 +38,7 @@ _MOST_FOUND = 1 << 26
 FLOOR, EXCEEDED_BY = 1e-3, 0.01
 TINY = float(np.finfo(np.float32).tiny)
 _GLIMPSE = 16_384
-# These kernels are cheap against a launch.
+# Pixels of a slice, each of which makes lists of its own.
 _SLICE = 32_768
 
 

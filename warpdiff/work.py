@@ -106,12 +106,11 @@ def side_by_side(work: Callable[[Any], None], items: Sequence[Any], *, threads: 
     Work(work, items, threads=threads, joins=True).finish()
 
 
-def slices_of(size: int, *, least: int, most: int, threads: int, block: int = 1) -> Iterator[range]:
-    """Slices that get smaller, so that threads finish together, of whole blocks but for the last."""
+def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
+    """Slices that get smaller, so that threads finish together."""
     first = 0
     while first < size:
-        count = min(max((size - first) // (2 * threads), least), most)
-        end = min(first + -(-count // block) * block, size)
+        end = min(first + min(max((size - first) // (2 * threads), least), most), size)
         yield range(first, end)
         first = end
 
