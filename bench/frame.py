@@ -210,7 +210,7 @@ def kernels(hf: wd.HeightField, scene: Scene, rounds: int, threads: int, device:
     xyz = wp.zeros(len(lit), dtype=wp.vec3f, device=device)
     to_lights = wp.array(scene.to_lights[lit], dtype=wp.vec3f, device=device)
     gains = wp.array(scene.gains[lit], dtype=wp.float32, device=device)
-    spread = wp.array(scene.spread.numpy()[lit], dtype=wp.vec4f, device=device)
+    spread = wp.array(scene.spread.numpy()[lit], dtype=scene.spread.dtype, device=device)
 
     def look_up(made: Integrator, deflections: Any, footprints: Any = None) -> Any:
         on_device = wp.array(deflections, dtype=wp.vec3d, device=device)

@@ -12,6 +12,7 @@ import warp as wp
 
 from warpdiff.kernels import lookup
 from warpdiff.kernels.native import CHUNKS_OF_ROWS, filled
+from warpdiff.kernels.scene import Footprint
 
 if TYPE_CHECKING:
     from warpdiff.launches import Step
@@ -24,12 +25,12 @@ _LIST = """
                         int* const entry = (int*)entries_out.data + 4LL * listed;
                         entry[0] = begin + pixels[of];
                         entry[1] = row_at;
-                        entry[2] = count_of[s];
+                        entry[2] = taken;
                         entry[3] = tap_at;
                     }
 """
 # Where its rows are summed up, and where those to come are asked for.
-_ADDED = "sum[l] += weight * of_rays[l];"
+_ADDED = "tilted[l] += tilt * of_rays[l];"
 _ASKED = (
     "for (int s = 0; s < segments && s < AHEAD; ++s) ask(s);",
     "if (s + AHEAD < segments) ask(s + AHEAD);",
@@ -108,7 +109,7 @@ def _of_means(code: str, functions: int) -> Any:
         deflections: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
+        footprints: wp.array(dtype=Footprint),
         blending: blending,
         begin: wp.int32,
         end: wp.int32,
@@ -124,7 +125,7 @@ def _of_means(code: str, functions: int) -> Any:
         deflections: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
+        footprints: wp.array(dtype=Footprint),
         blending: blending,
         run: wp.int32,
         left_out: wp.array(dtype=wp.float32),

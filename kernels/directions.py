@@ -7,8 +7,9 @@ import warp as wp
 
 from warpdiff import optics
 from warpdiff.kernels import spectral
+from warpdiff.kernels.footprints import spread
 from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import Pixels
+from warpdiff.kernels.scene import Footprint, Pixels
 from warpdiff.kernels.tiles import classes_of, fan_out_run, list_classes
 
 wp.set_module_options(spectral.OPTIONS)
@@ -286,43 +287,11 @@ def pick(
         gains_out[k] = gains[i]
 
 
-@wp.func
-def slope(
-    deflections: wp.array(dtype=wp.vec3d),
-    hit: wp.array(dtype=wp.int32),
-    before: wp.int32,
-    here: wp.int32,
-    after: wp.int32,
-) -> wp.vec2f:
-    """Change of (u, v) from one pixel to the next, from both neighbours, of which an index < 0 is none.
-
-    Where the two disagree, an edge of the body or of a texture's chart lies between: the smaller change is the surface.
-    """
-    result = wp.vec2f()
-    if after >= 0 and hit[after] != 0:
-        result = between(deflections[here], deflections[after])
-    if before >= 0 and hit[before] != 0:
-        other = between(deflections[before], deflections[here])
-        if after >= 0 and hit[after] != 0:
-            if wp.length(result - other) < wp.min(wp.length(result), wp.length(other)):
-                result = 0.5 * (result + other)
-            elif wp.length(other) < wp.length(result):
-                result = other
-        else:
-            result = other
-    return result
-
-
-@wp.func
-def between(one: wp.vec3d, other: wp.vec3d) -> wp.vec2f:
-    """The change of (u, v)."""
-    return wp.vec2f(wp.float32(other[0] - one[0]), wp.float32(other[1] - one[1]))
-
-
 @wp.kernel
 def spread_pixels(
     # In:
     deflections: wp.array(dtype=wp.vec3d),
+    gains: wp.array(dtype=wp.float32),
     hit: wp.array(dtype=wp.int32),
     width: wp.int32,
     height: wp.int32,
@@ -330,35 +299,15 @@ def spread_pixels(
     first: wp.int32,
     run: wp.int32,
     # Out:
-    footprints_out: wp.array(dtype=wp.vec4f),
+    footprints_out: wp.array(dtype=Footprint),
 ):
-    """How (u, v) changes over a pixel's filter: by one standard deviation along rows, and along columns.
+    """What a pixel's filter does to (u, v).
 
     Pixels are a picture of a width and height, or pictures one after the other.
     """
     thread, _ = wp.tid()
-    for i in range(first + thread * run, first + (thread + 1) * run):
-        footprints_out[i] = wp.vec4f()
-        if hit[i] == 0:
-            continue
-        row = i // width
-        column = i - row * width
-        row = row % height
-        left = i - 1
-        right = i + 1
-        above = i - width
-        below = i + width
-        if column == 0:
-            left = -1
-        if column == width - 1:
-            right = -1
-        if row == 0:
-            above = -1
-        if row == height - 1:
-            below = -1
-        along_x = deviation * slope(deflections, hit, left, i, right)
-        along_y = deviation * slope(deflections, hit, above, i, below)
-        footprints_out[i] = wp.vec4f(along_x[0], along_x[1], along_y[0], along_y[1])
+    begin = first + thread * run
+    spread(deflections, gains, hit, width, height, deviation, begin, begin + run, footprints_out)
 
 
 @wp.kernel
@@ -438,7 +387,7 @@ def fan_out(
     deflections_out: wp.array(dtype=wp.vec3d),
     to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
-    footprints_out: wp.array(dtype=wp.vec4f),
+    footprints_out: wp.array(dtype=Footprint),
     hit_out: wp.array(dtype=wp.int32),
 ):
     """What rays of tiles see where (u, v) changes evenly: by the parabolas through a pixel and those around it.

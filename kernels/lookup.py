@@ -20,6 +20,7 @@ import warp as wp
 
 from warpdiff.kernels import spectral
 from warpdiff.kernels.native import CHUNKS_OF_ROWS, CYCLIC, filled
+from warpdiff.kernels.scene import Footprint
 
 # Loops that stay loops compile faster.
 OPTIONS = {**spectral.OPTIONS, "max_unroll": 1}
@@ -48,7 +49,8 @@ class Blending:
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
 
 
-# Sums of rows times the functions at w: the first of four entries, and the cubic through them.
+# Sums of rows times the functions at w: the first of four entries, and the cubic through them. And, if told, sums of rows
+# times how much w differs there, times the slopes of the functions.
 _WEIGH = """
     auto find_w = [&](float w, int& entry, float& w0, float& w1, float& w2, float& w3) {
         const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
@@ -60,20 +62,26 @@ _WEIGH = """
         w2 = 0.5f * prior * t * beyond;
         w3 = (-1.0f / 6.0f) * prior * t * after;
     };
-    auto weigh = [&](const chunk* sum, int entry, float w0, float w1, float w2, float w3) {
+    auto weigh = [&](const chunk* sum, const chunk* tilted, int entry, float w0, float w1, float w2, float w3) {
         constexpr int EACH = CHUNKS / 3;
         const chunk* const entries = (const chunk*)table.functions.data + (long long)entry * EACH;
-        chunk colour[3] = {chunk{}, chunk{}, chunk{}};
+        chunk colour[3] = {chunk{}, chunk{}, chunk{}}, more[3] = {chunk{}, chunk{}, chunk{}};
         for (int k = 0; k < EACH; ++k) {
             const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
                 + w3 * entries[k + 3 * EACH];
             for (int c = 0; c < 3; ++c) colour[c] += sum[c * EACH + k] * at_w;
+            if (!tilted) continue;
+            const chunk slope = ((const chunk*)table.slopes.data)[(entry + 1LL) * EACH + k];
+            for (int c = 0; c < 3; ++c) more[c] += tilted[c * EACH + k] * slope;
         }
         wp::vec_t<3, float> result;
         for (int c = 0; c < 3; ++c) {
-            float total = 0.0f;
+            float total = 0.0f, added = 0.0f;
             for (int l = 0; l < SIZE; ++l) total += ((const float*)&colour[c])[l];
-            result[c] = total;
+            for (int l = 0; l < SIZE; ++l) added += ((const float*)&more[c])[l];
+            // In proportion to what is there, as slopes do not go on for ever.
+            const float most = 0.5f * (total < 0.0f ? -total : total);
+            result[c] = total + (added < -most ? -most : added < most ? added : most);
         }
         return result;
     };
@@ -220,7 +228,7 @@ _POINTS = """
                 row += stride;
             }
         }
-        const auto colour = weigh(sum, entries[i], w0[i], w1[i], w2[i], w3[i]);
+        const auto colour = weigh(sum, nullptr, entries[i], w0[i], w1[i], w2[i], w3[i]);
         float* const out = (float*)xyz_out.data + 3LL * (begin + i);
         // Projected colour curves have shallow negative lobes.
         for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour[c], 0.0f);
@@ -243,12 +251,13 @@ _MEANS = """
     constexpr float PI = 3.14159265f;
     // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds
     // the mirror direction and is no range of angles.
-    constexpr float MOST_TURN = 0.06f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
+    constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
     // Beyond a variance of NARROW nodes have the Gaussian itself for weights, out to so many DEVIATIONS, and lie as far
     // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ) and
     // what else is in them, and rays where these turn from node to node.
     constexpr float NARROW = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
-    const float per_log = table.per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
+    const float per_log = table.per_log, per_node = 1.0f / per_log;
+    const float per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
     const int size = table.nodes, octaves = table.rays.shape[1], levels = table.rays.shape[0], count = end - begin;
     const int entries = blending.weights.shape[0], fractions = blending.weights.shape[1];
     const int all_taps = blending.weights.shape[2];
@@ -257,7 +266,7 @@ _MEANS = """
     const double* const given = (const double*)deflections.data + 3LL * begin;
     const float* const lights = (const float*)to_lights.data + 3LL * begin;
     const float* const factors = (const float*)gains.data + begin;
-    const float* const seen = (const float*)footprints.data + 4LL * begin;
+    const float* const seen = (const float*)footprints.data + 8LL * begin;
     const float* const taps = (const float*)blending.weights.data;
     const float* const splits = (const float*)blending.parts.data;
     const int* const lengths = (const int*)blending.lengths.data;
@@ -269,11 +278,28 @@ _MEANS = """
     const bool with_footprints = footprints.shape[0] > 0;
     auto larger = [](float a, float b) { return a > b ? a : b; };
     auto smaller = [](float a, float b) { return a < b ? a : b; };
+    // exp(−t), for |t| up to 1 or little more.
+    auto falling = [](float t) {
+        return 1.0f - t * (1.0f - t * (0.5f - t * (1.0f / 6.0f - t * (1.0f / 24.0f))));
+    };
 
-    // Covariance of (u, v), and along it and across, relative to |(u, v)|, within the narrowest lobe to its size.
-    float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], uv2[MOST], angle2[MOST], both[MOST];
+    // What of a covariance of (u, v) goes across it and along it, relative to |(u, v)|; within the narrowest lobe, to
+    // its size.
+    auto relate = [&](float u, float v, float xx, float xy, float yy, float& x, float& y, float& angle_u,
+                      float& angle_v, float& angle2, float& ratio2, float& both) {
+        const float uv2 = larger(u * u + v * v + table.spread * table.spread, table.least_uv * table.least_uv);
+        x = u / uv2;
+        y = v / uv2;
+        angle_u = x * xy - y * xx;
+        angle_v = x * yy - y * xy;
+        angle2 = larger(x * angle_v - y * angle_u, 0.0f);
+        ratio2 = larger(x * x * xx + 2.0f * x * y * xy + y * y * yy, 0.0f);
+        both = x * angle_u + y * angle_v;
+    };
+    float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], angle2[MOST], both[MOST];
     float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST], w0[MOST], w1[MOST], w2[MOST], w3[MOST];
     float light_x[MOST], light_y[MOST], light_z[MOST], along_x[MOST], along_y[MOST], across_x[MOST], across_y[MOST];
+    float with_w_x[MOST], with_w_y[MOST], w_per_log[MOST];
     int entries_at_w[MOST];
     for (int i = 0; i < count; ++i) {
         u[i] = (float)given[3 * i];
@@ -282,14 +308,18 @@ _MEANS = """
         light_x[i] = SOURCE ? lights[3 * i] : 0.0f;
         light_y[i] = SOURCE ? lights[3 * i + 1] : 0.0f;
         light_z[i] = SOURCE ? lights[3 * i + 2] : 0.0f;
-        along_x[i] = with_footprints ? seen[4 * i] : 0.0f;
-        along_y[i] = with_footprints ? seen[4 * i + 1] : 0.0f;
-        across_x[i] = with_footprints ? seen[4 * i + 2] : 0.0f;
-        across_y[i] = with_footprints ? seen[4 * i + 3] : 0.0f;
+        along_x[i] = with_footprints ? seen[8 * i] : 0.0f;
+        along_y[i] = with_footprints ? seen[8 * i + 1] : 0.0f;
+        across_x[i] = with_footprints ? seen[8 * i + 2] : 0.0f;
+        across_y[i] = with_footprints ? seen[8 * i + 3] : 0.0f;
+        u[i] += with_footprints ? seen[8 * i + 4] : 0.0f;
+        v[i] += with_footprints ? seen[8 * i + 5] : 0.0f;
+        with_w_x[i] = with_footprints ? seen[8 * i + 6] : 0.0f;
+        with_w_y[i] = with_footprints ? seen[8 * i + 7] : 0.0f;
     }
     for (int i = wp::max(count, 0); i % ABREAST != 0; ++i)
         u[i] = v[i] = w[i] = light_x[i] = light_y[i] = light_z[i] = along_x[i] = along_y[i] = across_x[i]
-            = across_y[i] = 0.0f;
+            = across_y[i] = with_w_x[i] = with_w_y[i] = 0.0f;
     for (int from = 0; from < count; from += ABREAST) for (int i = from; i < from + ABREAST; ++i) {
         // A source's is Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
         const float source2 = SOURCE ? table.spread2 : 0.0f, t0 = light_x[i], t1 = light_y[i];
@@ -298,23 +328,20 @@ _MEANS = """
         xy[i] = -source2 * t0 * t1 + (along_x[i] * along_y[i] + across_x[i] * across_y[i]);
         yy[i] = source2 * (1.0f - t1 * t1) + (along_y[i] * along_y[i] + across_y[i] * across_y[i]);
         find_w(w[i], entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
-        uv2[i] = larger(u[i] * u[i] + v[i] * v[i] + table.spread * table.spread, table.least_uv * table.least_uv);
-        const float x = u[i] / uv2[i], y = v[i] / uv2[i];
-        const float angle_u = x * xy[i] - y * xx[i], angle_v = x * yy[i] - y * xy[i];
-        const float whole2 = larger(x * angle_v - y * angle_u, 0.0f), whole = wp::sqrt(whole2);
-        const float with_ratio = x * angle_u + y * angle_v, per_whole = whole2 > 0.0f ? 1.0f / whole : 0.0f;
+        float x, y, angle_u, angle_v;
+        relate(u[i], v[i], xx[i], xy[i], yy[i], x, y, angle_u, angle_v, angle2[i], ratio2[i], both[i]);
         // Parts lie along what goes with the angle.
+        const float whole = wp::sqrt(angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
         along_u[i] = angle_u * per_whole;
         along_v[i] = angle_v * per_whole;
         const float turns = whole * (1.0f / MOST_TURN);
         parts[i] = turns > 1.0f ? smaller(-wp::floor(-turns), (float)PARTS) : 1.0f;
-        angle2[i] = whole2;
-        both[i] = with_ratio;
-        ratio2[i] = larger(x * x * xx[i] + 2.0f * x * y * xy[i] + y * y * yy[i], 0.0f);
+        w_per_log[i] = (x * with_w_x[i] + y * with_w_y[i]) / larger(ratio2[i], 1.0e-12f);
     }
 
-    chunk sum[CHUNKS];
-    for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+    // And times how far nodes lie from the middle.
+    chunk sum[CHUNKS], tilted[CHUNKS];
+    for (int l = 0; l < CHUNKS; ++l) sum[l] = tilted[l] = chunk{};
     float whole = 0.0f;
     int pixel = 0, part = 0;
     for (;;) {
@@ -323,29 +350,26 @@ _MEANS = """
         int begins[MOST], ends[MOST], ratios[MOST], steps[MOST], aparts[MOST], counted[MOST];
         float shares[MOST], turns[MOST], places[MOST], deviations[MOST], skews[MOST], turn_of[MOST], aside2[MOST];
         float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST], spacings[MOST];
+        float half_ratio2[MOST], w_per_node[MOST];
         while (filled < MOST && pixel < count) {
             const int i = pixel, all = (int)parts[i];
             const float gain = factors[i];
             bool served = gain > 0.0f;
             const float* const split = splits + (all - 1) * 3 * PARTS;
             const float within = split[0];
-            float part_angle2 = angle2[i], part_both = both[i], part_ratio2 = ratio2[i];
-            if (all > 1) {
-                part_ratio2 -= (1.0f - within) * part_both * part_both / part_angle2;
-                part_angle2 *= within;
-                part_both *= within;
-            }
+            const float cut = 1.0f - within, away = split[PARTS + part];
             float share = gain * split[2 * PARTS + part];
             if (SOURCE) {
                 // What the source blurs less than the rows are, or so much that it is no range of angles. Nodes are
                 // further apart than what goes with the ratio spreads.
                 float log2, unused;
                 place_of(u[i], v[i], table.least_uv, log2, unused);
-                const float over2 = part_ratio2 + 0.25f / (table.per_log * table.per_log);
+                const float over2 = ratio2[i] - (all > 1 ? cut * both[i] * both[i] / angle2[i] : 0.0f)
+                    + 0.25f / (per_log * per_log);
                 const int octave = wp::clamp((int)((log2 * (float)size + table.node_of_one) * table.per_octave), 0,
                     octaves - 1);
                 const bool left = u[i] * u[i] + v[i] * v[i] < table.near2
-                    || (part_angle2 - blurs2[octave]) * over2 < part_both * part_both;
+                    || (within * angle2[i] - blurs2[octave]) * over2 < within * within * both[i] * both[i];
                 ((float*)left_out.data)[begin + i] = served && left ? gain : 0.0f;
                 served = served && !left;
                 share *= 2.0f * PI * size2[i];
@@ -356,20 +380,21 @@ _MEANS = """
             }
             if (part == 0)
                 add_mirror(u[i], v[i], w[i], xx[i], xy[i], yy[i], size2[i], gain, out + 3 * i);
-            const float away = split[PARTS + part];
             at_u[filled] = u[i] + away * along_u[i];
             at_v[filled] = v[i] + away * along_v[i];
+            of_angle2[filled] = angle2[i];
+            of_ratio2[filled] = ratio2[i];
+            of_both[filled] = both[i];
             if (all > 1) {
-                // Relative to the part's own |(u, v)|.
-                const float change = uv2[i] / (at_u[filled] * at_u[filled] + at_v[filled] * at_v[filled]
-                    + table.spread * table.spread);
-                part_angle2 *= change;
-                part_ratio2 *= change;
-                part_both *= change;
+                // Of what is left of the covariance, along the part's own (u, v) and across.
+                const float part_xx = xx[i] - cut * along_u[i] * along_u[i];
+                const float part_xy = xy[i] - cut * along_u[i] * along_v[i];
+                const float part_yy = yy[i] - cut * along_v[i] * along_v[i];
+                float x, y, angle_u, angle_v;
+                relate(at_u[filled], at_v[filled], part_xx, part_xy, part_yy, x, y, angle_u, angle_v,
+                    of_angle2[filled], of_ratio2[filled], of_both[filled]);
             }
-            of_angle2[filled] = part_angle2;
-            of_ratio2[filled] = part_ratio2;
-            of_both[filled] = part_both;
+            w_per_node[filled] = w_per_log[i];
             shares[filled] = share;
             pixels[filled++] = i;
             if (++part == all) {
@@ -384,22 +409,24 @@ _MEANS = """
             of_angle2[k] = of_angle2[k - 1];
             of_ratio2[k] = of_ratio2[k - 1];
             of_both[k] = of_both[k - 1];
+            w_per_node[k] = 0.0f;
         }
         for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k) {
             const float turn_share = smaller(WIDEST_ANGLE / wp::sqrt(larger(of_angle2[k], 1.0e-12f)), 1.0f);
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2[k], 1.0e-12f)), 1.0f);
             const float a2 = of_angle2[k] * turn_share * turn_share, r2 = of_ratio2[k] * ratio_share * ratio_share;
             const float b = of_both[k] * turn_share * ratio_share;
-            // The means of ln |(u, v)| and of the angle, to second order: what lies aside is further away.
+            // The mean of ln |(u, v)| to second order: what lies aside is further away.
             float log2;
             place_of(at_u[k], at_v[k], table.least_uv, log2, turns[k]);
             log2 += 0.721347520f * (a2 - r2);
-            turns[k] -= b * (0.5f / PI);
             places[k] = log2 * (float)size + table.node_of_one;
-            // What goes with the ratio shifts the rays from node to node; the rest of the angle blurs each of them. The
+            // What goes with the ratio turns the rays from node to node; the rest of the angle blurs each of them. The
             // spline between nodes has a variance of a quarter.
             const float variance = r2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             turn_of[k] = b * per_log / variance;
+            half_ratio2[k] = 0.5f * r2;
+            w_per_node[k] *= r2 * per_log / variance;
             aside2[k] = larger(a2 - turn_of[k] * b * per_log, 0.0f);
             deviations[k] = deviation;
             // A sixth of the third moment of ln |(u, v)| in deviations, of what goes along it: the lower half reaches
@@ -450,28 +477,29 @@ _MEANS = """
                 firsts_of[s] = firsts_of[s - 1];
                 apart_of[s] = apart_of[s - 1];
             }
-            float positions[SEGMENTS], slopes[SEGMENTS], aways[SEGMENTS], skew_of[SEGMENTS], per_deviation[SEGMENTS];
-            int rays_of[SEGMENTS], count_of[SEGMENTS], tap_of[SEGMENTS], row_of[SEGMENTS];
+            float positions[SEGMENTS], bends[SEGMENTS], aways[SEGMENTS], skew_of[SEGMENTS], per_deviation[SEGMENTS];
+            float blurs_of[SEGMENTS], given_of[SEGMENTS], behind[SEGMENTS];
+            int rays_of[SEGMENTS], row_of[SEGMENTS];
             for (int from = 0; from < segments; from += ABREAST) for (int s = from; s < from + ABREAST; ++s) {
                 const int of = part_of[s], octave = (int)((float)firsts_of[s] * table.per_octave);
                 // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
-                const float blur2 = SOURCE ? larger(aside2[of] - blurs2[octave], 0.0f) : aside2[of];
+                const float own2 = SOURCE ? blurs2[octave] : 0.0f, blur2 = larger(aside2[of] - own2, 0.0f);
                 const float width_of_first = widths[octaves + octave];
                 const float relative = blur2 / (width_of_first * width_of_first);
                 int bits;
                 memcpy(&bits, &relative, sizeof(bits));
                 const int level = wp::clamp(((bits >> 23) - 125) >> 1, 0, levels - 1), at = level * octaves + octave;
                 const float width = widths[at], per_radian = (float)all_rays[at] * (0.5f / PI);
-                const float left = larger(blur2 - width * width, 0.0f) * per_radian * per_radian;
-                const int step = wp::min((int)(left * blending.per_variance + 0.5f), entries - 1);
+                const float steps_of_blur = per_radian * per_radian * blending.per_variance;
                 rays_of[s] = all_rays[at];
-                count_of[s] = lengths[step];
-                slopes[s] = turn_of[of] * per_radian;
-                positions[s] = turns[of] * (float)all_rays[at] - 0.5f * (float)(count_of[s] - 1);
+                blurs_of[s] = aside2[of] * steps_of_blur;
+                given_of[s] = (width * width + own2) * steps_of_blur - 0.5f;
+                bends[s] = turn_of[of] * per_log * per_radian;
+                positions[s] = turns[of] * (float)all_rays[at];
                 aways[s] = (float)firsts_of[s] - places[of];
+                behind[s] = half_ratio2[of];
                 skew_of[s] = skews[of];
                 per_deviation[s] = 1.0f / deviations[of];
-                tap_of[s] = step * fractions * all_taps;
                 row_of[s] = firsts[at] + firsts_of[s] - octave * size;
             }
             // A Gaussian up to a factor, as the 16th power of a series up to the fourth.
@@ -485,28 +513,40 @@ _MEANS = """
                 falloff *= falloff;
                 return falloff * larger(1.0f + skew_of[s] * t * (t2 - 3.0f), 0.0f);
             };
-            auto node_at = [&](int s, int m, int& row, int& tap) {
-                // Rays around the direction that goes with this node.
-                const int further = m * apart_of[s], rays = rays_of[s], least = -(count_of[s] / 2);
-                const float position = positions[s] + slopes[s] * (aways[s] + (float)further);
-                const float first = wp::rint(position);
-                const int fraction = (int)((position - first + 0.5f) * (float)fractions), ray = (int)first;
+            // Rays around the direction that goes with this node, and what is left of their blur: across (u, v) a
+            // straight footprint is as wide at all nodes, and its middle lies aside in proportion to how far out they
+            // are, which further out is less of an angle.
+            auto place_at = [&](int s, int m, float& position, int& step) {
+                const float nearer = falling((aways[s] + (float)(m * apart_of[s])) * per_node - behind[s]);
+                position = positions[s] + bends[s] * (1.0f - nearer);
+                step = (int)smaller(larger(blurs_of[s] * nearer * nearer - given_of[s], 0.0f), (float)(entries - 1));
+            };
+            auto node_at = [&](int s, int m, float position, int step, int taken, int& row, int& tap) {
+                const int rays = rays_of[s], least = -(taken / 2);
+                const float start = position - 0.5f * (float)(taken - 1), first = wp::rint(start);
+                const int fraction = (int)((start - first + 0.5f) * (float)fractions), ray = (int)first;
                 const int turned = ray < least ? ray + rays : ray >= rays + least ? ray - rays : ray;
-                row = row_of[s] + wp::clamp(turned, least, rays + least) * size + further;
-                tap = tap_of[s] + wp::clamp(fraction, 0, fractions - 1) * all_taps;
+                row = row_of[s] + wp::clamp(turned, least, rays + least) * size + m * apart_of[s];
+                tap = (step * fractions + wp::clamp(fraction, 0, fractions - 1)) * all_taps;
             };
 #if !defined(__CUDA_ARCH__)
-            int rows[SEGMENTS][AT_ONCE], taps_of[SEGMENTS][AT_ONCE];
+            int rows[SEGMENTS][AT_ONCE], taps_of[SEGMENTS][AT_ONCE], taken_of[SEGMENTS][AT_ONCE];
             float weights[SEGMENTS][AT_ONCE];
-            for (int s = 0; s < segments; ++s)
+            for (int s = 0; s < segments; ++s) {
+                float position[AT_ONCE];
+                int step[AT_ONCE];
                 for (int m = 0; m < AT_ONCE; ++m) {
-                    node_at(s, m, rows[s][m], taps_of[s][m]);
+                    place_at(s, m, position[m], step[m]);
                     weights[s][m] = weight_at(s, m);
                 }
+                for (int m = 0; m < AT_ONCE; ++m) taken_of[s][m] = lengths[step[m]];
+                for (int m = 0; m < AT_ONCE; ++m)
+                    node_at(s, m, position[m], step[m], taken_of[s][m], rows[s][m], taps_of[s][m]);
+            }
             // Most rows are those of the part before; at either end new ones come in.
             auto ask = [&](int s) {
-                const long long across = (count_of[s] - 1) * stride;
                 for (int m = 0; m < counts[s]; ++m) {
+                    const long long across = (taken_of[s][m] - 1) * stride;
                     const float* const row = all_rows + (long long)rows[s][m] * WIDTH;
                     for (int l = 0; l < WIDTH; l += WIDTH - 1) {
                         __builtin_prefetch(row + l);
@@ -527,32 +567,37 @@ _MEANS = """
                 const float* const narrow = taps + (wide ? 0 : ratios[of] + firsts_of[s]);
                 for (int m = 0; m < counts[s]; ++m) {
 #if defined(__CUDA_ARCH__)
-                    int row_at, tap_at;
-                    node_at(s, m, row_at, tap_at);
+                    float position;
+                    int step, row_at, tap_at;
+                    place_at(s, m, position, step);
+                    const int taken = lengths[step];
+                    node_at(s, m, position, step, taken, row_at, tap_at);
                     const float weight = wide ? weight_at(s, m) : narrow[m];
 #else
-                    const int row_at = rows[s][m], tap_at = taps_of[s][m];
+                    const int row_at = rows[s][m], tap_at = taps_of[s][m], taken = taken_of[s][m];
                     const float weight = (wide ? weights[s] : narrow)[m];
 #endif
                     const float* row = all_rows + (long long)row_at * WIDTH;
                     chunk of_rays[CHUNKS];
                     for (int l = 0; l < CHUNKS; ++l) of_rays[l] = chunk{};
 #pragma clang loop unroll_count(4)
-                    for (int j = 0; j < count_of[s]; ++j) {
+                    for (int j = 0; j < taken; ++j) {
 #pragma unroll
                         for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
                         row += stride;
                     }
+                    const float tilt = weight * w_per_node[of] * (aways[s] + (float)(m * apart_of[s]));
                     for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
+                    for (int l = 0; l < CHUNKS; ++l) tilted[l] += tilt * of_rays[l];
                     whole += weight;
                 }
                 if (firsts_of[s] + counts[s] * apart_of[s] < ends[of]) continue;
                 const int i = pixels[of];
-                const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
+                const auto colour = weigh(sum, tilted, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
                 // Projected colour curves have shallow negative lobes.
                 const float share = wide ? shares[of] / larger(whole, 1.0e-6f) : shares[of];
                 for (int c = 0; c < 3; ++c) out[3 * i + c] += share * larger(colour[c], 0.0f);
-                for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
+                for (int l = 0; l < CHUNKS; ++l) sum[l] = tilted[l] = chunk{};
                 whole = 0.0f;
             }
         }
@@ -674,6 +719,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     class Colours:
         rows: wp.array(dtype=row_t)  # X, Y and Z: level after level, octave after octave, ray after ray, node by node
         functions: wp.array(dtype=functions_t)  # at equal steps in |w|
+        slopes: wp.array(dtype=functions_t)  # of these from one entry to the next, beyond that of w²
         least_w: wp.float32  # |w| of the first of them
         per_w: wp.float32  # entries per unit of |w|
         firsts: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of ray 0
@@ -772,7 +818,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         deflections: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
+        footprints: wp.array(dtype=Footprint),
         blending: Blending,
         begin: wp.int32,
         end: wp.int32,
@@ -788,7 +834,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         deflections: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=wp.vec4f),
+        footprints: wp.array(dtype=Footprint),
         blending: Blending,
         run: wp.int32,
         first: wp.int32,

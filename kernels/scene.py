@@ -6,6 +6,9 @@ a nanometre as for one of a kilometre, wherever either lies.
 
 import warp as wp
 
+# What a pixel's filter does to (u, v): its change by one standard deviation along rows, and along columns, how far its
+# mean lies aside, and what its changes have in common with those of w.
+Footprint = wp.types.vector(length=8, dtype=wp.float32)
 # Of a pixel that is yet to be taken by itself.
 SPECIAL = wp.constant(2)
 

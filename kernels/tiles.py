@@ -3,7 +3,9 @@
 import warp as wp
 
 from warpdiff import supersample
+from warpdiff.kernels.footprints import PUT_FOOTPRINT
 from warpdiff.kernels.native import abreast, filled
+from warpdiff.kernels.scene import Footprint
 
 # By how much the change of (u, v) from one pixel to the next may differ from that to the one before, relative to the
 # larger of them, where it counts as even: if the contrast is at the bound from which pixels take tiles, and in
@@ -184,7 +186,8 @@ _FAN_OUT = """
             continue;
         }
         // (u, v, w), the gain, and the direction to the light where that counts: by how much those around differ.
-        float around[7][9], changes[7][MOST_RAYS], along[4][MOST_RAYS];
+        float around[7][9], changes[7][MOST_RAYS], along[4][MOST_RAYS], down[4][MOST_RAYS], made[8][MOST_RAYS];
+        float bend[2] = {};
         for (int k = 0; k < 9; ++k) {
             const long long there = pixel + (k / 3 - 1LL) * width + k % 3 - 1;
             for (int c = 0; c < 3; ++c) around[c][k] = (float)(all[3 * there + c] - all[3 * pixel + c]);
@@ -198,11 +201,20 @@ _FAN_OUT = """
             const float f_xy = 0.25f * (f[8] - f[6] - f[2] + f[0]);
             for (int ray = 0; ray < MOST_RAYS; ++ray)
                 changes[q][ray] = f_x * x[ray] + f_y * y[ray] + f_xx * xx[ray] + f_xy * xy[ray] + f_yy * yy[ray];
-            if (q >= 2) continue;
+            if (q >= 4) continue;
             for (int ray = 0; ray < MOST_RAYS; ++ray) {
-                along[q][ray] = deviation * (f_x + f_xx * x[ray] + f_xy * y[ray]);
-                along[2 + q][ray] = deviation * (f_y + f_xy * x[ray] + f_yy * y[ray]);
+                along[q][ray] = f_x + f_xx * x[ray] + f_xy * y[ray];
+                down[q][ray] = f_y + f_xy * x[ray] + f_yy * y[ray];
             }
+            if (q < 2) bend[q] = 0.5f * (f_xx + f_yy);
+        }
+        for (int ray = 0; ray < MOST_RAYS; ++ray) {
+            const float here = all_gains[pixel], there = here + changes[3][ray];
+            const float per_gain = 1.0f / (there > 0.0f ? there : here);
+            const float right[4] = {along[0][ray], along[1][ray], -along[2][ray], per_gain * along[3][ray]};
+            const float below[4] = {down[0][ray], down[1][ray], -down[2][ray], per_gain * down[3][ray]};
+            const float w = -(float)all[3 * pixel + 2] - changes[2][ray];
+            put_footprint(right, below, bend[0], bend[1], w, [&](int c, float value) { made[c][ray] = value; });
         }
         for (int ray = 0; ray < rays; ++ray) {
             const long long k = first + ray;
@@ -210,7 +222,7 @@ _FAN_OUT = """
             for (int c = 0; c < 3; ++c) deflection_at[3 * k + c] = all[3 * pixel + c] + (double)changes[c][ray];
             const float gain = all_gains[pixel] + changes[3][ray];
             gain_at[k] = gain > 0.0f ? gain : 0.0f;
-            for (int c = 0; c < 4; ++c) footprint_at[4 * k + c] = along[c][ray];
+            for (int c = 0; c < 8; ++c) footprint_at[8 * k + c] = made[c][ray];
             if (with_lights)
                 for (int c = 0; c < 3; ++c) light_at[3 * k + c] = all_lights[3 * pixel + c] + changes[4 + c][ray];
         }
@@ -218,7 +230,7 @@ _FAN_OUT = """
 """
 
 
-@wp.func_native(filled(_FAN_OUT, MOST_RAYS=supersample.LANES))
+@wp.func_native(PUT_FOOTPRINT + filled(_FAN_OUT, MOST_RAYS=supersample.LANES))
 def fan_out_run(
     deflections: wp.array(dtype=wp.vec3d),
     to_lights: wp.array(dtype=wp.vec3f),
@@ -233,7 +245,7 @@ def fan_out_run(
     deflections_out: wp.array(dtype=wp.vec3d),
     to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32),
-    footprints_out: wp.array(dtype=wp.vec4f),
+    footprints_out: wp.array(dtype=Footprint),
     hit_out: wp.array(dtype=wp.int32),
 ):
     """What rays of tiles see, by parabolas."""

@@ -16,6 +16,7 @@ from warpdiff.bench import inputs, mean_bounds, reference, suite
 from warpdiff.bench.scenes import Directions, scenes
 from warpdiff.device import resolve_device
 from warpdiff.integration import Integrator
+from warpdiff.kernels.scene import Footprint
 
 
 def results(path, **figures):
@@ -120,7 +121,8 @@ def test_the_rows_that_are_summed_are_those_that_means_take():
     deflections = wp.array([(0.5, 0.1, -1.8), (0.0, -0.6, -1.5), (0.5, 0.1, -1.8)], dtype=wp.vec3d, device=device)
     to_lights = wp.full(3, wp.vec3f(0.0, 0.0, 1.0), dtype=wp.vec3f, device=device)
     gains = wp.array([1.0, 1.0, 0.0], dtype=wp.float32, device=device)
-    footprints = wp.array([(1e-3, 0, 0, 1e-3), (0.1, 0, 0, 0.1), (0.1, 0, 0, 0.1)], dtype=wp.vec4f, device=device)
+    sizes = np.array([1e-3, 0.1, 0.1])
+    footprints = wp.array(sizes[:, None] * [1, 0, 0, 1, 0, 0, 0, 0], dtype=Footprint, device=device)
     xyz = wp.zeros(3, dtype=wp.vec3f, device=device)
     step = made.steps(deflections, to_lights, gains, "D65", xyz, footprints)[0]
     rows = mean_bounds.MeanBounds(step)

@@ -19,7 +19,7 @@ SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"coverage", "native", "scene", "shading_frames", "tiles"}
+FUNCTIONS_ONLY = {"coverage", "footprints", "native", "scene", "shading_frames", "tiles"}
 CPU_ONLY = {"in_turn"}
 KERNELS = {
     "hierarchy": {"cast"},

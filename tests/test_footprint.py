@@ -14,6 +14,7 @@ from warpdiff import colour_table, meshes, supersample
 from warpdiff.frame import Frame
 from warpdiff.integration import Integrator
 from warpdiff.kernels import directions, tiles
+from warpdiff.kernels.scene import Footprint
 from warpdiff.launches import launch_in_turn
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -55,6 +56,11 @@ def errors(image, exact):
     return np.linalg.norm(image.xyz[inside] - exact.xyz[inside], axis=1) / np.maximum(size, floor)
 
 
+def to_first_order(spreads):
+    """Footprints of which nothing but their spreads is known, (n, 4)."""
+    return wp.array(np.pad(spreads, [(0, 0), (0, 4)]), dtype=Footprint, device="cpu")
+
+
 def test_it_is_on_where_it_is_not_said(pictures):
     blurred, points, _ = pictures
     assert blurred.plan.footprint
@@ -84,7 +90,7 @@ def test_rays_are_a_circle(fingers, angle_deg):
         angle = np.radians(degrees)
         uv = 0.6 * np.array([np.cos(angle), np.sin(angle)])
         deflection = wp.array([[*uv, -1.6]], dtype=wp.vec3d, device=device)
-        spread = wp.array([[*(0.03 * uv[::-1] * [-1.0, 1.0]), 0.0, 0.0]], dtype=wp.vec4f, device=device)
+        spread = to_first_order([[*(0.03 * uv[::-1] * [-1.0, 1.0]), 0.0, 0.0]])
         xyz = wp.zeros(1, dtype=wp.vec3f, device=device)
         gain = wp.ones(1, dtype=wp.float32, device=device)
         integrator.add(deflection, None, gain, "D65", xyz, footprints=spread)
@@ -108,7 +114,7 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
     spreads = rng.normal(0.0, 0.03, (count, 4)) * rng.choice([0.1, 1.0, 5.0], (count, 1))
     gains = np.where(rng.uniform(size=count) < 0.8, rng.uniform(size=count), 0.0)
     to_lights = wp.array(np.tile([0.3, 0.1, 0.9], (count, 1)), dtype=wp.vec3f, device=device)
-    footprints = wp.array(spreads, dtype=wp.vec4f, device=device) if blurred else None
+    footprints = to_first_order(spreads) if blurred else None
     given = wp.array(deflections, dtype=wp.vec3d, device=device)
     factors = wp.array(gains, dtype=wp.float32, device=device)
     found = []
@@ -125,7 +131,7 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
 
 @pytest.mark.parametrize(
     ("widest", "turn", "median", "most"),
-    [(0.04, 0.05, 7e-3, 2.5e-2), (0.12, 0.05, 1.2e-2, 4e-2), (0.05, 0.2, 0.03, 0.2)],
+    [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
 )
 def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     """Of footprints that are lines, along and aslant, of which wide ones take fewer nodes and have a skew."""
@@ -149,7 +155,7 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
         Integrator(fingers, made, plan.scope, device=device, threads=2).add(*of, "D65", xyz, footprints=footprints)
         return xyz.numpy().astype(np.float64)
 
-    footprints = wp.array(np.column_stack([spreads, np.zeros((count, 2))]), dtype=wp.vec4f, device=device)
+    footprints = to_first_order(np.column_stack([spreads, np.zeros((count, 2))]))
     found = colours(dataclasses.replace(plan, footprint=True), along, footprints)
     places, weights = np.polynomial.hermite_e.hermegauss(120)
     seen = along[:, None] + places[:, None] * spreads[:, None]
@@ -158,6 +164,134 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < median
     assert np.percentile(relative, 90.0) < most
+
+
+@pytest.mark.parametrize(
+    ("w", "gain", "bend", "shares"),
+    [
+        (0.1, 0.0, 0.0, (0.85, 0.65)),
+        (0.0, 0.25, 0.0, (0.25, 0.25)),
+        (0.0, 0.0, 0.006, (0.7, 0.7)),
+        (0.05, 0.1, 0.003, (0.65, 0.55)),
+    ],
+)
+def test_means_lie_where_it_is_brighter(fingers, rng, w, gain, bend, shares):
+    """Where w, the gain or the slope of (u, v) change over pixels: against sums of points, errors fall to such shares.
+
+    The first of what tells where means lie, and the second of what (u, v) has in common with w beside it.
+    """
+    count, deviation = 150, supersample.FILTER_DEVIATION
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
+    angles, sizes = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.5, 0.9, count)
+    # Constants and slopes along rows and columns of (u, v, w) and of the gain, and what (u, v) bends.
+    linear = np.zeros((count, 4, 3))
+    linear[:, 0, 0], linear[:, 1, 0], linear[:, 2, 0] = sizes * np.cos(angles), sizes * np.sin(angles), 1.5
+    linear[:, 3, 0] = 1.0
+    linear[:, :, 1:] = rng.normal(size=(count, 4, 2)) * np.array([0.03, 0.03, w, gain])[:, None]
+    bends = rng.normal(size=(count, 2, 2)) * bend
+
+    def seen(x, y):
+        """Deflections and gains at places in the pixels."""
+        found = np.einsum("nck,kp->npc", linear, np.stack([np.ones_like(x), x, y]))
+        found[:, :, :2] += np.einsum("nck,kp->npc", bends, np.stack([x * x, y * y]))
+        return found[:, :, :3] * [1.0, 1.0, -1.0], np.maximum(found[:, :, 3], 1e-3)
+
+    def colours(made, deflections, gains, footprints=None):
+        xyz = wp.zeros(gains.size, dtype=wp.vec3f, device="cpu")
+        of = (
+            wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
+            None,
+            wp.array(gains.ravel(), dtype=wp.float32, device="cpu"),
+        )
+        integrator = Integrator(fingers, made, plan.scope, device=wp.get_device("cpu"), threads=2)
+        integrator.add(*of, "D65", xyz, footprints=footprints)
+        return xyz.numpy().astype(np.float64)
+
+    places, weights = np.polynomial.hermite_e.hermegauss(24)
+    x, y = (deviation * each.ravel() for each in np.meshgrid(places, places))
+    share = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    exact = np.einsum("p,npc->nc", share, colours(sampled, *seen(x, y)).reshape(count, -1, 3))
+    # Pictures of 3 × 3 pixels, of which the middle ones are looked at.
+    y, x = np.mgrid[-1.0:2.0, -1.0:2.0]
+    deflections, gains = seen(x.ravel(), y.ravel())
+    footprints = wp.empty(9 * count, dtype=Footprint, device="cpu")
+    given = [
+        wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
+        wp.array(gains.ravel(), dtype=wp.float32, device="cpu"),
+        wp.full(9 * count, 1, dtype=wp.int32, device="cpu"),
+    ]
+    wp.launch(directions.spread_pixels, (1, 1), [*given, 3, 3, deviation, 0, 9 * count], [footprints], device="cpu")
+    whole = footprints.numpy()[4::9]
+    errors = []
+    for counted in (4, 6, 8):
+        # The spread alone, where the mean lies, and what it has in common with w.
+        footprint = wp.array(np.where(np.arange(8) < counted, whole, 0.0), dtype=Footprint, device="cpu")
+        table = dataclasses.replace(plan, footprint=True)
+        found = colours(table, np.ascontiguousarray(deflections[:, 4]), gains[:, 4].copy(), footprint)
+        errors.append(np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1))
+    medians = np.median(errors, axis=1)
+    assert medians[1] < shares[0] * medians[0]
+    assert medians[2] < shares[1] * medians[0]
+    # Of many orders at once little is left that goes in proportion.
+    ends = np.percentile(errors, 90.0, axis=1)
+    assert max(ends[1:]) < 0.85 * ends[0]
+
+
+def footprint_by_hand(deflections, gains, hit, row, column, deviation):
+    """What ``spread_pixels`` finds of one pixel of a picture."""
+    height, width = hit.shape
+    changes, bend = [], np.zeros(2)
+    for down, right in ((0, 1), (1, 0)):
+        found = {}
+        for sign in (-1, 1):
+            y, x = row + sign * down, column + sign * right
+            if hit[row, column] and 0 <= y < height and 0 <= x < width and hit[y, x]:
+                pair = gains[y, x], gains[row, column]
+                relative = 2.0 * (pair[0] - pair[1]) / sum(pair) if min(pair) > 0.0 else 0.0
+                found[sign] = sign * np.append(deflections[y, x] - deflections[row, column], relative)
+        size = {sign: np.hypot(*each[:2]) for sign, each in found.items()}
+        if len(found) == 2:
+            bent = found[1][:2] - found[-1][:2]
+            if np.hypot(*bent) < min(size.values()):
+                changes.append((found[1] + found[-1]) / 2.0)
+                bend += bent / 2.0
+            else:
+                changes.append(found[-1] if size[-1] < size[1] else found[1])
+        else:
+            changes.append(next(iter(found.values()), np.zeros(4)))
+    along, down = (each * [1.0, 1.0, -1.0, 1.0] for each in changes)
+    w = -deflections[row, column, 2]
+    more = [np.clip(each[3] + 2.0 * each[2] / w, -0.5 / deviation, 0.5 / deviation) for each in (along, down)]
+    aside = more[0] * along[:2] + more[1] * down[:2] + bend
+    with_w = along[2] * along[:2] + down[2] * down[:2]
+    return np.concatenate([deviation * along[:2], deviation * down[:2], deviation**2 * aside, deviation**2 * with_w])
+
+
+@pytest.mark.parametrize("size", [(1, 1, 1), (1, 1, 70), (1, 40, 1), (7, 3, 3), (4, 5, 5), (1, 9, 100)], ids=str)
+@pytest.mark.parametrize("slices", [1, 5])
+def test_footprints_follow_from_those_beside(size, slices, rng):
+    """In pictures, and in tiles of rays one after the other."""
+    y, x = np.mgrid[: size[1], : size[2]]
+    deflections = np.stack([0.01 * x + 0.002 * y, 0.02 * y - 0.003 * x, -1.5 + 0.01 * x - 0.004 * y], axis=-1)
+    deflections = deflections + rng.normal(size=(*size, 3)) * rng.choice([1e-4, 1e-2], (*size, 1))
+    gains = np.maximum(rng.normal(1.0, 0.4, size), 0.0).astype(np.float32)
+    hit = (rng.uniform(size=size) < 0.8) * (np.arange(size[1]) % 5 != 4)[:, None]
+    deviation = 0.48
+    found = wp.full(hit.size, Footprint(), dtype=Footprint, device="cpu")
+    found.fill_(7.0)
+    given = [
+        wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
+        wp.array(gains.ravel(), dtype=wp.float32, device="cpu"),
+        wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
+    ]
+    for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
+        inputs = [*given, size[2], size[1], deviation, int(begin), int(end - begin)]
+        wp.launch(directions.spread_pixels, (1, 1), inputs, [found], device="cpu")
+    for place, one in zip(np.ndindex(size), found.numpy(), strict=True):
+        of_picture = deflections[place[0]], gains[place[0]].astype(np.float64), hit[place[0]]
+        expected = footprint_by_hand(*of_picture, *place[1:], deviation) if hit[place] else np.zeros(8)
+        np.testing.assert_allclose(one, expected, rtol=1e-4, atol=1e-7)
 
 
 def test_nodes_are_skipped_under_smooth_lights_alone():
@@ -231,8 +365,10 @@ def test_any_number_of_rays_is_no_worse_than_one(tube, fingers, pictures, count)
     blurred, _, exact = pictures
     one = wd.shade(tube, fingers, LIGHT, view(), plan=dataclasses.replace(blurred.plan, tolerance=0.5))
     several = wd.shade(tube, fingers, LIGHT, view(), plan=blurred.plan, samples_per_pixel=count)
+    # Two or three on a line or a triangle are no better a filter than a mean of second order over one.
+    worst = 1.25 if count < 4 else 1.0
     for quantile in (50.0, 95.0):
-        assert np.percentile(errors(several, exact), quantile) < np.percentile(errors(one, exact), quantile)
+        assert np.percentile(errors(several, exact), quantile) < worst * np.percentile(errors(one, exact), quantile)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16, 30, 200])
@@ -406,7 +542,7 @@ def test_rays_fan_out_along_parabolas(with_lights, rng):
     tile = supersample.TILES[25]
     places, _ = tile.rays
     count = len(pixels) * len(places)
-    found = [wp.full(count, 7.0, dtype=dtype, device="cpu") for dtype in (wp.vec3d, wp.vec3f, wp.float32, wp.vec4f)]
+    found = [wp.full(count, 7.0, dtype=dtype, device="cpu") for dtype in (wp.vec3d, wp.vec3f, wp.float32, Footprint)]
     hit = wp.full(count, 7, dtype=wp.int32, device="cpu")
     inputs = [*arrays, wp.array(pixels, dtype=wp.int32, device="cpu"), wp.array(places, dtype=wp.vec2d, device="cpu")]
     inputs += [width, tile.deviation, with_lights]
@@ -421,15 +557,21 @@ def test_rays_fan_out_along_parabolas(with_lights, rng):
         np.testing.assert_allclose(gains[k], at(of_gain, right, down).T, rtol=1e-5)
         if with_lights:
             np.testing.assert_allclose(to_lights[k], at(of_light, right, down).T, atol=2e-6)
+        terms = np.concatenate([of_uvw * [[1.0], [1.0], [-1.0]], of_gain])
+        _, a, b, aa, ab, bb = terms[:, :, None].transpose(1, 0, 2)
+        slopes = np.stack([a + 2 * aa * right + ab * down, b + ab * right + 2 * bb * down])
+        w, gain = (at(terms[c : c + 1], right, down)[0] for c in (2, 3))
+        more = slopes[:, 3] / gain + 2.0 * slopes[:, 2] / np.where(w > 0.0, w, np.inf)
+        more = np.clip(more, -0.5 / tile.deviation, 0.5 / tile.deviation)
         for c in (0, 1):
-            _, a, b, aa, ab, bb = of_uvw[c]
-            along_x, along_y = a + 2 * aa * right + ab * down, b + ab * right + 2 * bb * down
-            np.testing.assert_allclose(footprints[k, :, c], tile.deviation * along_x, atol=1e-6)
-            np.testing.assert_allclose(footprints[k, :, 2 + c], tile.deviation * along_y, atol=1e-6)
+            aside = (more * slopes[:, c]).sum(axis=0) + (aa + bb)[c]
+            with_w = (slopes[:, 2] * slopes[:, c]).sum(axis=0)
+            expected = [*(tile.deviation * slopes[:, c]), tile.deviation**2 * aside, tile.deviation**2 * with_w]
+            np.testing.assert_allclose(footprints[k, :, c::2], np.transpose(expected), atol=1e-5)
 
 
 # What may be uneven goes with what pixels may err by: 1e-2, and 1e-1 of the source.
-@pytest.mark.parametrize(("kind", "most"), [("averaged", 5e-3), ("source", 2e-2)])
+@pytest.mark.parametrize(("kind", "most"), [("averaged", 5e-3), ("source", 3e-2)])
 def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, most, monkeypatch):
     if kind == "source":
         plan = wd.plan(fingers, coherence=SOURCE, method="low-rank/table", tolerance=0.1, strict=False)

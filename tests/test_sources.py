@@ -165,6 +165,8 @@ def test_footprints_widen_the_source(fingers, plan):
     """The mean over a footprint is the mean of points."""
     import warp as wp
 
+    from warpdiff.kernels.scene import Footprint
+
     device = wp.get_device("cpu")
     integrator = Integrator(fingers, dataclasses.replace(plan, footprint=True), plan.scope, device=device, threads=1)
     to_light = np.array([0.5, 0.3, np.sqrt(1.0 - 0.34)])
@@ -182,13 +184,14 @@ def test_footprints_widen_the_source(fingers, plan):
             wp.array(deflections, dtype=wp.vec3d, device=device),
             wp.array(np.tile(to_light, (count, 1)), dtype=wp.vec3f, device=device),
             wp.ones(count, dtype=wp.float32, device=device), "D65", xyz,
-            footprints=None if spread is None else wp.array(np.tile(spread, (count, 1)), dtype=wp.vec4f, device=device),
+            footprints=spread,
         )  # fmt: skip
         return xyz.numpy()
 
     for uv in ([0.5, 0.4], [-0.9, 0.1], [0.2, -0.7]):
         mean = np.einsum("ab,abc->c", share, colours((uv + offsets).reshape(-1, 2), None).reshape(24, 24, 3))
-        found = colours(np.array([uv]), footprint.ravel())[0]
+        spread = wp.array([np.append(footprint, np.zeros(4))], dtype=Footprint, device=device)
+        found = colours(np.array([uv]), spread)[0]
         np.testing.assert_allclose(found, mean, rtol=3e-2, atol=1e-2 * mean.max())
 
 

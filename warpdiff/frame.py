@@ -560,8 +560,10 @@ class Frame:
         """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
         import warp as wp
 
+        from warpdiff.kernels.scene import Footprint
+
         if result is None:
-            result = wp.zeros(self._size, dtype=wp.vec4f, device=self._device)
+            result = wp.zeros(self._size, dtype=Footprint, device=self._device)
         self._now = self._now[0], None
         steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0, shadows=False)
         self._launch(steps)
@@ -574,7 +576,7 @@ class Frame:
         """How (u, v), which is known, changes."""
         from warpdiff.kernels import directions
 
-        inputs = [seen.deflections, seen.pixels.hit, width, height, deviation]
+        inputs = [seen.deflections, seen.gains, seen.pixels.hit, width, height, deviation]
         return Step(directions.spread_pixels, inputs, [result], in_runs=True)
 
     @property

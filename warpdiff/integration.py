@@ -30,8 +30,10 @@ class Integrator:
         if plan.nodes:
             import warp as wp
 
+            from warpdiff.kernels.scene import Footprint
+
             self._blending = colour_table.blending(device.alias, is_lines=plan.coherence.kind == "source")
-            self._no_footprints = wp.empty(0, dtype=wp.vec4f, device=device)
+            self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def add(
         self,

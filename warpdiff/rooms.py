@@ -36,7 +36,7 @@ class Seen:
         """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
         import warp as wp
 
-        from warpdiff.kernels.scene import Pixels
+        from warpdiff.kernels.scene import Footprint, Pixels
 
         def empty(dtype: Any, size: int = rays) -> Any:
             return wp.empty(size, dtype=dtype, device=device)
@@ -47,7 +47,7 @@ class Seen:
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
             setattr(pixels, name, empty(wp.vec3f))
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
-        footprints = empty(wp.vec4f, rays if means else 0)
+        footprints = empty(Footprint, rays if means else 0)
         return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
 
     @property

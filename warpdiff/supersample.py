@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
 FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
 # Error of a footprint's mean over the pixel's contrast with those beside it: docs/decisions.md.
-_ERROR_OF_CONTRAST = 0.06
+_ERROR_OF_CONTRAST = 0.03
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time: worth what comes before their launches, and bounded by their memory, of which a GPU has more.
