@@ -49,8 +49,8 @@ class Blending:
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
 
 
-# Sums of rows times the functions at w: the first of four entries, and the cubic through them. And, if told, sums of rows
-# times how much w differs there, times the slopes of the functions.
+# Sums of rows times the functions at w: the first of four entries, and the cubic through them. And, if told, sums of
+# rows times how much w differs there, times the slopes of the functions.
 _WEIGH = """
     auto find_w = [&](float w, int& entry, float& w0, float& w1, float& w2, float& w3) {
         const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
@@ -246,7 +246,7 @@ _MEANS = """
     constexpr int MOST = 1, SEGMENTS = 1, AT_ONCE = 1 << 20, ABREAST = 1;
 #else
     // Loops are of so many ABREAST, whole ones, as compilers round otherwise in what is left over by vectors.
-    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 8, ABREAST = 8;
+    constexpr int MOST = RUN, SEGMENTS = RUN, AT_ONCE = 4, ABREAST = 8;
 #endif
     constexpr float PI = 3.14159265f;
     // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds
