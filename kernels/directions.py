@@ -330,7 +330,7 @@ def classify(
     and where a pixel beside is not lit.
 
     Contrast is the largest difference from those beside it in the picture, of which there are whole rows, relative to
-    the pixel itself, or to ``floor``, if that is more.
+    the pixel itself, or to ``floor``, if that is more. The more evenly (u, v) changes all around, the less it counts.
     """
     thread, _ = wp.tid()
     begin = first + thread * run

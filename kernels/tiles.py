@@ -7,14 +7,41 @@ from warpdiff.kernels.footprints import PUT_FOOTPRINT
 from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import Footprint
 
-# By how much the change of (u, v) from one pixel to the next may differ from that to the one before, relative to the
-# larger of them, where it counts as even: if the contrast is at the bound from which pixels take tiles, and in
-# proportion less, the more it exceeds that, as the error goes with both.
-EVENLY = 0.06
+# What a mean leaves out goes with the contrast and with how uneven (u, v) is: by how much its change from one pixel to
+# the next differs from that to the one before, relative to the larger one. Of what it errs by where all is uneven, it
+# errs by this share where nothing is, and by so much of what is uneven more.
+SMOOTH, PER_UNEVEN = 0.4, 1.0
+# Rays fan out where (u, v) is uneven by no more than this if the contrast is just at the bound from which uneven pixels
+# take tiles, and in proportion less, the more it exceeds that.
+EVENLY = 0.1
 
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
 _CLASSIFY = """
     const float* const gain = (const float*)gains.data;
+    const float* const bounds_of = (const float*)bounds.data;
+    // Along rows and columns and between.
+    auto unevenness2 = [&](long long pixel) {
+        const double* const here = (const double*)deflections.data + 3 * pixel;
+        float u[3][3], v[3][3];
+        for (int line = 0; line < 3; ++line)
+            for (int j = 0; j < 3; ++j) {
+                const double* const there = here + 3 * ((line - 1LL) * width + j - 1);
+                u[line][j] = (float)(there[0] - here[0]);
+                v[line][j] = (float)(there[1] - here[1]);
+            }
+        auto square = [](float x, float y) { return x * x + y * y; };
+        auto larger = [](float a, float b) { return a > b ? a : b; };
+        const float along = larger(square(u[1][0], v[1][0]), square(u[1][2], v[1][2]));
+        const float down = larger(square(u[0][1], v[0][1]), square(u[2][1], v[2][1]));
+        const float tiny = 1.0e-30f, both = larger(along, down) + tiny;
+        float result = larger(square(u[1][0] + u[1][2], v[1][0] + v[1][2]) / (along + tiny),
+            square(u[0][1] + u[2][1], v[0][1] + v[2][1]) / (down + tiny));
+        for (int line = 0; line < 3; line += 2)
+            for (int j = 0; j < 3; j += 2)
+                result = larger(result,
+                    square(u[line][j] - u[line][1] - u[1][j], v[line][j] - v[line][1] - v[1][j]) / both);
+        return result;
+    };
     for (int from = begin, count; from < end; from += count) {
         const int column = from % width, row = from / width;
         count = wp::min(wp::min(end - from, ABREAST), width - column);
@@ -39,13 +66,11 @@ _CLASSIFY = """
             }
         }
         const float least = *(const float*)floor.data;
-        float largest[ABREAST];
+        float largest[ABREAST], least_bound2[ABREAST];
         bool beside_dark[ABREAST];
-        int exceeded[ABREAST];
         for (int i = 0; i < count; ++i) {
             largest[i] = 0.0f;
             beside_dark[i] = false;
-            exceeded[i] = 0;
         }
         auto compare = [&](int line, int shift) {
             for (int i = 0; i < count; ++i) {
@@ -60,52 +85,36 @@ _CLASSIFY = """
         compare(1, -1);
         compare(1, 1);
         compare(2, 0);
-        // The larger bounds first, so that the least one's stay.
-        float bound2_of[ABREAST];
-        for (int k = (int)bounds.shape[0] - 1; k >= 0; --k) {
-            const float bound = ((const float*)bounds.data)[k];
-            for (int i = 0; i < count; ++i) {
-                const float x = colour[0][1][i + 1], y = colour[1][1][i + 1], z = colour[2][1][i + 1];
-                const float size2 = x * x + y * y + z * z, least2 = least * least;
-                bound2_of[i] = bound * bound * (size2 > least2 ? size2 : least2);
-                exceeded[i] += largest[i] > bound2_of[i];
-            }
+        for (int i = 0; i < count; ++i) {
+            const float x = colour[0][1][i + 1], y = colour[1][1][i + 1], z = colour[2][1][i + 1];
+            const float size2 = x * x + y * y + z * z, least2 = least * least;
+            least_bound2[i] = bounds_of[0] * bounds_of[0] * (size2 > least2 ? size2 : least2);
+            classes[i] = lit[1][i + 1] ? 1 : 0;
         }
         for (int i = 0; i < count; ++i) {
-            classes[i] = !lit[1][i + 1] ? 0 : exceeded[i] == 0 ? 1 : 3 * exceeded[i] + (beside_dark[i] ? 1 : 0);
-            if (classes[i] < 2 || beside_dark[i]) continue;
-            // All around are lit, and (u, v) changes evenly along rows and columns and between: a parabola has it.
+            if (classes[i] == 0 || !(largest[i] > least_bound2[i])) continue;
+            float uneven2 = 1.0f;
             bool all_lit = true;
             for (int line = 0; line < 3; ++line)
                 for (int j = i; j < i + 3; ++j) all_lit &= lit[line][j];
-            if (!all_lit) continue;
-            const double* const here = (const double*)deflections.data + 3 * (from + (long long)i);
-            float u[3][3], v[3][3];
-            for (int line = 0; line < 3; ++line)
-                for (int j = 0; j < 3; ++j) {
-                    const double* const there = here + 3 * ((line - 1LL) * width + j - 1);
-                    u[line][j] = (float)(there[0] - here[0]);
-                    v[line][j] = (float)(there[1] - here[1]);
-                }
-            const float allowed = EVENLY * EVENLY * bound2_of[i] / largest[i];
-            auto square = [](float x, float y) { return x * x + y * y; };
-            const float left = square(u[1][0], v[1][0]), right = square(u[1][2], v[1][2]);
-            const float above = square(u[0][1], v[0][1]), below = square(u[2][1], v[2][1]);
-            const float along = left > right ? left : right, down = above > below ? above : below;
-            const float both = along > down ? along : down;
-            bool even = square(u[1][0] + u[1][2], v[1][0] + v[1][2]) <= allowed * along
-                && square(u[0][1] + u[2][1], v[0][1] + v[2][1]) <= allowed * down;
-            for (int line = 0; line < 3; line += 2)
-                for (int j = 0; j < 3; j += 2)
-                    even &= square(u[line][j] - u[line][1] - u[1][j], v[line][j] - v[line][1] - v[1][j])
-                        <= allowed * both;
-            classes[i] -= even;
+            if (all_lit) uneven2 = unevenness2(from + (long long)i);
+            const float share = SMOOTH + PER_UNEVEN * wp::sqrt(uneven2);
+            const float error2 = largest[i] * (share < 1.0f ? share * share : 1.0f);
+            int exceeded = 0;
+            for (int k = 0; k < (int)bounds.shape[0]; ++k) {
+                const float relative = bounds_of[k] / bounds_of[0];
+                exceeded += error2 > relative * relative * least_bound2[i];
+            }
+            if (exceeded == 0) continue;
+            // A parabola has what is even.
+            const bool even = all_lit && uneven2 * largest[i] <= EVENLY * EVENLY * least_bound2[i];
+            classes[i] = 3 * exceeded + (beside_dark[i] ? 1 : 0) - (even ? 1 : 0);
         }
     }
 """
 
 
-@wp.func_native(filled(abreast(32) + _CLASSIFY, EVENLY=EVENLY))
+@wp.func_native(filled(abreast(32) + _CLASSIFY, EVENLY=f"{EVENLY}f", SMOOTH=f"{SMOOTH}f", PER_UNEVEN=f"{PER_UNEVEN}f"))
 def classes_of(
     colours: wp.array(dtype=wp.vec3f),
     deflections: wp.array(dtype=wp.vec3d),

@@ -450,17 +450,17 @@ def test_tiles_stand_for_the_filter(tile, angle_deg):
     np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
 
 
-def changes_evenly(around, evenly):
-    """Whether (u, v) of 3 × 3 pixels does, but for such a share."""
+def unevenness(around):
+    """By how much changes of (u, v) over 3 × 3 pixels differ, relative to them."""
     around = around - around[1, 1]
     size = np.linalg.norm
     along = max(size(around[1, 0]), size(around[1, 2]))
     down = max(size(around[0, 1]), size(around[2, 1]))
-    corners = [around[i, j] - around[i, 1] - around[1, j] for i in (0, 2) for j in (0, 2)]
-    return (
-        size(around[1, 0] + around[1, 2]) <= evenly * along
-        and size(around[0, 1] + around[2, 1]) <= evenly * down
-        and max(map(size, corners)) <= evenly * max(along, down)
+    corners = [size(around[i, j] - around[i, 1] - around[1, j]) for i in (0, 2) for j in (0, 2)]
+    return max(
+        size(around[1, 0] + around[1, 2]) / along,
+        size(around[0, 1] + around[2, 1]) / down,
+        max(corners) / max(along, down),
     )
 
 
@@ -477,11 +477,12 @@ def classes_by_hand(colours, deflections, gains, floor, bounds):
                 else:
                     dark = 1
         relative = contrast / max(np.linalg.norm(colours[row, column]), floor)
-        exceeded = sum(relative > bound for bound in bounds)
         inside = 0 < row < height - 1 and 0 < column < width - 1
         all_lit = inside and np.all(gains[row - 1 : row + 2, column - 1 : column + 2] > 0.0)
-        around = deflections[row - 1 : row + 2, column - 1 : column + 2, :2]
-        even = exceeded and all_lit and changes_evenly(around, tiles.EVENLY * bounds[0] / relative)
+        uneven = unevenness(deflections[row - 1 : row + 2, column - 1 : column + 2, :2]) if all_lit else 1.0
+        share = min(tiles.SMOOTH + tiles.PER_UNEVEN * uneven, 1.0)
+        exceeded = sum(share * relative > bound for bound in bounds)
+        even = all_lit and uneven * relative <= tiles.EVENLY * bounds[0]
         found[row, column] = 3 * exceeded + dark - even if exceeded else 1
     return found
 

@@ -76,10 +76,11 @@ def shade(
         smooth: Whether vertex normals are interpolated; otherwise facets are seen.
         tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
             the texture coordinates.
-        footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, to first order, rather than the
-            colour in its centre: no aliasing, no speckle of orders that fall between pixels. None is on for an averaged
-            window and for a source where a table keeps the tolerance, and off otherwise. Where the picture is so steep
-            that first order will not do, 9 or 25 rays of a pixel have footprints of their own.
+        footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, a Gaussian that lies where the
+            gain, w and the bend of (u, v) put it, rather than the colour in its centre: no aliasing, no speckle of
+            orders that fall between pixels. None is on for an averaged window and for a source where a table keeps the
+            tolerance, and off otherwise. Where the picture is so steep, and (u, v) so uneven, that this will not do, 9
+            or 25 rays of a pixel have footprints of their own.
         samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre. With
             footprints, 4, 9, 16 and 25 lie on a grid, where means over parts of a pixel add up best, and others on a
             spiral.

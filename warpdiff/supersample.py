@@ -1,7 +1,7 @@
-"""More rays where a footprint of first order will not do: on pixels that differ much from those beside them.
+"""More rays where one footprint will not do: on pixels that differ much from those beside them.
 
-What such a footprint leaves out, its curvature and what of it is no range of angles and ratios, changes a pixel the
-more the steeper the picture is there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own.
+What a footprint leaves out, all that is no Gaussian of (u, v), changes a pixel the more the steeper the picture is and
+the less evenly (u, v) changes there. Such a pixel is met by a tile of rays, each with a narrower footprint of its own.
 Where (u, v) changes evenly from pixel to pixel, what these see follows from what those around see, and none is cast.
 """
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Of a Gaussian of 0.5 pixel cut at 1.5, along one axis: 0.5² (1 − 4.5 e^−4.5 / (1 − e^−4.5)) is its variance.
 FILTER_DEVIATION = 0.5 * math.sqrt(1.0 - 4.5 * math.exp(-4.5) / (1.0 - math.exp(-4.5)))
-# Error of a footprint's mean over the pixel's contrast with those beside it: docs/decisions.md.
-_ERROR_OF_CONTRAST = 0.03
+# Error of a footprint's mean over the pixel's contrast with those beside it, where (u, v) is uneven: docs/decisions.md.
+_ERROR_OF_CONTRAST = 0.06
 # Deviation of the filters on a spiral, which falls with their number: a third wider than those of grids.
 _OF_SPIRALS, _WIDEST_OF_SPIRALS = 0.9, 0.46
 # Rays at a time: worth what comes before their launches, and bounded by their memory, of which a GPU has more.
