@@ -296,6 +296,7 @@ _MEANS = """
         ratio2 = larger(x * x * xx + 2.0f * x * y * xy + y * y * yy, 0.0f);
         both = x * angle_u + y * angle_v;
     };
+    // Of each pixel.
     float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], angle2[MOST], both[MOST];
     float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST], w0[MOST], w1[MOST], w2[MOST], w3[MOST];
     float light_x[MOST], light_y[MOST], light_z[MOST], along_x[MOST], along_y[MOST], across_x[MOST], across_y[MOST];
