@@ -64,7 +64,7 @@ class Scene:
         self.scope, self.lit, _ = frame.survey(hf, window)
         self.deflections, self.to_lights, self.gains = frame.directions()
         self.frame, self.spread = frame, frame.spread(0)
-        x, y = (self.spread.numpy()[:, k::2] for k in (0, 1))
+        x, y = (self.spread.numpy()[:, k:4:2] for k in (0, 1))
         xx, yy, xy = (x * x).sum(axis=1), (y * y).sum(axis=1), (x * y).sum(axis=1)
         deviation = np.sqrt((xx + yy + np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)) / 2.0)
         uv = np.hypot(self.deflections[:, 0], self.deflections[:, 1])
