@@ -11,17 +11,16 @@ import warp as wp
 from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import Footprint
 
-# By how much of itself a gain changes at most along a deviation, that the mean still moves in proportion.
+# By how much of itself the gain times w² changes at most along a deviation, that the mean still moves in proportion.
 _MOST_GAINED = 0.5
 
-# A footprint, from changes from pixel to pixel along rows and columns (that of the gain relative to it), and half the
-# sum of second differences.
+# A footprint, from changes from pixel to pixel along rows and columns, of (u, v, w) and of the gain times w², relative
+# to it, and half the sum of second differences.
 PUT_FOOTPRINT = filled(
     """
     const float variance = deviation * deviation, most_gained = MOST / deviation;
-    auto put_footprint = [&](const float* along, const float* down, float bend_u, float bend_v, float w, auto put) {
-        const float per_w = w > 0.0f ? 2.0f / w : 0.0f;
-        float more = along[3] + per_w * along[2], more_down = down[3] + per_w * down[2];
+    auto put_footprint = [&](const float* along, const float* down, float bend_u, float bend_v, auto put) {
+        float more = along[3], more_down = down[3];
         more = more < -most_gained ? -most_gained : more < most_gained ? more : most_gained;
         more_down = more_down < -most_gained ? -most_gained : more_down < most_gained ? more_down : most_gained;
         put(0, deviation * along[0]);
@@ -77,6 +76,7 @@ _SPREAD = """
         }
         for (int i = 0; i < ABREAST; ++i) {
             float changes[2][4], bend_u = 0.0f, bend_v = 0.0f;
+            const float per_w = w_here[i] > 0.0f ? 2.0f / w_here[i] : 0.0f;
             for (int axis = 0; axis < 2; ++axis) {
                 const int n = 2 * axis;
                 // From the one before and to the one after; where the two disagree, an edge of the body or of a
@@ -89,20 +89,20 @@ _SPREAD = """
                 const float smaller = size0 < size1 ? 1.0f : 0.0f;
                 const float share0 = both > 0.0f ? (agree > 0.0f ? 0.5f : smaller) : there[n][i];
                 const float share1 = both > 0.0f ? 1.0f - share0 : there[n + 1][i];
-                // Of the gain none from or to what is not lit.
-                auto change = [&](float other) {
+                // None from or to what is not lit.
+                auto change = [&](float other, float of_w) {
                     const float sum = other + gain_here[i], least = other < gain_here[i] ? other : gain_here[i];
-                    return least > 0.0f ? 2.0f * (other - gain_here[i]) / sum : 0.0f;
+                    return least > 0.0f ? 2.0f * (other - gain_here[i]) / sum + per_w * of_w : 0.0f;
                 };
                 changes[axis][0] = share0 * u0 + share1 * u1;
                 changes[axis][1] = share0 * v0 + share1 * v1;
                 changes[axis][2] = share1 * w[n + 1][i] - share0 * w[n][i];
-                changes[axis][3] = share1 * change(gain[n + 1][i]) - share0 * change(gain[n][i]);
+                changes[axis][3] = share1 * change(gain[n + 1][i], w[n + 1][i]) - share0 * change(gain[n][i], w[n][i]);
                 bend_u += 0.5f * agree * bent_u;
                 bend_v += 0.5f * agree * bent_v;
             }
             auto put = [&](int c, float value) { made[c][i] = value; };
-            put_footprint(changes[0], changes[1], bend_u, bend_v, w_here[i], put);
+            put_footprint(changes[0], changes[1], bend_u, bend_v, put);
         }
         for (int i = 0; i < count; ++i)
             for (int c = 0; c < 8; ++c) out[8LL * (from + i) + c] = made[c][i];

@@ -50,7 +50,7 @@ class Blending:
 
 
 # Sums of rows times the functions at w: the first of four entries, and the cubic through them. And, if told, sums of
-# rows times how much w differs there, times the slopes of the functions.
+# rows times how much w differs there, times the slopes of the functions between the middle two of these entries.
 _WEIGH = """
     auto find_w = [&](float w, int& entry, float& w0, float& w1, float& w2, float& w3) {
         const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
@@ -133,9 +133,9 @@ _MIRROR = """
             const float tau = wavenumbers[k], lobe2 = table.lobe2 / (tau * tau), a = lobe2 + xx, d = lobe2 + yy;
             const float determinant = a * d - xy * xy;
             const float exponent = (d * u * u - 2.0f * xy * u * v + a * v * v) / determinant;
-            if (!(exponent < 48.0f)) continue;
+            if (!(determinant > 0.0f && exponent < 48.0f)) continue;
             const float steps = wp::max((w * tau - table.least_kappa) * table.per_kappa, 0.0f);
-            const int entry = wp::min((int)steps, table.mirror.shape[0] - 2);
+            const int entry = wp::clamp((int)steps, 0, table.mirror.shape[0] - 2);
             const float t = steps - (float)entry, power = (1.0f - t) * powers[entry] + t * powers[entry + 1];
             const float factor = gain * power * (lobe2 + size2) / wp::sqrt(determinant) * wp::exp(-0.5f * exponent);
             for (int c = 0; c < 3; ++c) out[c] += factor * weights[3 * k + c];

@@ -219,11 +219,14 @@ _FAN_OUT = """
         }
         for (int ray = 0; ray < MOST_RAYS; ++ray) {
             const float here = all_gains[pixel], there = here + changes[3][ray];
+            // The third of a deflection is −w.
+            const float w = -(float)all[3 * pixel + 2] - changes[2][ray], per_w = w > 0.0f ? -2.0f / w : 0.0f;
             const float per_gain = 1.0f / (there > 0.0f ? there : here);
-            const float right[4] = {along[0][ray], along[1][ray], -along[2][ray], per_gain * along[3][ray]};
-            const float below[4] = {down[0][ray], down[1][ray], -down[2][ray], per_gain * down[3][ray]};
-            const float w = -(float)all[3 * pixel + 2] - changes[2][ray];
-            put_footprint(right, below, bend[0], bend[1], w, [&](int c, float value) { made[c][ray] = value; });
+            const float right[4] = {along[0][ray], along[1][ray], -along[2][ray],
+                per_gain * along[3][ray] + per_w * along[2][ray]};
+            const float below[4] = {down[0][ray], down[1][ray], -down[2][ray],
+                per_gain * down[3][ray] + per_w * down[2][ray]};
+            put_footprint(right, below, bend[0], bend[1], [&](int c, float value) { made[c][ray] = value; });
         }
         for (int ray = 0; ray < rays; ++ray) {
             const long long k = first + ray;

@@ -241,15 +241,17 @@ def test_means_lie_where_it_is_brighter(fingers, rng, w, gain, bend, shares):
 def footprint_by_hand(deflections, gains, hit, row, column, deviation):
     """What ``spread_pixels`` finds of one pixel of a picture."""
     height, width = hit.shape
-    changes, bend = [], np.zeros(2)
+    changes, bend, w = [], np.zeros(2), -deflections[row, column, 2]
     for down, right in ((0, 1), (1, 0)):
         found = {}
         for sign in (-1, 1):
             y, x = row + sign * down, column + sign * right
             if hit[row, column] and 0 <= y < height and 0 <= x < width and hit[y, x]:
                 pair = gains[y, x], gains[row, column]
-                relative = 2.0 * (pair[0] - pair[1]) / sum(pair) if min(pair) > 0.0 else 0.0
-                found[sign] = sign * np.append(deflections[y, x] - deflections[row, column], relative)
+                change = (deflections[y, x] - deflections[row, column]) * [1.0, 1.0, -1.0]
+                # Of the gain times w², relative to it, and none from or to what is not lit.
+                relative = 2.0 * (pair[0] - pair[1]) / sum(pair) + 2.0 * change[2] / w if min(pair) > 0.0 else 0.0
+                found[sign] = sign * np.append(change, relative)
         size = {sign: np.hypot(*each[:2]) for sign, each in found.items()}
         if len(found) == 2:
             bent = found[1][:2] - found[-1][:2]
@@ -260,9 +262,8 @@ def footprint_by_hand(deflections, gains, hit, row, column, deviation):
                 changes.append(found[-1] if size[-1] < size[1] else found[1])
         else:
             changes.append(next(iter(found.values()), np.zeros(4)))
-    along, down = (each * [1.0, 1.0, -1.0, 1.0] for each in changes)
-    w = -deflections[row, column, 2]
-    more = [np.clip(each[3] + 2.0 * each[2] / w, -0.5 / deviation, 0.5 / deviation) for each in (along, down)]
+    along, down = changes
+    more = [np.clip(each[3], -0.5 / deviation, 0.5 / deviation) for each in changes]
     aside = more[0] * along[:2] + more[1] * down[:2] + bend
     with_w = along[2] * along[:2] + down[2] * down[:2]
     return np.concatenate([deviation * along[:2], deviation * down[:2], deviation**2 * aside, deviation**2 * with_w])

@@ -557,7 +557,7 @@ class Frame:
         return found
 
     def spread(self, which: int, result: wp.array | None = None) -> wp.array:
-        """How (u, v) changes over each pixel's filter, or a sample's share of it, under one light."""
+        """What each pixel's filter, or a sample's share of it, does to (u, v), under one light."""
         import warp as wp
 
         from warpdiff.kernels.scene import Footprint
@@ -573,7 +573,7 @@ class Frame:
 
     @staticmethod
     def _spread(seen: Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
-        """How (u, v), which is known, changes."""
+        """What filters do to (u, v), once it is known."""
         from warpdiff.kernels import directions
 
         inputs = [seen.deflections, seen.gains, seen.pixels.hit, width, height, deviation]

@@ -56,7 +56,7 @@ class Integrator:
             gains: Their factors.
             illuminant: A name.
             xyz: What is added to.
-            footprints: How (u, v) changes over each pixel, for a plan with footprints.
+            footprints: What each pixel's filter does to (u, v), for a plan with footprints.
             left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
             among: Which of them, from a whole run on; None is all.
             options: Of ``launch_in_turn``, ``slice_size`` and ``progress``.
