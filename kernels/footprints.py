@@ -1,9 +1,9 @@
 """What a pixel's filter makes of (u, v): how they spread, to first order, and where their mean lies, to second.
 
 Powers are means over a Gaussian of (u, v) whose changes along rows and columns are those of its deviation. What is
-brighter within it counts for more, and as the change of a product is that of one factor at a time, a gain or w that
-changes with (u, v) is a mean that lies aside. Weak gratings send w² times a spectrum of (u, v) on; what other ones do
-differently a look-up adds, from what w has in common with (u, v).
+brighter within it counts for more: to first order a factor that changes moves the mean by what its logarithm has in
+common with (u, v). The gain is one; and weak gratings send w² times a spectrum of (u, v) on. What others do differently
+a look-up adds, from what w has in common with (u, v).
 """
 
 import warp as wp
