@@ -19,10 +19,11 @@ _MOST_GAINED = 0.5
 PUT_FOOTPRINT = filled(
     """
     const float variance = deviation * deviation, most_gained = MOST / deviation;
+    auto gained = [&](float change) {
+        return change < -most_gained ? -most_gained : change < most_gained ? change : most_gained;
+    };
     auto put_footprint = [&](const float* along, const float* down, float bend_u, float bend_v, auto put) {
-        float more = along[3], more_down = down[3];
-        more = more < -most_gained ? -most_gained : more < most_gained ? more : most_gained;
-        more_down = more_down < -most_gained ? -most_gained : more_down < most_gained ? more_down : most_gained;
+        const float more = gained(along[3]), more_down = gained(down[3]);
         put(0, deviation * along[0]);
         put(1, deviation * along[1]);
         put(2, deviation * down[0]);

@@ -478,8 +478,11 @@ _MEANS = """
                 firsts_of[s] = firsts_of[s - 1];
                 apart_of[s] = apart_of[s - 1];
             }
-            float positions[SEGMENTS], bends[SEGMENTS], aways[SEGMENTS], skew_of[SEGMENTS], per_deviation[SEGMENTS];
-            float blurs_of[SEGMENTS], given_of[SEGMENTS], behind[SEGMENTS];
+            // Which ray the middle of the part lies on, and by how many rays it turns, times 1 − 1/ρ, for a node that
+            // lies ρ times as far out; how far the first node lies from the mean of ln |(u, v)| [nodes], and that from
+            // the middle; the blur at the middle and what the level has of it, in steps of the taps' variances.
+            float positions[SEGMENTS], turnings[SEGMENTS], aways[SEGMENTS], behind[SEGMENTS], blurs_of[SEGMENTS];
+            float given_of[SEGMENTS], skew_of[SEGMENTS], per_deviation[SEGMENTS];
             int rays_of[SEGMENTS], row_of[SEGMENTS];
             for (int from = 0; from < segments; from += ABREAST) for (int s = from; s < from + ABREAST; ++s) {
                 const int of = part_of[s], octave = (int)((float)firsts_of[s] * table.per_octave);
@@ -495,7 +498,7 @@ _MEANS = """
                 rays_of[s] = all_rays[at];
                 blurs_of[s] = aside2[of] * steps_of_blur;
                 given_of[s] = (width * width + own2) * steps_of_blur - 0.5f;
-                bends[s] = turn_of[of] * per_log * per_radian;
+                turnings[s] = turn_of[of] * per_log * per_radian;
                 positions[s] = turns[of] * (float)all_rays[at];
                 aways[s] = (float)firsts_of[s] - places[of];
                 behind[s] = half_ratio2[of];
@@ -519,7 +522,7 @@ _MEANS = """
             // are, which further out is less of an angle.
             auto place_at = [&](int s, int m, float& position, int& step) {
                 const float nearer = falling((aways[s] + (float)(m * apart_of[s])) * per_node - behind[s]);
-                position = positions[s] + bends[s] * (1.0f - nearer);
+                position = positions[s] + turnings[s] * (1.0f - nearer);
                 step = (int)smaller(larger(blurs_of[s] * nearer * nearer - given_of[s], 0.0f), (float)(entries - 1));
             };
             auto node_at = [&](int s, int m, float position, int step, int taken, int& row, int& tap) {

@@ -238,6 +238,17 @@ def test_means_lie_where_it_is_brighter(fingers, rng, w, gain, bend, shares):
     assert max(ends[1:]) < 0.85 * ends[0]
 
 
+def footprint_of(along, down, bend, deviation):
+    """Its eight numbers, (8, …), from changes along rows and columns, (4, …), and half the second differences, (2, …).
+
+    The fourth of the changes is that of the gain times w², relative to it.
+    """
+    more = [np.clip(each[3], -0.5 / deviation, 0.5 / deviation) for each in (along, down)]
+    aside = more[0] * along[:2] + more[1] * down[:2] + bend
+    with_w = along[2] * along[:2] + down[2] * down[:2]
+    return np.concatenate([deviation * along[:2], deviation * down[:2], deviation**2 * aside, deviation**2 * with_w])
+
+
 def footprint_by_hand(deflections, gains, hit, row, column, deviation):
     """What ``spread_pixels`` finds of one pixel of a picture."""
     height, width = hit.shape
@@ -262,11 +273,7 @@ def footprint_by_hand(deflections, gains, hit, row, column, deviation):
                 changes.append(found[-1] if size[-1] < size[1] else found[1])
         else:
             changes.append(next(iter(found.values()), np.zeros(4)))
-    along, down = changes
-    more = [np.clip(each[3], -0.5 / deviation, 0.5 / deviation) for each in changes]
-    aside = more[0] * along[:2] + more[1] * down[:2] + bend
-    with_w = along[2] * along[:2] + down[2] * down[:2]
-    return np.concatenate([deviation * along[:2], deviation * down[:2], deviation**2 * aside, deviation**2 * with_w])
+    return footprint_of(*changes, bend, deviation)
 
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (1, 1, 70), (1, 40, 1), (7, 3, 3), (4, 5, 5), (1, 9, 100)], ids=str)
@@ -279,8 +286,7 @@ def test_footprints_follow_from_those_beside(size, slices, rng):
     gains = np.maximum(rng.normal(1.0, 0.4, size), 0.0).astype(np.float32)
     hit = (rng.uniform(size=size) < 0.8) * (np.arange(size[1]) % 5 != 4)[:, None]
     deviation = 0.48
-    found = wp.full(hit.size, Footprint(), dtype=Footprint, device="cpu")
-    found.fill_(7.0)
+    found = wp.full(hit.size, 7.0, dtype=Footprint, device="cpu")
     given = [
         wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
         wp.array(gains.ravel(), dtype=wp.float32, device="cpu"),
@@ -563,17 +569,13 @@ def test_rays_fan_out_along_parabolas(with_lights, rng):
         _, a, b, aa, ab, bb = terms[:, :, None].transpose(1, 0, 2)
         slopes = np.stack([a + 2 * aa * right + ab * down, b + ab * right + 2 * bb * down])
         w, gain = (at(terms[c : c + 1], right, down)[0] for c in (2, 3))
-        more = slopes[:, 3] / gain + 2.0 * slopes[:, 2] / np.where(w > 0.0, w, np.inf)
-        more = np.clip(more, -0.5 / tile.deviation, 0.5 / tile.deviation)
-        for c in (0, 1):
-            aside = (more * slopes[:, c]).sum(axis=0) + (aa + bb)[c]
-            with_w = (slopes[:, 2] * slopes[:, c]).sum(axis=0)
-            expected = [*(tile.deviation * slopes[:, c]), tile.deviation**2 * aside, tile.deviation**2 * with_w]
-            np.testing.assert_allclose(footprints[k, :, c::2], np.transpose(expected), atol=1e-5)
+        slopes[:, 3] = slopes[:, 3] / gain + 2.0 * slopes[:, 2] / np.where(w > 0.0, w, np.inf)
+        expected = footprint_of(*slopes, (aa + bb)[:2], tile.deviation)
+        np.testing.assert_allclose(footprints[k], expected.T, atol=1e-6)
 
 
 # What may be uneven goes with what pixels may err by: 1e-2, and 1e-1 of the source.
-@pytest.mark.parametrize(("kind", "most"), [("averaged", 5e-3), ("source", 3e-2)])
+@pytest.mark.parametrize(("kind", "most"), [("averaged", 5e-3), ("source", 2e-2)])
 def test_rays_that_fan_out_see_what_rays_that_are_cast_see(tube, fingers, kind, most, monkeypatch):
     if kind == "source":
         plan = wd.plan(fingers, coherence=SOURCE, method="low-rank/table", tolerance=0.1, strict=False)
