@@ -74,14 +74,19 @@ class Scene:
 
     def seen(self, coherence: wd.Coherence, width: int = WIDTH) -> tuple[Directions, np.ndarray]:
         """What the lit pixels of a picture see, and which pixels (n,) these are."""
-        device, threads = resolve_device(None), resolve_threads(None)
-        surface = prepare_surface(self.mesh)
-        frame = Frame(surface, self.view(width), device=device, threads=threads)
-        frame.light_up([self.light], coherence, 1.0, normal=optics.normal_reflectance(IOR))
-        frame.survey(self.hf, coherence)
-        deflections, to_lights, gains = frame.directions()
-        lit = np.flatnonzero(gains > 0.0)
-        return Directions(np.float64(to_lights[lit]), deflections[lit], np.float64(gains[lit])), lit
+        return seen(self.mesh, self.light, self.view(width), self.hf, coherence)
+
+
+def seen(
+    mesh: Any, light: wd.DirectionalLight, view: wd.View, hf: wd.HeightField, coherence: wd.Coherence
+) -> tuple[Directions, np.ndarray]:
+    """What the lit pixels of a picture see, and which pixels (n,) these are."""
+    frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
+    frame.light_up([light], coherence, 1.0, normal=optics.normal_reflectance(IOR))
+    frame.survey(hf, coherence)
+    deflections, to_lights, gains = frame.directions()
+    lit = np.flatnonzero(gains > 0.0)
+    return Directions(np.float64(to_lights[lit]), deflections[lit], np.float64(gains[lit])), lit
 
 
 def scenes(data: Path | None) -> list[Scene]:
