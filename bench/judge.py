@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import optics, search
+from warpdiff import optics, trial
 from warpdiff.bench import reference, scenes
 from warpdiff.bench.configurations import FEW, Configuration
 
@@ -41,6 +41,11 @@ class Result(NamedTuple):
     plan: wd.Plan
     warned: str
 
+    @property
+    def white(self) -> float:
+        """Y* of all directions, as the call has it."""
+        return brightness(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
+
 
 class Figure(NamedTuple):
     """The error of a call: percentiles 99 of e over all, over bright ones (Y >= f), and over the others."""
@@ -63,16 +68,16 @@ def witnessed() -> Iterator[list[np.ndarray]]:
     """Record (u, v, w) of all directions that plans read."""
     seen: list[np.ndarray] = []
 
-    class Witness(search.Trial):
-        def __init__(self, plan: Any, hf: Any, scope: Any, pilots: Any, *others: Any, **options: Any) -> None:
-            seen.append(pilots.deflections)
-            super().__init__(plan, hf, scope, pilots, *others, **options)
+    class Witness(trial.Trial):
+        def __init__(self, plan: Any, hf: Any, scope: Any, sample: Any, *others: Any, **options: Any) -> None:
+            seen.append(sample.deflections)
+            super().__init__(plan, hf, scope, sample, *others, **options)
 
-    original, search.Trial = search.Trial, Witness  # type: ignore[misc]
+    original, trial.Trial = trial.Trial, Witness  # type: ignore[misc]
     try:
         yield seen
     finally:
-        search.Trial = original  # type: ignore[misc]
+        trial.Trial = original  # type: ignore[misc]
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
@@ -159,12 +164,18 @@ def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
     return float(values[order][min(np.searchsorted(total, share * total[-1] * (1.0 - 1e-12)), len(values) - 1)])
 
 
-def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None) -> Figure:
-    """The design's error of a picture, of XYZ against the truth, both (n, 3) and all lit, but for f's lower limit."""
+def figure(
+    xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf
+) -> Figure:
+    """The design's error of a picture, of XYZ against the truth, both (n, 3) and all lit, but for f's lower limit.
+
+    Y* is that of the truth, or that of the whole call if it is smaller: a part may see a mirror that is not to be seen
+    from elsewhere.
+    """
     weights = np.ones(len(exact)) if weights is None else weights
     moved = np.linalg.norm(xyz - exact, axis=1)
     moved[~np.isfinite(moved)] = math.inf
-    white = brightness(exact[:, 1], weights)
+    white = min(brightness(exact[:, 1], weights), white)
     floor = max(1e-3 * white, LEAST)
     errors = moved / np.maximum(np.linalg.norm(exact, axis=1), floor)
     above = exact[:, 1] >= floor

@@ -32,7 +32,7 @@ from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.frame import Frame as Picture
 from warpdiff.integration import Integrator
 from warpdiff.launches import launch
-from warpdiff.scope import Pilots, Scope
+from warpdiff.scope import DirectionSample, Scope
 from warpdiff.surface import prepare_surface
 
 SCAN = "scan, 65 µm, levelled"
@@ -167,7 +167,7 @@ class Automatic:
         scope = Scope.of(hf, coherence, deflections, to_lights, gains > 0.0)
         begin = time.perf_counter()
         self.plan = planning.plan_for(
-            hf, scope, Pilots.among(deflections, to_lights, gains), tolerance=tolerance, method="auto",
+            hf, scope, DirectionSample.among(deflections, to_lights, gains), tolerance=tolerance, method="auto",
             coherence=coherence, strict=True, count=float(frame.lit), device=frame.device, threads=frame.threads,
         )  # fmt: skip
         self.seconds = time.perf_counter() - begin

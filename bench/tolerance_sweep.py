@@ -79,7 +79,8 @@ def run(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, 
     seconds = time.perf_counter() - begin
     chosen, weights = judge.drawn(result, np.random.default_rng([seed, index, 1]))
     begin = time.perf_counter()
-    found = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights)
+    exact = judge.truth(case, result, chosen)
+    found = judge.figure(result.xyz[chosen], exact, weights, white=result.white)
     t = case.tolerance
     return Outcome(
         index, case.stratum, case.layout, str(case), found.whole / t, found.bright / t, found.dim / t, found.share_dim,
@@ -189,8 +190,8 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
         result = judge.evaluate(case, strict=False)
     chosen, weights = judge.drawn(result, np.random.default_rng([seed, index, 1]))
     exact = judge.truth(case, result, chosen)
-    moved = judge.figure(judge.truth(case, result, chosen, closer=10.0), exact, weights).value / case.tolerance
-    found, t, settings = judge.figure(result.xyz[chosen], exact, weights), case.tolerance, result.plan
+    moved = judge.figure(judge.truth(case, result, chosen, closer=10.0), exact, weights, white=result.white).value / case.tolerance
+    found, t, settings = judge.figure(result.xyz[chosen], exact, weights, white=result.white), case.tolerance, result.plan
     print(settings)
     print(
         f"error / tolerance: all {found.whole / t:.3g}, bright {found.bright / t:.3g}, dim {found.dim / t:.3g}, "
@@ -210,7 +211,7 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
     for name, change in {**finer, "all of these": everything}.items():
         changed = dataclasses.replace(settings, **change)
         again = wd.reflectance(case.hf, lights, views, illuminant=case.illuminant, plan=changed)
-        each = judge.figure(again, exact, weights)
+        each = judge.figure(again, exact, weights, white=result.white)
         print(f"  with {name}: all {each.whole / t:.3g}, bright {each.bright / t:.3g}, dim {each.dim / t:.3g}")
     print("| direction | cos θi | cos θr | (u, v) | w | Y / Y* | error / tolerance | XYZ | truth |")
     print("| --- " * 9 + "|")

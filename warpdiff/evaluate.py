@@ -17,7 +17,7 @@ from warpdiff.integration import Integrator
 from warpdiff.launches import launch
 from warpdiff.planning import broadcast_directions, check_request, plan_for, warn_outside
 from warpdiff.plans import Plan
-from warpdiff.scope import Pilots, Scope
+from warpdiff.scope import DirectionSample, Scope
 from warpdiff.tables import table_for
 
 if TYPE_CHECKING:
@@ -339,7 +339,7 @@ class _Call:
         self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
         if plan is None:
             plan = plan_for(
-                hf, self._scope, Pilots.among(self._deflections, self._lights, self._gains), tolerance=tolerance,
+                hf, self._scope, DirectionSample.among(self._deflections, self._lights, self._gains), tolerance=tolerance,
                 method=method, coherence=window, strict=strict, count=float(np.count_nonzero(lit)),
                 illuminants=(illuminant,), wavelengths_nm=wavelengths_nm, device=self._device, threads=self._threads,
             )  # fmt: skip

@@ -6,6 +6,7 @@ transformed once, the basis b_n(x) is evaluated at each wavelength. What follows
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -65,6 +66,7 @@ class Expansion:
         low, high = float(hf.heights_um.min()), float(hf.heights_um.max())
         return ((low + high) / 2.0, (high - low) / 2.0) if self.centred else (low, high - low)
 
+    @functools.lru_cache(maxsize=256)  # noqa: B019 (there are a few expansions, made once)
     def term_count(self, argument: float, tolerance: float) -> int:
         """The fewest terms whose remainder is within ``tolerance`` for |x| <= ``argument``, at most ``MAX_TERMS``."""
         terms = 1

@@ -14,7 +14,7 @@ from warpdiff.evaluate import direct_colour
 from warpdiff.image import Image
 from warpdiff.launches import Chain, Step, begin_in_turn, launch, launch_in_turn
 from warpdiff.rooms import Room, Seen, shared_room
-from warpdiff.scope import CROWD, Pilots, Scope
+from warpdiff.scope import DirectionSample, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.survey import BLOCK, Survey
 
@@ -206,7 +206,7 @@ class Frame:
         """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
         return len(self._to_lights), self._view.extent_y is None, self._casts_shadows, self._pigmented
 
-    def survey(self, hf: HeightField, window: Coherence, *, piloted: bool = True) -> tuple[Scope, int, Pilots]:
+    def survey(self, hf: HeightField, window: Coherence, *, sampled: bool = True) -> tuple[Scope, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them unless they are of no use.
 
         That is a first pass over the rays, which cost a hundredth of the colours.
@@ -219,12 +219,12 @@ class Frame:
             for which in range(len(self._to_lights)):
                 summary = Survey(hf, window, self._size, device=self._device)
                 self.deflect(sample, which, summary)
-                found, lit, pilots = summary.found(CROWD if piloted and sample == 0 else 0, among=self._among)
+                parts = len(self._to_lights) if sampled and sample == 0 else 0
+                found, lit, some = summary.found(parts=parts, among=self._among)
                 scope = scope.joined(found)
                 count += lit
-                seen.append(pilots.arrays)
-        pilots = Pilots.among(*(np.concatenate(part) for part in zip(*seen, strict=True)))
-        return scope, count * self._samples // surveyed, pilots
+                seen.append(some)
+        return scope, count * self._samples // surveyed, DirectionSample.joined(seen)
 
     def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
         """Cast and deflect sample after sample, light after light.

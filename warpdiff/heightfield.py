@@ -6,6 +6,7 @@ transform returns a new `HeightField`.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,8 +86,6 @@ class HeightField:
         TypeError: An argument is not numeric.
         ValueError: The heights are not a non-empty, finite 2-D array, or the pitch is not positive.
     """
-
-    __slots__ = ("__weakref__", "_height_range_um", "_heights_um", "_pitch_um")
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
         heights = checks.finite_array(heights_um, "heights_um", ndim=2)
@@ -169,7 +168,7 @@ class HeightField:
         """Highest minus lowest height [µm]."""
         return self._height_range_um
 
-    @property
+    @functools.cached_property
     def rms_um(self) -> float:
         """Standard deviation of the heights [µm]."""
         return float(np.std(self._heights_um))
@@ -183,7 +182,7 @@ class HeightField:
                 total += float(np.mean((np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2))
         return math.sqrt(total)
 
-    @property
+    @functools.cached_property
     def mean_slope(self) -> float:
         """Mean absolute slope between neighbouring samples of the periodic field, across the edges as well."""
         # An axis of one sample has no neighbour but itself.

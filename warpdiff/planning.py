@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, validity
+from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, trial, validity
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
@@ -21,7 +21,7 @@ from warpdiff.expansions import EXPANSIONS, check_cycles
 from warpdiff.heightfield import HeightField
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.plans import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
-from warpdiff.scope import CROWD, Pilots, Scope, hemisphere_pairs
+from warpdiff.scope import DirectionSample, Scope, hemisphere_pairs, stratified
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
@@ -66,12 +66,16 @@ _SEARCHED_COST = 5.0
 # A picture that is worth a table is rendered again, with another light or view.
 _REPEATS = 3.0
 # Fewer directions are evaluated as they are: to search would take longer than it saves.
-_FEWEST_PILOTS = 16
+_FEWEST_SAMPLED = 16
 # |w| of directions that are searched for all the same.
 _GRAZING = 0.05
 # A plan holds a little further than the directions that it was made for: its ranges are rounded up.
 _LITTLE = 0.03
 _SEED = 0
+# Directions that stand for the whole hemisphere.
+_ANYWHERE = 8192
+# A tolerance for which a plan only tells what is bright.
+_COARSE = 0.5
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 
 
@@ -116,9 +120,9 @@ def plan(
     normal = optics.normal_reflectance(ior)
     window = coherence or Coherence()
     target, workers = resolve_device(device), resolve_threads(threads)
-    scope, pilots, count = directions_of(hf, to_light, to_view, coherence=window, normal=normal, masking=masking)
+    scope, sample, count = directions_of(hf, to_light, to_view, coherence=window, normal=normal, masking=masking)
     result = plan_for(
-        hf, scope, pilots, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
+        hf, scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
         illuminants=(illuminant,), device=target, threads=workers,
     )  # fmt: skip
     if result.scalar_error >= validity.UNTRUSTED:
@@ -140,12 +144,12 @@ def directions_of(
     coherence: Coherence,
     normal: float,
     masking: bool,
-) -> tuple[Scope, Pilots, float]:
+) -> tuple[Scope, DirectionSample, float]:
     """The scope of directions, some of them, and their number; None is the whole hemisphere.
 
     A plan for directions that are not yet known is made for many.
     """
-    some_lights, some_views = hemisphere_pairs(CROWD, _SEED)
+    some_lights, some_views = hemisphere_pairs(_ANYWHERE, _SEED)
     if to_light is not None and to_view is not None:
         lights, views, _ = broadcast_directions(to_light, to_view)
     else:
@@ -158,15 +162,16 @@ def directions_of(
         given = views if to_light is None else lights
         scope = _any_direction(hf, coherence, scope, None if to_light is None and to_view is None else given)
     gains = optics.gain(lights, views, normal=normal, masking=masking, per_light_cosine=coherence.kind == "source")
-    return scope, Pilots.among(deflections, lights, gains), count
+    return scope, DirectionSample.among(deflections, lights, gains), count
 
 
 def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:
-    """As many of the given directions as the sample has, repeated where they are fewer."""
+    """As many of the given directions as there are for those that are not given, repeated where they are fewer."""
     given, _ = checks.directions(directions, name)
     if not len(given):
-        return np.zeros((CROWD, 3))
-    return np.asarray(given[np.arange(CROWD) * max(1, len(given) // CROWD) % len(given)])
+        return np.zeros((_ANYWHERE, 3))
+    some = given[stratified(len(given), _ANYWHERE)]
+    return np.asarray(some[np.arange(_ANYWHERE) % len(some)])
 
 
 def _any_direction(hf: HeightField, coherence: Coherence, scope: Scope, given: NDArray[np.float64] | None) -> Scope:
@@ -211,7 +216,7 @@ def broadcast_directions(
 def plan_for(
     hf: HeightField,
     scope: Scope,
-    pilots: Pilots,
+    sample: DirectionSample,
     *,
     tolerance: float,
     method: str,
@@ -255,18 +260,22 @@ def plan_for(
     cut_short = ample.max_lateral < scope.max_lateral
     # Powers of coefficients that vanish with κ may cancel in float32, which only a trial tells.
     grazing = 0.0 < scope.min_w < _GRAZING
-    trial = None
-    if len(pilots) >= _FEWEST_PILOTS or ((cut_short or tabled or grazing) and len(pilots)):
-        trial = search.Trial(found, hf, scope, pilots, illuminants, wavelengths_nm, device=device, threads=threads)
-    if trial is not None and (trial.any_light or cut_short):
-        best = search.tabled(found, trial, footprint=footprint) if tabled else None
+    tried = None
+    if len(sample) >= _FEWEST_SAMPLED or ((cut_short or tabled or grazing) and len(sample)):
+        coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=coherence, colour=wavelengths_nm is None)
+        coarse = replace(coarse, terms=min(coarse.terms, tables.LANES)) if method not in EXPANSIONS else coarse
+        tried = trial.Trial(
+            found, hf, scope, sample, illuminants, wavelengths_nm, coarse=coarse, device=device, threads=threads
+        )
+    if tried is not None and (tried.any_light or cut_short):
+        best = search.tabled(found, tried, footprint=footprint) if tabled else None
         if best is None and integration == "table":
             raise ValueError(
                 f"method='{method}/table' takes more than {polar.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: use "
                 "method='auto', or ask for a larger tolerance"
             )
         if best is None or (best.error > tolerance and integration != "table"):
-            best = search.refined(found, trial, automatic=method == "auto")
+            best = search.refined(found, tried, automatic=method == "auto")
         found = best
     if ample.truncation > tolerance * _AMPLITUDE_MARGIN:
         # The series that all bases are made from, and judged by, ends too soon.
@@ -321,6 +330,8 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         scalar_error=validity.error_bound(hf.rms_um, hf.mean_slope),
         multiply_adds=0.0,
         searched=False,
+        judged=0,
+        table_multiply_adds=0.0,
     )
     if method != "direct":
         _check_neighbours(hf, result)
@@ -441,7 +452,7 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
     why, remedy = sources[worst]
     largest = float(getattr(plan, worst))
     digits = ", so that no digit need be right" if largest >= 1.0 else ""
-    how = "measured on a sample of the directions" if plan.searched else "by its bound"
+    how = f"measured on {plan.judged} directions" if plan.searched else "by its bound"
     message = (
         f"the {LABELS[plan.method]} cannot reach tolerance={plan.tolerance:g}: {why}, an error of {largest:.1e} {how}"
         f"{digits}; {remedy}, or ask for a larger tolerance"

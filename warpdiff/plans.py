@@ -20,6 +20,9 @@ LABELS = {
     "power": "Chebyshev series of the powers",
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
+# What a core of a present processor does in a second, of a kernel's multiply-adds: of sums over wavelengths and of the
+# making of tables, and of look-ups, which wait for memory.
+_SUMMED, _LOOKED_UP = 9e9, 2.7e9
 # An octave, of a table.
 MIN_NODES, MAX_NODES = 4, 512
 
@@ -63,7 +66,9 @@ class Plan:
         scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
             the surface and no part of ``error``.
         multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
-        searched: Whether the errors were measured on a sample of the directions; otherwise they are bounds.
+        searched: Whether the errors were measured on some of the directions; otherwise they are bounds.
+        judged: On how many, which the search has not seen where there are enough of them.
+        table_multiply_adds: Predicted cost of making the table; 0 without one.
     """
 
     method: str
@@ -94,6 +99,8 @@ class Plan:
     scalar_error: float
     multiply_adds: float
     searched: bool
+    judged: int
+    table_multiply_adds: float
 
     def __post_init__(self) -> None:
         checks.choice(self.method, "method", (*EXPANDED, "direct"))
@@ -128,6 +135,16 @@ class Plan:
         return self.truncation + self.neighbourhood + self.quadrature + self.rounding
 
     @property
+    def microseconds(self) -> float:
+        """Estimated time of a direction [µs] on one core of a CPU."""
+        return 1e6 * self.multiply_adds / (_LOOKED_UP if self.nodes else _SUMMED)
+
+    @property
+    def table_seconds(self) -> float:
+        """Estimated time of making the table [s] on one core of a CPU, once for all calls; 0 without one."""
+        return self.table_multiply_adds / _SUMMED
+
+    @property
     def scope(self) -> Scope:
         """The range of directions and wavelengths that the numbers hold for."""
         return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
@@ -137,7 +154,9 @@ class Plan:
             sums = f"Direct sum over the height samples in float64, {self.coherence}"
             return f"{sums}: no approximation but the integral over λ. {self._scalar}"
         scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
-        how = "measured on a sample of the directions" if self.searched else "bounded for all directions"
+        how = "bounded for all directions"
+        if self.searched:
+            how = f"measured on {self.judged} of the directions, which stand for all"
         start = (
             f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, {scope}. Predicted error "
             f"{self.error:.1e}, {how}: {self.terms} terms leave out {self.truncation:.1e}"
@@ -161,7 +180,8 @@ class Plan:
         parts.append(f"float32 rounds by {self.rounding:.1e}")
         text = "; ".join(parts)
         text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
-        return text + f" Some {self.multiply_adds / 1e3:.3g} thousand multiply-adds a direction. {self._scalar}"
+        text += f" Some {self.multiply_adds:.2g} multiply-adds a direction, {self.microseconds:.2g} µs of a core"
+        return text + (f", after {self.table_seconds:.2g} s for the table" if self.nodes else "") + f". {self._scalar}"
 
     @property
     def _scalar(self) -> str:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield import HeightField
     from warpdiff.image import Image
-    from warpdiff.scope import Pilots, Scope
+    from warpdiff.scope import DirectionSample, Scope
     from warpdiff.surface import Surface
 
 
@@ -109,12 +109,12 @@ def shade(
     surface = prepare_surface(mesh, tangents=tangents)
     picture = wanted.frame(surface, view)
     wanted.light_up(picture, hf, wanted.lights)
-    scope, count, pilots = picture.survey(hf, wanted.window, piloted=wanted.plan is None)
+    scope, count, sample = picture.survey(hf, wanted.window, sampled=wanted.plan is None)
     found = wanted.plan
     if found is not None:
         warn_outside(found, hf, scope)
     else:
-        found = wanted.plan_for(hf, scope, pilots, count)
+        found = wanted.plan_for(hf, scope, sample, count)
     if found.footprint != wanted.footprint:
         # No table keeps the tolerance: rays of a pixel then lie as those of points do.
         wanted = replace(wanted, footprint=found.footprint)
@@ -226,11 +226,11 @@ class Wanted:
             pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
 
-    def plan_for(self, hf: HeightField, scope: Scope, pilots: Pilots, count: float) -> Plan:
+    def plan_for(self, hf: HeightField, scope: Scope, sample: DirectionSample, count: float) -> Plan:
         """The plan for directions."""
         names = tuple(dict.fromkeys(each.illuminant for each in self.lights))
         return plan_for(
-            hf, scope, pilots, tolerance=self.tolerance, method=self.method, coherence=self.window, strict=self.strict,
+            hf, scope, sample, tolerance=self.tolerance, method=self.method, coherence=self.window, strict=self.strict,
             count=count, footprint=self.footprint, illuminants=names, device=self.device, threads=self.threads,
         )  # fmt: skip
 

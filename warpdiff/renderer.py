@@ -81,10 +81,10 @@ class Renderer:
         self._hf, self._wanted = hf, wanted
         self._lights, self._view = wanted.lights, view
         surface = prepare_surface(mesh, tangents=tangents)
-        scope, pilots, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
+        scope, sample, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
         if wanted.plan is not None:
             warn_outside(wanted.plan, hf, scope)
-        self.plan = wanted.plan or wanted.plan_for(hf, scope, pilots, count)
+        self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
         self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
         self._recorded = records(wanted.device)
         # Where no table keeps the tolerance, pixels show no means.

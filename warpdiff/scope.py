@@ -11,62 +11,81 @@ import numpy as np
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
 
-# Enough that the worst of them stands for the 99th percentile of the call, ...
-PILOTS = 128
-# ... and enough to tell how bright its brightest hundredth is.
-CROWD = 512
+# Directions of a call that a plan looks at, ...
+_CROWD = 8192
+# ... and from how many on it leaves half of them unseen.
+_HALF_FROM = 4096
+_SEED = 2
 
 
 @dataclass(frozen=True)
-class Pilots:
+class DirectionSample:
     """Lit directions of a call.
 
     Attributes:
         deflections: (u, v, w), shape (n, 3), float64.
         to_lights: Unit vectors in the local frame, shape (n, 3), float64.
         gains: Factor between ⟨|P|²⟩ and the result, shape (n,).
+        weights: For how many of the call's directions each stands, shape (n,).
+        places: Where they lie in the sample that they were taken from, shape (n,).
     """
 
     deflections: NDArray[np.float64]
     to_lights: NDArray[np.float64]
     gains: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    places: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.gains)
 
-    @property
-    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The three of them."""
-        return self.deflections, self.to_lights, self.gains
-
-    @classmethod
-    def none(cls) -> Pilots:
-        """No directions."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-
     @classmethod
     def among(
         cls, deflections: NDArray[np.float64], to_lights: NDArray[np.float64], gains: NDArray[np.float64]
-    ) -> Pilots:
-        """Up to ``CROWD`` of the lit ones among a call's directions, equally far apart in their order."""
+    ) -> DirectionSample:
+        """Some of the lit ones among a call's directions, spread over their order."""
         lit = np.flatnonzero(gains > 0.0)
-        lit = lit[equally_far(len(lit), CROWD)]
-        return cls(deflections[lit].astype(np.float64), to_lights[lit].astype(np.float64), gains[lit].astype(float))
+        places = lit[sample_ranks(len(lit))]
+        weights = np.full(len(places), len(lit) / max(len(places), 1))
+        return cls(
+            deflections[places].astype(np.float64), to_lights[places].astype(np.float64), gains[places].astype(float),
+            weights, places,
+        )  # fmt: skip
 
-    def fewer(self) -> Pilots:
-        """Up to ``PILOTS`` of these."""
-        some = equally_far(len(self), PILOTS)
-        return Pilots(self.deflections[some], self.to_lights[some], self.gains[some])
+    @classmethod
+    def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
+        """Those of several passes."""
+        names = ("deflections", "to_lights", "gains", "weights")
+        arrays = [np.concatenate([getattr(each, name) for each in parts]) for name in names]
+        return cls(*arrays, np.arange(len(arrays[0])))
+
+    def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
+        """Those at some places, with weights of their own."""
+        return DirectionSample(self.deflections[places], self.to_lights[places], self.gains[places], weights, places)
 
 
-def equally_far(count: int, most: int) -> NDArray[np.int64]:
-    """Indices of at most ``most`` of ``count`` things."""
-    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
+def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
+    """Which of so many lit directions a plan looks at, where ``parts`` passes share the sample."""
+    most = min(_CROWD // parts, count // 2)
+    return np.arange(count) if count * parts < _HALF_FROM else stratified(count, most)
+
+
+def stratified(count: int, most: int) -> NDArray[np.int64]:
+    """At most ``most`` of ``count`` indices, ascending: one at a random place of each of as many equal runs.
+
+    A fixed stride would meet a picture's rows always at the same place, or all on one diagonal.
+    """
+    if count <= most:
+        return np.arange(count)
+    places = np.arange(most) + np.random.default_rng(_SEED).uniform(size=most)
+    return np.unique((places * (count / most)).astype(np.int64))
 
 
 @dataclass(frozen=True)

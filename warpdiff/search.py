@@ -1,16 +1,16 @@
-"""The cheapest numbers that keep a tolerance, found by trying them on a sample of a call's directions.
+"""The cheapest numbers that keep a tolerance, found by trying them on some of a call's directions and judged on others.
 
 Bounds hold for the worst surface and the worst direction, and ask for ten to a hundred times the work that a scene
 needs. A hundred of its own directions, computed a few dozen times over, tell how much that is: less than a hundredth of
-a picture's time. Each source of error is measured by itself against what the bounds ask for, twice as fine, and the
-plan that results once more as a whole.
+a picture's time. Each source of error is measured by itself against what the bounds ask for, twice as fine; the plan
+that results is judged as a whole on directions that the search has not seen, and made finer until it holds there.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,10 +18,9 @@ from warpdiff import coefficients, colour_table, polar, tables
 from warpdiff.coefficients import holds_powers
 from warpdiff.device import load
 from warpdiff.expansions import EXPANSIONS
-from warpdiff.integration import Integrator
-from warpdiff.launches import launch
-from warpdiff.scope import Scope, lateral
+from warpdiff.scope import Scope
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.trial import kernels_tried
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,13 +31,11 @@ if TYPE_CHECKING:
     from warpdiff.coherence import Coherence
     from warpdiff.heightfield import HeightField
     from warpdiff.plans import Plan
-    from warpdiff.scope import Pilots
+    from warpdiff.trial import Trial
 
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # The sample stands for the call, whose error may be this much larger.
 SAFETY = 1.6
-# Light that is this weak against a mirror's is darkness, whatever else a call sees.
-DARK = 1e-10
 # Shares of what is left of the tolerance.
 _NEIGHBOUR_SHARE, _TERMS_SHARE, _QUADRATURE_SHARE = 0.25, 0.3, 0.45
 # The exponent of the least weight is tried in these steps, and is at least one of them.
@@ -51,10 +48,13 @@ _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, the next larger one.
 _LIKELY = 0.85
 _WIDENINGS = 3
+# More terms are worth it where they leave so little of the error.
+_WORTH_TERMS = 0.7
+# The exponent of the least weight is at least that of a thousandth, a picture's floor, of the tolerance: pilots may miss
+# the few directions that see the tail of a bright order and little else.
+_FLOOR = 1e-3
 # Functions of w that tables have at these tolerances, of most surfaces. Kernels of more terms take long to compile.
 _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
-# Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
-_TRUTH = "jacobi-anger"
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SLACK = 1.2
 _SUBDIVISION_SHARE = 0.3
@@ -62,9 +62,6 @@ _SUBDIVISION_SHARE = 0.3
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
 _HOPELESS = 10.0
-_SPECTRAL_SAMPLES = 64
-# Pilots are few and dear: a launch is cut into slices that keep every thread busy.
-_SLICE = 8
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
 # neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
 _A_WAVELENGTH, _A_TERM, _A_NEIGHBOUR, _A_FACTOR = 340.0, 16.0, 20.0, 280.0
@@ -96,16 +93,11 @@ def begin_to_load(
     terms = coefficients.series_terms(hf, Scope(0.0, 0.0, 0.0, max_w).kappas)
     if terms > _MOST_GUESSED:
         return
-    needed = [each.integrate for each in _kernels(terms, method, tables.LANES, coherence)]
+    needed = [each.integrate for each in kernels_tried(terms, method, tables.LANES, coherence)]
     if footprint and coherence.kind == "averaged" and _AT_TOLERANCES[0] <= tolerance <= _AT_TOLERANCES[1]:
         # It takes the longest; the table's others are asked for behind those that come first.
         needed.append(colour_table.kernel_of_look_ups(_LIKELY_FUNCTIONS, coherence))
     load(needed, device)
-
-
-def _kernels(series_terms: int, method: str, terms: int, coherence: Coherence) -> list[Any]:
-    """The kernels of the truth and of a plan."""
-    return [tables.kernels_for(_TRUTH, coherence, series_terms), tables.kernels_for(method, coherence, terms)]
 
 
 def wavelength_count(plan: Plan, lateral_reach: float, w: float) -> float:
@@ -129,24 +121,23 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         # Powers of coefficients that vanish with a high power of κ cancel in float32; amplitudes do not.
         plan = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
         fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
-    plan, neighbourhood = _fewer_neighbours(fewer, trial, _NEIGHBOUR_SHARE * target)
-    quadrature = 0.0
-    if trial.integrates:
+    plan, neighbourhood, quadrature = fewer, 0.0, 0.0
+    if trial.is_sparse:
+        plan = dataclasses.replace(plan, least_weight=max(plan.least_weight, plan.tolerance * trial.least_weight))
+    else:
+        plan, neighbourhood = _fewer_neighbours(plan, trial, _NEIGHBOUR_SHARE * target)
+    if trial.integrates and not trial.is_sparse:
         plan, quadrature = _fewer_wavelengths(plan, trial, _QUADRATURE_SHARE * target)
-    grown, whole = _enough_of_all(plan, trial, target)
-    if grown is not plan:
-        # Both were measured before there was more of either.
-        plan, neighbourhood, quadrature = grown, min(neighbourhood, whole), min(quadrature, whole)
-    # Directions that err by one source and by another add up to more of them: the whole is what counts.
-    rest = max(0.0, SAFETY * whole - SAFETY * (truncation + neighbourhood + quadrature) - rounding)
+    plan, whole = _enough_of_all(plan, trial, target)
+    # The sources in proportion to what each leaves out, as much as the whole is wrong by.
+    parts = {"truncation": truncation, "neighbourhood": neighbourhood, "quadrature": quadrature, "rounding": rounding}
+    share = SAFETY * whole / sum(parts.values())
     return dataclasses.replace(
         plan,
-        truncation=SAFETY * truncation,
-        neighbourhood=SAFETY * neighbourhood + rest / 2.0,
-        quadrature=SAFETY * quadrature + rest / 2.0,
-        rounding=rounding,
-        multiply_adds=mean_cost(trial.hf, plan, trial.lateral, trial.w),
+        **{name: share * part for name, part in parts.items()},
+        multiply_adds=mean_cost(trial.hf, plan, *trial.rates),
         searched=True,
+        judged=len(trial.jury),
     )
 
 
@@ -159,35 +150,38 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     target = plan.tolerance / SAFETY
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
-    rounding = _rounding(plan)
     few = polar.stand_apart(trial.hf, plan.coherence)
     sizes = polar.rungs(plan.coherence)
-    likely = [rung for rung in sizes if polar.expected_error(rung[0], few=few) <= _LIKELY * target]
-    rungs = likely or [sizes[-1]]
     best = None
-    while rungs:
-        nodes, rays_per_width = rungs.pop(0)
+    likely = [rung for rung in sizes if polar.expected_error(rung[0], few=few) <= _LIKELY * target] or sizes[-1:]
+    while likely:
+        nodes, rays_per_width = likely.pop(0)
         tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
         if polar.megabytes(tried) > polar.MOST_MEGABYTES:
             break
         trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
-        # Where bounds were cut short for a source at the horizon, the table is right and the truth is not.
-        error = trial.error(trial.run(tried), trial.exact, resolved=trial.lateral <= plan.max_lateral)
+        if best is None:
+            trial.settle(tried)
+        error = trial.judged(tried)
         best = dataclasses.replace(
             tried,
             footprint=footprint,
-            truncation=SAFETY * truncation,
+            truncation=SAFETY * min(truncation, error),
             neighbourhood=0.0,
-            quadrature=max(0.0, SAFETY * (error - truncation) - rounding),
-            rounding=rounding,
+            quadrature=SAFETY * max(0.0, error - truncation),
+            rounding=0.0,
             multiply_adds=polar.multiply_adds(tried),
+            table_multiply_adds=polar.making_multiply_adds(trial.hf, tried),
             searched=True,
+            judged=len(trial.jury),
         )
         if error <= target:
             break
-        # The next one is the smallest that may do by what this one errs.
-        needed = _LIKELY * polar.expected_error(nodes) * target / error
-        rungs = [rung for rung in rungs if polar.expected_error(rung[0]) <= needed]
+        # Pilots may have missed what takes more terms.
+        longer = _longer(plan, trial)
+        if longer is not None and (found := trial.judged(plan)) > _TERMS_SHARE * target:
+            plan, truncation = longer, found
+            likely.insert(0, (nodes, rays_per_width))
     return best
 
 
@@ -212,158 +206,42 @@ def _likely_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.floa
 
 
 def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
-    """The plan with so much more of everything that it keeps the target as a whole, and its error."""
-    best, least = plan, trial.error(trial.run(plan), trial.exact)
+    """The plan with so much more of what it lacks that the jury finds it within the target, and its error there."""
+    trial.settle(plan)
+    best, least = plan, trial.judged(plan)
     for _ in range(_TRIES):
         if least <= target:
             break
+        longer = _longer(best, trial)
+        if longer is not None and (error := trial.judged(longer)) < _WORTH_TERMS * least:
+            plan = best = longer
+            least = error
+            continue
         a, b, c = (math.sqrt(2.0) * part for part in plan.bandwidth_um)
         plan = dataclasses.replace(plan, least_weight=plan.least_weight * math.exp(-2.0 * _EXPONENT_STEP))
         if plan.wavelengths:
             more = tables.set_size(math.sqrt(2.0) * plan.wavelengths)
             plan = dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more)
-        error = trial.error(trial.run(plan), trial.exact)
+        error = trial.judged(plan)
         if error < least:
             best, least = plan, error
     return best, least
 
 
-class Trial:
-    """Some directions of a call on a device, and what the finest plan makes of them.
-
-    Args of its constructor: the plan from bounds, the height field, the range of the call, some of its directions, its
-    illuminants, of which the worst counts, given wavelengths in place of an integral, and where to try.
-    """
-
-    def __init__(
-        self,
-        plan: Plan,
-        hf: HeightField,
-        scope: Scope,
-        pilots: Pilots,
-        illuminants: tuple[str, ...],
-        wavelengths_nm: NDArray[np.float64] | None,
-        *,
-        device: wp.Device,
-        threads: int,
-    ) -> None:
-        import warp as wp
-
-        self.hf, self._scope, self._device, self._threads = hf, scope, device, threads
-        self._illuminants = illuminants
-        self._wavenumbers = None
-        self.integrates = wavelengths_nm is None
-        if wavelengths_nm is not None:
-            some = np.linspace(0, len(wavelengths_nm) - 1, min(_SPECTRAL_SAMPLES, len(wavelengths_nm))).astype(int)
-            self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
-        self._crowd, pilots = pilots, pilots.fewer()
-        self._pilots = pilots
-        self.lateral = lateral(hf, plan.coherence, pilots.deflections, pilots.to_lights)
-        self.w = np.abs(pilots.deflections[:, 2])
-        low, high = scope.kappas
-        terms = coefficients.series_terms(hf, (low, high))
-        self.finest = dataclasses.replace(plan, method=_TRUTH, terms=terms, adaptive=False)
-        kernels = _kernels(terms, plan.method, min(plan.terms, tables.LANES), plan.coherence)
-        load([each.integrate if self.integrates else each.sample for each in kernels], device)
-        self.sharpen(plan)
-
-    def sharpen(self, plan: Plan) -> None:
-        """Judge by twice the wavelengths of a plan."""
-        # How bright the call is, from more directions and fewer wavelengths.
-        self._load(self._crowd)
-        coarse = self.finest
-        if self.integrates:
-            coarse = dataclasses.replace(coarse, wavelengths=plan.wavelengths // 2 + 1)
-        brightness = np.percentile(_luminance(self.run(coarse)), 99.0, axis=1, keepdims=True)
-        floor = np.maximum(1e-3 * brightness, DARK)
-        if plan.coherence.adds_powers:
-            # The mirror's coefficient, of power 1, must not show in what is far darker.
-            gain = float(np.percentile(self._crowd.gains, 99.0))
-            needed = _NEIGHBOUR_SHARE * plan.tolerance * float(floor.min()) / gain
-            self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
-        self._load(self._pilots)
-        if self.integrates:
-            self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
-        self.exact = self.run(self.finest)
-        # The error of a picture, as the README defines it; a spectrum's points are its pixels.
-        luminance, size = _luminance(self.exact), np.linalg.norm(self.exact, axis=2)
-        self._above = luminance >= floor
-        self._scale = np.where(self._above, np.maximum(size, floor), floor)
-        self.any_light = bool(np.any(self.exact > DARK))
-
-    def _load(self, pilots: Pilots) -> None:
-        """Bring directions to the device."""
-        import warp as wp
-
-        self._count = len(pilots)
-        self._deflections = wp.array(pilots.deflections, dtype=wp.vec3d, device=self._device)
-        self._to_lights = wp.array(pilots.to_lights.astype(np.float32), dtype=wp.vec3f, device=self._device)
-        self._gains = wp.array(pilots.gains.astype(np.float32), dtype=wp.float32, device=self._device)
-
-    def run(self, plan: Plan) -> NDArray[np.float64]:
-        """What a plan makes of the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
-        import warp as wp
-
-        if self._wavenumbers is not None:
-            table = tables.table_for(self.hf, plan, self._scope, device=self._device, threads=self._threads)
-            inputs = [table.arguments, self._deflections, self._to_lights, self._gains, self._wavenumbers]
-            values = wp.empty((self._count, len(self._wavenumbers)), dtype=wp.float32, device=self._device)
-            launch(
-                table.sample, self._count, inputs, [values], device=self._device, threads=self._threads,
-                slice_size=_SLICE,
-            )  # fmt: skip
-            return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
-        integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
-        results = []
-        for illuminant in self._illuminants:
-            xyz = wp.zeros(self._count, dtype=wp.vec3f, device=self._device)
-            integrator.add(self._deflections, self._to_lights, self._gains, illuminant, xyz, slice_size=_SLICE)
-            results.append(xyz.numpy())
-        return np.asarray(results, dtype=np.float64)
-
-    def begin_to_load(self, plan: Plan) -> None:
-        """Begin to load what a plan's table takes."""
-        colour_table.begin_to_load(
-            self.hf, plan, self._scope, self._illuminants[0], device=self._device, threads=self._threads
-        )
-
-    def fitted(self, plan: Plan) -> coefficients.Coefficients:
-        """The coefficients of a plan with a fitted basis."""
-        found, _, _ = tables.coefficients_for(
-            self.hf, plan.method, plan.coherence, self._scope, tables.reach(plan, self.hf), terms=plan.terms,
-            threads=self._threads,
-        )  # fmt: skip
-        return found
-
-    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The error of each pilot, shape (illuminants, n)."""
-        return np.asarray(np.linalg.norm(values - against, axis=2) / self._scale)
-
-    def error(
-        self, values: NDArray[np.float64], against: NDArray[np.float64], *, resolved: NDArray[np.bool_] | None = None
-    ) -> float:
-        """Percentile 99 of the errors, of bright pilots or of dim ones, whichever is larger; of some, if any are."""
-        some = slice(None) if resolved is None or not resolved.any() else resolved
-        return float(self.worst(self.errors(values, against)[:, some], self._above[:, some]))
-
-    def worst(self, errors: NDArray[np.float64], above: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-        """The same of errors (..., illuminants, n), shape (...), of which some are of bright pilots."""
-        bright = self._above if above is None else above
-        groups = [
-            np.percentile(errors[..., index, mask], 99.0, axis=-1)
-            for index in range(errors.shape[-2])
-            for mask in (bright[index], ~bright[index])
-            if mask.any()
-        ]
-        return np.asarray(np.max(groups, axis=0))
+def _longer(plan: Plan, trial: Trial) -> Plan | None:
+    """The plan with a register more of terms, if there are any."""
+    most = plan.terms if plan.method in EXPANSIONS else trial.fitted(plan).terms
+    terms = min(tables.lanes_of(plan.terms) + tables.LANES, most)
+    return dataclasses.replace(plan, terms=terms) if terms > plan.terms else None
 
 
-def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Y of XYZ (..., 3), or ρ of (..., 1)."""
-    return np.asarray(values[..., 1 if values.shape[-1] == 3 else 0])
-
-
-def mean_cost(hf: HeightField, plan: Plan, lateral_reaches: NDArray[np.float64], w: NDArray[np.float64]) -> float:
+def mean_cost(
+    hf: HeightField,
+    plan: Plan,
+    lateral_reaches: NDArray[np.float64],
+    w: NDArray[np.float64],
+    weights: NDArray[np.float64] | None = None,
+) -> float:
     """Predicted multiply-adds of a direction, in the mean over directions of some lateral and |w|."""
     from warpdiff.kernels import spectral
 
@@ -384,7 +262,7 @@ def mean_cost(hf: HeightField, plan: Plan, lateral_reaches: NDArray[np.float64],
     each = _A_WAVELENGTH + _A_TERM * lanes * min(1.0, neighbours) + neighbours * (_A_NEIGHBOUR + parts * lanes)
     if plan.coherence.kind == "replicas":
         each += _A_FACTOR * plan.subdivisions
-    return float(np.mean(samples) * each)
+    return float(np.average(samples, weights=weights) * each)
 
 
 def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
@@ -399,7 +277,7 @@ def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, flo
 
     most = math.floor(-math.log(plan.least_weight) / _EXPONENT_STEP)
     best, error = plan, 0.0
-    low, high = 0, most
+    low, high = min(math.ceil(-math.log(_FLOOR * plan.tolerance) / _EXPONENT_STEP), most) - 1, most
     while high - low > 1:
         middle = (low + high) // 2
         tried, left_out = attempt(middle)
@@ -507,10 +385,9 @@ def _bandwidths(
     known = which.max(axis=1) < len(sizes)
     parts, counts, which = parts[known], counts[known], which[known]
     by_size = np.stack(errors)
-    worst = trial.worst(np.moveaxis(by_size[which, :, np.arange(counts.shape[1])], 2, 1))
-    fit = worst <= share
+    fit = trial.keeps(np.moveaxis(by_size[which, :, np.arange(counts.shape[1])], 2, 1), share)
     if fit.any():
-        a, b, c = parts[fit][np.argmin(counts[fit].mean(axis=1))].tolist()
+        a, b, c = parts[fit][np.argmin(counts[fit] @ trial.pilots.weights)].tolist()
         for factor in 2.0 ** (np.arange(_TRIES) / tables.SETS_AN_OCTAVE):
             yield float(factor) * a, float(factor) * b, float(factor) * c
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.launches import Step, launch
-from warpdiff.scope import CROWD, Pilots, Scope, equally_far
+from warpdiff.scope import DirectionSample, Scope, sample_ranks
 
 if TYPE_CHECKING:
     import warp as wp
@@ -21,9 +21,9 @@ BLOCK = 512
 
 
 class Survey:
-    """The scope of the lit ones among deflections, their number, and some of them, equally far apart in their order.
+    """The scope of the lit ones among deflections, their number, and some of them, spread over their order.
 
-    They are those of ``Scope.of`` and ``Pilots.among``.
+    They are those of ``Scope.of`` and ``DirectionSample.among``.
     """
 
     def __init__(
@@ -54,10 +54,12 @@ class Survey:
         inputs = [*self._seen, *self._scope, BLOCK]
         return Step(directions.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=BLOCK)
 
-    def found(self, most: int = CROWD, *, among: range | None = None) -> tuple[Scope, int, Pilots]:
-        """The scope, the number of lit deflections, and at most so many pilots among them.
+    def found(self, *, parts: int = 1, among: range | None = None) -> tuple[Scope, int, DirectionSample]:
+        """The scope, the number of lit deflections, and some of these.
 
-        ``among`` is which of all were summed up, from a whole block on.
+        Args:
+            parts: How many passes share the sample; 0 takes none.
+            among: Which of all were summed up, from a whole block on.
         """
         import warp as wp
 
@@ -66,16 +68,17 @@ class Survey:
         first, end = (0, len(self._counts)) if among is None else (among.start // BLOCK, -(-among.stop // BLOCK))
         counts = self._counts.numpy()[first:end]
         count = int(counts.sum(dtype=np.int64))
+        nothing = DirectionSample(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
         if not count:
-            return Scope(0.0, 0.0, 0.0, 0.0), 0, Pilots.none()
+            return Scope(0.0, 0.0, 0.0, 0.0), 0, nothing
         # Blocks without lit ones neither raise a maximum nor lower a minimum.
         ranges = self._ranges.numpy()[first:end]
         uv2, lateral2, _, max_w = ranges.max(axis=0)
         scope = Scope(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
-        if not most:
-            return scope, count, Pilots.none()
+        if not parts:
+            return scope, count, nothing
         before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
-        ranks = equally_far(count, most)
+        ranks = sample_ranks(count, parts)
         block = np.searchsorted(before, ranks, side="right") - 1
         picked = [wp.empty(len(ranks), dtype=each.dtype, device=self._device) for each in self._seen]
         places = [
@@ -83,4 +86,5 @@ class Survey:
         ]
         inputs = [*self._seen, *places, BLOCK]
         launch(directions.pick, len(ranks), inputs, picked, in_runs=True, device=self._device, threads=1)
-        return scope, count, Pilots(*(each.numpy().astype(np.float64) for each in picked))
+        weights = np.full(len(ranks), count / len(ranks))
+        return scope, count, DirectionSample(*(each.numpy().astype(np.float64) for each in picked), weights, ranks)

@@ -30,7 +30,7 @@ def check(case: Configuration, count: int = 400) -> None:
     # Bright ones come first.
     some = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
     chosen, weights = chosen[some], weights[some]
-    found = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights)
+    found = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
     assert found.value <= case.tolerance, f"{case}: {found.whole:.2e} of all, {found.bright:.2e} of bright directions"
     assert not result.warned
 
@@ -89,8 +89,8 @@ def test_a_call_with_hardly_any_light_is_not_dark(bright, rng):
     # Across the grating, but for some that look along its first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
-    lights = np.broadcast_to(UP, views.shape)
-    case = call(hf, 1e-2, to_light=lights, to_view=views)
+    views /= np.linalg.norm(views, axis=1)[:, None]
+    case = call(hf, 1e-2, to_light=np.broadcast_to(UP, views.shape), to_view=views)
     result = judge.evaluate(case)
     seen = np.flatnonzero(result.xyz[:, 1] > 1e-6)
     assert len(seen) == bright
