@@ -1,8 +1,8 @@
 """Random calls that judge plans: surfaces, coherence, tolerances and what is looked at, each from its index and a seed.
 
 Coherence forms and tolerances take turns, so that every run of ``len(STRATA)`` indices has one of each; all else is
-drawn. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; BRDF maps; and
-frames of a mesh. ``warpdiff.bench.judge`` evaluates and judges them.
+drawn. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; BRDF maps;
+and frames of a mesh. ``warpdiff.bench.judge`` evaluates and judges them.
 """
 
 from __future__ import annotations

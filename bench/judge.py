@@ -1,8 +1,8 @@
 """What judges calls: directions that their plans never read, the float64 reference, and the design's error.
 
-A call of fewer directions than ``configurations.FEW`` is judged on all that are lit. Of a larger one, at least ``COUNT``
-lit directions are drawn, none of which its plan has seen; those that come out bright are drawn more often where they
-are few, and weigh less.
+A call of fewer directions than ``configurations.FEW`` is judged on all that are lit. Of a larger one, at least
+``COUNT`` lit directions are drawn, none of which its plan has seen; those that come out bright are drawn more often
+where they are few, and weigh less.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ COUNT = 2000
 BRIGHT = 600
 # What is asked of the reference is half of a call's tolerance, and half of this at most.
 TRUTH_TOLERANCE = 1e-3
+# A source nearer to the horizon is foreshortened so much that its truth takes half a million wavelengths; left out.
+LOWEST_SOURCE = 0.02
 # The reference settles to this share of a mirror's Y, and f is no smaller.
 LEAST = 1e-10
 
@@ -109,7 +111,8 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
             warnings.simplefilter("ignore", wd.WarpdiffWarning)
             plan = wd.plan(*given, illuminant=case.illuminant, **arguments)
             lights, views = case.to_light, case.to_view
-    lit = (lights[:, 2] > optics.HORIZON) & (views[:, 2] > optics.HORIZON)
+    lowest = LOWEST_SOURCE if case.coherence.kind == "source" else optics.HORIZON
+    lit = (lights[:, 2] > lowest) & (views[:, 2] > optics.HORIZON)
     deflections = -(lights + views)[lit]
     known = {row.tobytes() for each in seen for row in np.round(each + 0.0, 9)}
     read = np.array([row.tobytes() in known for row in np.round(deflections + 0.0, 9)], dtype=bool)
@@ -164,9 +167,7 @@ def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
     return float(values[order][min(np.searchsorted(total, share * total[-1] * (1.0 - 1e-12)), len(values) - 1)])
 
 
-def figure(
-    xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf
-) -> Figure:
+def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
     """The design's error of a picture, of XYZ against the truth, both (n, 3) and all lit, but for f's lower limit.
 
     Y* is that of the truth, or that of the whole call if it is smaller: a part may see a mirror that is not to be seen

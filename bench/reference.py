@@ -357,10 +357,10 @@ def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65"):
         return result
     sums = sum_for(hf, step, deflections, 0.38, 0.78)
     for index, (deflection, light) in enumerate(zip(deflections, to_light, strict=True)):
-        # Cells that resolve everything from the start, so that nothing narrow falls between their nodes unseen; their
-        # number is a power of 2, so that few quadratures are ever made.
+        # What is returned resolves everything, so that nothing narrow falls between its nodes unseen: it is the finer
+        # one of two that agree. Numbers of cells are powers of 2, so that few quadratures are ever made.
         largest, least = sums.resolution(deflection, light)
-        cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)))
+        cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)
         before = None
         while True:
             if cells > MOST_CELLS:

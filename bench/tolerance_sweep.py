@@ -110,7 +110,9 @@ def work(index: int) -> Outcome:
 
 def strata(outcomes: list[Outcome]) -> list[tuple[str, list[Outcome]]]:
     """All of them by name: forms at tolerances, kinds of call, and all."""
-    by_form = [(f"{k} at {t:g}", [each for each in outcomes if each.stratum == (k, t)]) for k, t in configurations.STRATA]
+    by_form = [
+        (f"{k} at {t:g}", [each for each in outcomes if each.stratum == (k, t)]) for k, t in configurations.STRATA
+    ]
     layouts = dict.fromkeys(configurations.LAYOUTS)
     by_layout = [(name, [each for each in outcomes if each.layout == name]) for name in layouts]
     return [each for each in [*by_form, *by_layout, ("all", outcomes)] if each[1]]
@@ -190,8 +192,15 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
         result = judge.evaluate(case, strict=False)
     chosen, weights = judge.drawn(result, np.random.default_rng([seed, index, 1]))
     exact = judge.truth(case, result, chosen)
-    moved = judge.figure(judge.truth(case, result, chosen, closer=10.0), exact, weights, white=result.white).value / case.tolerance
-    found, t, settings = judge.figure(result.xyz[chosen], exact, weights, white=result.white), case.tolerance, result.plan
+    moved = (
+        judge.figure(judge.truth(case, result, chosen, closer=10.0), exact, weights, white=result.white).value
+        / case.tolerance
+    )
+    found, t, settings = (
+        judge.figure(result.xyz[chosen], exact, weights, white=result.white),
+        case.tolerance,
+        result.plan,
+    )
     print(settings)
     print(
         f"error / tolerance: all {found.whole / t:.3g}, bright {found.bright / t:.3g}, dim {found.dim / t:.3g}, "
@@ -264,7 +273,8 @@ def main() -> int:
                 result = f"refused, {done.refusal[:90]}…" if done.refusal else f"error / tolerance {done.ratio:.2f}"
                 print(
                     f"{len(outcomes)} of {len(indices)}, {time.perf_counter() - begin:.0f} s: --index {done.index}, "
-                    f"{done.stratum[0]} at {done.stratum[1]:g}, {done.layout}: {result}{' (warned)' * bool(done.warned)}",
+                    f"{done.stratum[0]} at {done.stratum[1]:g}, {done.layout}: {result}"
+                    f"{' (warned)' * bool(done.warned)}",
                     flush=True,
                 )
     outcomes.sort()
@@ -276,8 +286,8 @@ def main() -> int:
         f"{PREDICTED[0]:g} to {PREDICTED[1]:g}): {'not met: ' + '; '.join(short) if short else 'met'}."
     )
     circumstances = (
-        f"{'With' if scan else 'Without'} crops of the scan. {sum(each.judged for each in outcomes)} directions judged, "
-        f"all of calls of fewer than {configurations.FEW}, else at least {judge.COUNT} that the plan never read. "
+        f"{'With' if scan else 'Without'} crops of the scan. {sum(each.judged for each in outcomes)} directions "
+        f"judged, all of calls of fewer than {configurations.FEW}, else {judge.COUNT} or more that the plan never read. "
         f"{time.perf_counter() - begin:.0f} s. {options.jobs} processes on {platform.machine()}; calls {library:.0f} "
         f"s, truths {truth:.0f} s."
     )

@@ -262,7 +262,7 @@ SINGLE = [
     (lambda _: dataclasses.replace(PLAN, subdivisions=0), ValueError, "subdivisions must be an integer >= 1, got 0"),
     (lambda _: dataclasses.replace(PLAN, adaptive="no"), TypeError, "adaptive must be True or False, got 'no'"),
     (
-        lambda _: dataclasses.replace(CENTRED_PLAN, method="power"),
+        lambda _: dataclasses.replace(CENTRED_PLAN, method="power", nodes=0),
         ValueError,
         "method='power' expands powers, but coefficients of kind='centred' add as amplitudes: use one of 'auto'",
     ),

@@ -143,12 +143,12 @@ def test_a_plan_reads_as_a_paragraph(rough):
         "tolerance 0.003",
         f"|(u, v)| up to {plan.max_uv:.3g}",
         f"|w| {plan.min_w:.3g} to {plan.max_w:.3g}",
-        f"Predicted error {plan.error:.1e}, measured on a sample",
+        f"Predicted error {plan.error:.1e}, measured on {plan.judged} of the directions",
         f"{plan.terms} terms",
         f"weight below {plan.least_weight:.1e}",
         f"{plan.wavelengths} wavelengths equally spaced in 1/λ (fewer where",
         f"The pitch folds back {plan.aliasing:.1e}",
-        f"Some {plan.multiply_adds / 1e3:.3g} thousand multiply-adds a direction.",
+        f"Some {plan.multiply_adds:.2g} multiply-adds a direction, {plan.microseconds:.2g} µs of a core",
     ):
         assert part in text
     assert "bounded for all directions" in str(wd.plan(rough, UP, UP))

@@ -13,7 +13,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
-from warpdiff import colour_table, meshes, search
+from warpdiff import colour_table, meshes, search, trial
 from warpdiff.bench import reference
 from warpdiff.surface import prepare_surface
 
@@ -443,6 +443,7 @@ def test_kernels_are_guessed_right_before_rays_are_cast(snake, light, options, l
         monkeypatch.setattr(module, "load", lambda kernels, device: begun.append(set(kernels)) or load(kernels, device))
 
     record(search)
+    record(trial)
     record(colour_table)
     skin = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
     wd.shade(snake, skin, light, snake_view(), **options)

@@ -6,12 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff import meshes, optics, polar, search, spectrum
+from warpdiff import meshes, optics, polar, spectrum, trial
 from warpdiff.bench import reference
 from warpdiff.integration import Integrator
+from warpdiff.scope import DirectionSample
 
 SOURCE = wd.Coherence("source", angular_diameter_deg=1.5)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
@@ -132,14 +134,13 @@ def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
 
 def test_what_no_truth_resolves_does_not_judge():
     """A source at the horizon takes more wavelengths than there are, but a table has no need of them."""
-    trial = search.Trial.__new__(search.Trial)
-    trial._scale, trial._above = np.ones((1, 10)), np.ones((1, 10), dtype=np.bool_)
-    exact, found = np.ones((1, 10, 3)), np.ones((1, 10, 3))
-    found[0, 3] = 2.0
-    resolved = np.arange(10) != 3
-    assert trial.error(found, exact) > 1.0
-    assert trial.error(found, exact, resolved=resolved) == 0.0
-    assert trial.error(found, exact, resolved=np.zeros(10, dtype=np.bool_)) > 1.0
+    directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10), np.arange(10))
+    group = trial.Group(directions, wp.get_device("cpu"), 1)
+    group.weigh(np.ones((1, 10, 3)), np.array([1e-3]))
+    errors = np.zeros((1, 10))
+    errors[0, 3] = 2.0
+    assert trial.worst(errors, group) == 2.0
+    assert trial.worst(errors, group, np.arange(10) != 3) == 0.0
 
 
 def test_a_table_that_is_too_large_is_refused(rng):
@@ -163,8 +164,6 @@ def test_lines_beyond_a_turn(fingers, plan):
 
 def test_footprints_widen_the_source(fingers, plan):
     """The mean over a footprint is the mean of points."""
-    import warp as wp
-
     from warpdiff.kernels.scene import Footprint
 
     device = wp.get_device("cpu")

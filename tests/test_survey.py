@@ -10,7 +10,7 @@ from conftest import hemisphere
 import warpdiff as wd
 from warpdiff.device import resolve_device
 from warpdiff.launches import launch_in_turn
-from warpdiff.scope import Pilots, Scope
+from warpdiff.scope import DirectionSample, Scope, sample_ranks, stratified
 from warpdiff.survey import BLOCK, Survey
 
 WINDOWS = [
@@ -20,16 +20,21 @@ WINDOWS = [
 ]
 
 
+def same(some, others):
+    for name in ("deflections", "to_lights", "gains", "weights"):
+        np.testing.assert_allclose(getattr(some, name), getattr(others, name), rtol=1e-15)
+
+
 @pytest.mark.parametrize("share", [0.9, 0.01, 0.0])
 @pytest.mark.parametrize("coherence", WINDOWS, ids=lambda each: each.kind)
-def test_scope_and_pilots_are_those_of_all(coherence, share, device, rng):
+def test_scope_and_sample_are_those_of_all(coherence, share, device, rng):
     hf = wd.HeightField(rng.uniform(size=(16, 40)), pitch_um=(0.2, 0.1))
     count = 20_011
     to_lights = hemisphere(rng, count).astype(np.float32)
     deflections = -to_lights - hemisphere(rng, count)
     gains = np.where(rng.uniform(size=count) < share, rng.uniform(0.1, 1.0, count), 0.0).astype(np.float32)
     expected = Scope.of(hf, coherence, deflections, to_lights, gains > 0.0)
-    pilots = Pilots.among(deflections, to_lights, gains)
+    expected_some = DirectionSample.among(deflections, to_lights, gains)
     dtypes = (wp.vec3d, wp.vec3f, wp.float32)
     arrays = [
         wp.array(each, dtype=dtype, device=device)
@@ -42,8 +47,7 @@ def test_scope_and_pilots_are_those_of_all(coherence, share, device, rng):
         assert lit == np.count_nonzero(gains)
         for name in ("max_uv", "max_lateral", "min_w", "max_w"):
             assert getattr(scope, name) == pytest.approx(getattr(expected, name), rel=1e-14)
-        for found, each in zip(some.arrays, pilots.arrays, strict=True):
-            np.testing.assert_array_equal(found, each)
+        same(some, expected_some)
 
 
 def test_parts_of_a_picture_are_surveyed_alone(device, rng):
@@ -65,6 +69,21 @@ def test_parts_of_a_picture_are_surveyed_alone(device, rng):
     scope, lit, some = summary.found(among=among)
     assert lit == len(among)
     assert scope.max_w == pytest.approx(np.abs(deflections[seen, 2]).max(), rel=1e-14)
-    expected = Pilots.among(deflections[seen], to_lights[seen], gains[seen])
-    for found, each in zip(some.arrays, expected.arrays, strict=True):
-        np.testing.assert_array_equal(found, each)
+    expected = DirectionSample.among(deflections[seen], to_lights[seen], gains[seen])
+    same(some, expected)
+
+
+@pytest.mark.parametrize("count", [0, 5, 4095, 4096, 20_000, 300_000])
+def test_half_of_a_large_call_is_not_looked_at(count):
+    ranks = sample_ranks(count)
+    assert np.all(np.diff(ranks) > 0)
+    if count < 4096:
+        np.testing.assert_array_equal(ranks, np.arange(count))
+    else:
+        assert 2000 < len(ranks) <= min(count // 2, 8192)
+
+
+def test_no_stride_meets_a_picture_at_the_same_columns():
+    columns = stratified(512 * 512, 512) % 512
+    assert len(np.unique(columns)) > 250
+    assert abs(np.corrcoef(np.arange(len(columns)), columns)[0, 1]) < 0.2

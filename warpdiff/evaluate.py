@@ -338,10 +338,11 @@ class _Call:
         lit = self._gains > 0.0
         self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
         if plan is None:
+            sample = DirectionSample.among(self._deflections, self._lights, self._gains)
             plan = plan_for(
-                hf, self._scope, DirectionSample.among(self._deflections, self._lights, self._gains), tolerance=tolerance,
-                method=method, coherence=window, strict=strict, count=float(np.count_nonzero(lit)),
-                illuminants=(illuminant,), wavelengths_nm=wavelengths_nm, device=self._device, threads=self._threads,
+                hf, self._scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict,
+                count=float(np.count_nonzero(lit)), illuminants=(illuminant,), wavelengths_nm=wavelengths_nm,
+                device=self._device, threads=self._threads,
             )  # fmt: skip
         else:
             warn_outside(plan, hf, self._scope)

@@ -54,7 +54,9 @@ _A_SAMPLE, _A_NEIGHBOUR, _A_LINE, _A_NUMBER = 150.0, 4.0, 20.0, 35.0
 _DENSE = 0.2
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (spectrum.LAMBDA_MAX_NM, spectrum.LAMBDA_MIN_NM))
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
-RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1))
+RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
+# Errors fall with this power of the nodes.
+ORDER = 2.0
 # Orders so many standard deviations of the blur apart hardly touch.
 _APART = 4.0
 # A table that is much larger than this takes longer to make than it saves.

@@ -62,9 +62,16 @@ class DirectionSample:
     @classmethod
     def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
         """Those of several passes."""
-        names = ("deflections", "to_lights", "gains", "weights")
-        arrays = [np.concatenate([getattr(each, name) for each in parts]) for name in names]
-        return cls(*arrays, np.arange(len(arrays[0])))
+        weights = np.concatenate([each.weights for each in parts])
+        return cls(
+            np.concatenate([each.deflections for each in parts]), np.concatenate([each.to_lights for each in parts]),
+            np.concatenate([each.gains for each in parts]), weights, np.arange(len(weights)),
+        )  # fmt: skip
+
+    @classmethod
+    def none(cls) -> DirectionSample:
+        """No directions."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
         """Those at some places, with weights of their own."""

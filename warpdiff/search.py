@@ -45,13 +45,15 @@ _LATERAL_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
 _TRIES = 6
-# A table is made for each try: of those that are expected to err by about the target, the next larger one.
-_LIKELY = 0.85
+# A table is made for each try: of those that are expected to err by about the target, the next larger one; the largest,
+# which take seconds, only where the error of a smaller one says that they will do.
+_LIKELY, _SURELY_MEASURED, _SURELY_TRIED = 0.85, 48, 64
 _WIDENINGS = 3
-# More terms are worth it where they leave so little of the error.
-_WORTH_TERMS = 0.7
-# The exponent of the least weight is at least that of a thousandth, a picture's floor, of the tolerance: pilots may miss
-# the few directions that see the tail of a bright order and little else.
+# What a jury finds wanting gets so much more of the least weight's exponent, a register more of terms or half an octave
+# more of wavelengths, whichever mends most, where that leaves so little of the error.
+_REPAIRS, _MORE_EXPONENT, _WORTH_A_REPAIR = 8, 2.0, 0.95
+# The least weight is at most a thousandth, a picture's floor, of the tolerance: pilots may miss the few directions that
+# see the tail of a bright order and little else.
 _FLOOR = 1e-3
 # Functions of w that tables have at these tolerances, of most surfaces. Kernels of more terms take long to compile.
 _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
@@ -130,11 +132,13 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         plan, quadrature = _fewer_wavelengths(plan, trial, _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
-    parts = {"truncation": truncation, "neighbourhood": neighbourhood, "quadrature": quadrature, "rounding": rounding}
-    share = SAFETY * whole / sum(parts.values())
+    share = SAFETY * whole / (truncation + neighbourhood + quadrature + rounding)
     return dataclasses.replace(
         plan,
-        **{name: share * part for name, part in parts.items()},
+        truncation=share * truncation,
+        neighbourhood=share * neighbourhood,
+        quadrature=share * quadrature,
+        rounding=share * rounding,
         multiply_adds=mean_cost(trial.hf, plan, *trial.rates),
         searched=True,
         judged=len(trial.jury),
@@ -153,7 +157,11 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     few = polar.stand_apart(trial.hf, plan.coherence)
     sizes = polar.rungs(plan.coherence)
     best = None
-    likely = [rung for rung in sizes if polar.expected_error(rung[0], few=few) <= _LIKELY * target] or sizes[-1:]
+    likely = [
+        rung
+        for rung in sizes
+        if polar.expected_error(rung[0], few=few) <= _LIKELY * target or rung[0] >= _SURELY_MEASURED
+    ]
     while likely:
         nodes, rays_per_width = likely.pop(0)
         tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
@@ -182,6 +190,12 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
         if longer is not None and (found := trial.judged(plan)) > _TERMS_SHARE * target:
             plan, truncation = longer, found
             likely.insert(0, (nodes, rays_per_width))
+        else:
+            likely = [
+                rung
+                for rung in likely
+                if rung[0] <= _SURELY_TRIED or error * (nodes / rung[0]) ** polar.ORDER <= target
+            ]
     return best
 
 
@@ -208,24 +222,33 @@ def _likely_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.floa
 def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
     """The plan with so much more of what it lacks that the jury finds it within the target, and its error there."""
     trial.settle(plan)
-    best, least = plan, trial.judged(plan)
-    for _ in range(_TRIES):
-        if least <= target:
+    error = trial.judged(plan)
+    for _ in range(_REPAIRS):
+        if error <= target:
             break
-        longer = _longer(best, trial)
-        if longer is not None and (error := trial.judged(longer)) < _WORTH_TERMS * least:
-            plan = best = longer
-            least = error
-            continue
+        tried = [(trial.judged(each), each) for each in _repairs(plan, trial)]
+        least, best = min(tried, key=lambda each: each[0])
+        if least >= _WORTH_A_REPAIR * error:
+            # What none of them mends alone may be two of them.
+            best = _repairs(_repairs(plan, trial)[0], trial)[-1]
+            least = trial.judged(best)
+            if least >= error:
+                break
+        plan, error = best, least
+    return plan, error
+
+
+def _repairs(plan: Plan, trial: Trial) -> list[Plan]:
+    """The plan with more neighbours, with more terms if there are any, and with more wavelengths if it takes some."""
+    found = [dataclasses.replace(plan, least_weight=plan.least_weight * math.exp(-_MORE_EXPONENT))]
+    longer = _longer(plan, trial)
+    if longer is not None:
+        found.append(longer)
+    if plan.wavelengths:
         a, b, c = (math.sqrt(2.0) * part for part in plan.bandwidth_um)
-        plan = dataclasses.replace(plan, least_weight=plan.least_weight * math.exp(-2.0 * _EXPONENT_STEP))
-        if plan.wavelengths:
-            more = tables.set_size(math.sqrt(2.0) * plan.wavelengths)
-            plan = dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more)
-        error = trial.judged(plan)
-        if error < least:
-            best, least = plan, error
-    return best, least
+        more = tables.set_size(math.sqrt(2.0) * plan.wavelengths)
+        found.append(dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more))
+    return found
 
 
 def _longer(plan: Plan, trial: Trial) -> Plan | None:

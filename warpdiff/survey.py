@@ -68,15 +68,14 @@ class Survey:
         first, end = (0, len(self._counts)) if among is None else (among.start // BLOCK, -(-among.stop // BLOCK))
         counts = self._counts.numpy()[first:end]
         count = int(counts.sum(dtype=np.int64))
-        nothing = DirectionSample(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
         if not count:
-            return Scope(0.0, 0.0, 0.0, 0.0), 0, nothing
+            return Scope(0.0, 0.0, 0.0, 0.0), 0, DirectionSample.none()
         # Blocks without lit ones neither raise a maximum nor lower a minimum.
         ranges = self._ranges.numpy()[first:end]
         uv2, lateral2, _, max_w = ranges.max(axis=0)
         scope = Scope(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
         if not parts:
-            return scope, count, nothing
+            return scope, count, DirectionSample.none()
         before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         ranks = sample_ranks(count, parts)
         block = np.searchsorted(before, ranks, side="right") - 1
@@ -86,5 +85,9 @@ class Survey:
         ]
         inputs = [*self._seen, *places, BLOCK]
         launch(directions.pick, len(ranks), inputs, picked, in_runs=True, device=self._device, threads=1)
-        weights = np.full(len(ranks), count / len(ranks))
-        return scope, count, DirectionSample(*(each.numpy().astype(np.float64) for each in picked), weights, ranks)
+        deflections, to_lights, gains = (each.numpy().astype(np.float64) for each in picked)
+        return (
+            scope,
+            count,
+            DirectionSample(deflections, to_lights, gains, np.full(len(ranks), count / len(ranks)), ranks),
+        )

@@ -1,25 +1,20 @@
-"""Samples of a call's directions that plans are tried on: some to search on, others to judge by.
+"""Plans tried on a call's directions: what they make of pilots and of a jury, against what is true of these.
 
-A uniform sample of a call misses what decides where little of it is bright. So geometry alone is looked at for
-thousands of directions; of these, a thousand are watched, uniform ones and all that are suspect (near the mirror
-direction, near strong orders, of the largest gain, at the ends of the call's ranges), with a coarse plan that tells how
-bright they are; and of the watched, pilots and a jury are drawn, a third of them for being bright. Each direction
-weighs as much as the part of the call that it stands for.
+A search may try what it likes on the pilots; the jury is not looked at before it judges what was found.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import coefficients, colour_table, tables
+from warpdiff import coefficients, colour_table, pilots, tables
 from warpdiff.device import load
 from warpdiff.integration import Integrator
 from warpdiff.launches import launch
-from warpdiff.scope import lateral, stratified
+from warpdiff.scope import lateral
 
 if TYPE_CHECKING:
     import warp as wp
@@ -30,14 +25,6 @@ if TYPE_CHECKING:
     from warpdiff.plans import Plan
     from warpdiff.scope import DirectionSample, Scope
 
-# Directions whose brightness is looked at, besides the suspects; those that a search tries plans on; those that judge
-# what it found.
-_WATCHED, _PILOTS, _JURY = 1024, 128, 256
-# Suspects of each kind, and the orders that count as strong.
-_NEAR_ORDERS, _NEAR_MIRROR, _OF_LARGEST_GAIN, _AT_EACH_END = 96, 32, 32, 12
-_STRONG_ORDERS = 24
-# How often bright directions and suspects are drawn, where those that stand for the call are drawn once.
-_BRIGHT_SHARE, _SUSPECT_SHARE = 1.0, 0.25
 # Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
 _LUCKY = 4
 # Fewer bright directions of the jury than these do not stand for the others.
@@ -53,7 +40,6 @@ TRUTH = "jacobi-anger"
 _SPECTRAL_SAMPLES = 64
 # Directions are few and dear: a launch is cut into slices that keep every thread busy.
 _SLICE = 8
-_SEED = 1
 
 
 class Group:
@@ -82,11 +68,11 @@ class Group:
     def __len__(self) -> int:
         return len(self.sample)
 
-    def weigh(self, floor: NDArray[np.float64]) -> None:
+    def weigh(self, exact: NDArray[np.float64], floor: NDArray[np.float64]) -> None:
         """Find what errors are relative to, as the README defines them, for a floor of each illuminant."""
-        assert self.exact is not None
-        self.above = _luminance(self.exact) >= floor[:, None]
-        self.scale = np.maximum(np.linalg.norm(self.exact, axis=2), floor[:, None])
+        self.exact = exact
+        self.above = _luminance(exact) >= floor[:, None]
+        self.scale = np.maximum(np.linalg.norm(exact, axis=2), floor[:, None])
 
 
 class Trial:
@@ -117,40 +103,25 @@ class Trial:
         self._wavenumbers, self._points = None, 1
         self.integrates = wavelengths_nm is None
         if wavelengths_nm is not None:
-            some = np.linspace(0, len(wavelengths_nm) - 1, min(_SPECTRAL_SAMPLES, len(wavelengths_nm))).astype(int)
-            self._wavenumbers, self._points = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device), len(some)
+            self._points = min(_SPECTRAL_SAMPLES, len(wavelengths_nm))
+            some = np.linspace(0, len(wavelengths_nm) - 1, self._points).astype(int)
+            self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
         self._gain = float(np.percentile(sample.gains, 99.0))
         terms = coefficients.series_terms(hf, scope.kappas)
         self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms, adaptive=False)
         kernels = kernels_tried(terms, plan.method, min(plan.terms, tables.LANES), plan.coherence)
         load([each.integrate if self.integrates else each.sample for each in kernels], device)
 
-        suspects = np.zeros(0, dtype=np.int64)
-        if len(sample) > _PILOTS + _JURY:
-            suspects = _suspects(hf, scope, sample, coarse, threads=threads)
-        watched, suspect = _watched(sample, suspects)
-        self._watched, self._sees_all = self._group(watched), len(watched) == len(sample) == round(watched.weights.sum())
+        seen, suspect = pilots.watched(hf, scope, sample, coarse, threads=threads)
+        self._watched = self._group(seen)
+        self._sees_all = len(seen) == round(seen.weights.sum())
         luminance = _luminance(self.run(coarse, self._watched))
         self._find_floor(luminance)
         # Of a spectrum's points the brightest tells.
-        luminance = luminance[0].reshape(len(watched), -1).max(axis=1)
-        measure = watched.weights / watched.weights.sum()
-        bright = luminance >= 0.5 * self._floor[0]
-        measure = measure + _BRIGHT_SHARE * np.where(bright, watched.weights, 0.0) / max(watched.weights[bright].sum(), 1e-300)
-        measure = measure + _SUSPECT_SHARE * suspect / max(np.count_nonzero(suspect), 1)
-        # Every third of them by brightness may be a pilot, for either to have its share of what few there are.
-        order = np.argsort(luminance, kind="stable")
-        thirds = np.arange(len(order)) % 3
-        if len(order) <= _PILOTS:
-            self.pilots = self.jury = self._watched
-        elif len(order) <= _PILOTS + _JURY:
-            self.pilots, self.jury = self._group(_drawn(watched, order, measure, _PILOTS)), self._watched
-        else:
-            parts = (order[thirds == 0], 3.0, _PILOTS), (order[thirds > 0], 1.5, _JURY)
-            self.pilots, self.jury = (
-                self._group(_drawn(watched, among, measure, count, stands_for))
-                for among, stands_for, count in parts
-            )
+        brightest = luminance[0].reshape(len(seen), -1).max(axis=1)
+        searched, judging = pilots.drawn(seen, suspect, brightest, float(self._floor[0]))
+        self.pilots = self._watched if searched is seen else self._group(searched)
+        self.jury = self._watched if judging is seen else self._group(judging)
         self.lateral = lateral(hf, plan.coherence, self.pilots.sample.deflections, self.pilots.sample.to_lights)
         self.w = np.abs(self.pilots.sample.deflections[:, 2])
         self.sharpen(plan)
@@ -210,21 +181,20 @@ class Trial:
         self._find_floor(_luminance(self.run(plan, self._watched)))
         for group in (self.pilots, self.jury):
             if group.exact is not None:
-                group.weigh(self._floor)
+                group.weigh(group.exact, self._floor)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
         """What the finest plan makes of directions."""
         if group.exact is None:
-            group.exact = self.run(self.finest, group)
-            group.weigh(self._floor)
-        return group.exact
+            group.weigh(self.run(self.finest, group), self._floor)
+        return np.asarray(group.exact)
 
     def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
         """What a plan makes of directions, the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         import warp as wp
 
         group = on or self.pilots
-        seen = [group.deflections, group.to_lights, group.gains]
+        seen = group.deflections, group.to_lights, group.gains
         if self._wavenumbers is not None:
             table = tables.table_for(self.hf, plan, self._scope, device=self._device, threads=self._threads)
             values = wp.empty((len(group), self._points), dtype=wp.float32, device=self._device)
@@ -263,7 +233,7 @@ class Trial:
     def error(self, values: NDArray[np.float64], against: NDArray[np.float64] | None = None) -> float:
         """Percentile 99 of the pilots' errors, of bright ones or of dim ones, whichever is larger."""
         exact = self.exact(self.pilots)
-        return _worst(self.errors(values, exact if against is None else against), self.pilots)
+        return worst(self.errors(values, exact if against is None else against), self.pilots)
 
     def judged(self, plan: Plan) -> float:
         """The same of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
@@ -272,7 +242,7 @@ class Trial:
         seen = self.jury.sample
         # Where bounds were cut short for a source at the horizon, a table is right and the truth is not.
         resolved = lateral(self.hf, plan.coherence, seen.deflections, seen.to_lights) <= plan.max_lateral
-        return _worst(errors, self.jury, np.repeat(resolved, self._points) if resolved.any() else None)
+        return worst(errors, self.jury, np.repeat(resolved, self._points) if resolved.any() else None)
 
     def keeps(self, errors: NDArray[np.float64], most: float) -> NDArray[np.bool_]:
         """Whether percentile 99 of pilots' errors (…, illuminants, n) is at most so much, shape (…)."""
@@ -305,7 +275,7 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
     return float(values[order[min(np.searchsorted(total, (share - 1e-9) * total[-1]), len(order) - 1)]])
 
 
-def _worst(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | None = None) -> float:
+def worst(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | None = None) -> float:
     """Percentile 99 of errors (illuminants, n), of bright directions or of dim ones, whichever is larger."""
     kept = np.ones(errors.shape[1], dtype=bool) if some is None else some
     return max(
@@ -318,79 +288,3 @@ def _worst(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | 
 def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Y of XYZ (..., 3), or ρ of (..., 1)."""
     return np.asarray(values[..., 1 if values.shape[-1] == 3 else 0])
-
-
-def _watched(sample: DirectionSample, suspects: NDArray[np.int64]) -> tuple[DirectionSample, NDArray[np.bool_]]:
-    """All suspects and ``_WATCHED`` others, spread over the sample's order; and which of them are suspects."""
-    others = np.setdiff1d(np.arange(len(sample)), suspects)
-    some = others[stratified(len(others), _WATCHED)]
-    chosen = np.concatenate([suspects, some])
-    weights = sample.weights[chosen]
-    weights[len(suspects) :] *= len(others) / max(len(some), 1)
-    return sample.some(chosen, weights), np.arange(len(chosen)) < len(suspects)
-
-
-def _drawn(
-    sample: DirectionSample,
-    among: NDArray[np.int64],
-    measure: NDArray[np.float64],
-    count: int,
-    stands_for: float = 1.0,
-) -> DirectionSample:
-    """``count`` of some directions, drawn in proportion to a measure, evenly along their order, each at most once."""
-    share = measure[among] / measure[among].sum() * count
-    if len(among) <= count:
-        share = np.ones(len(among))
-    # What would be drawn more than once is drawn surely, and the others the more.
-    for _ in range(4):
-        sure = share >= 1.0
-        share = np.where(sure, 1.0, share * max(count - np.count_nonzero(sure), 0) / max(share[~sure].sum(), 1e-300))
-    edges = np.cumsum(np.minimum(share, 1.0))
-    start = np.random.default_rng(_SEED).uniform()
-    picked = np.minimum(np.searchsorted(edges, np.arange(start, edges[-1], 1.0), side="right"), len(among) - 1)
-    chosen = among[picked]
-    return sample.some(chosen, stands_for * sample.weights[chosen] / np.minimum(share[picked], 1.0))
-
-
-def _suspects(
-    hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan, *, threads: int
-) -> NDArray[np.int64]:
-    """Directions that may decide, if few of them: by the mirror and strong orders, of large gain, at the ranges' ends."""
-    u, v, w = sample.deflections.T
-    across, light = np.hypot(u, v), sample.to_lights[:, 2]
-    passing = lateral(hf, plan.coherence, sample.deflections, sample.to_lights)
-    kinds = [
-        (-across, _NEAR_MIRROR),
-        (_near_orders(hf, scope, sample, plan, threads=threads), _NEAR_ORDERS),
-        (sample.gains, _OF_LARGEST_GAIN),
-        *((each, _AT_EACH_END) for each in (across, passing, w, -w, -light, light + w)),
-    ]
-    return np.unique(np.concatenate([np.argsort(each, kind="stable")[-most:] for each, most in kinds]))
-
-
-def _near_orders(
-    hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan, *, threads: int
-) -> NDArray[np.float64]:
-    """How much light directions may see of the strongest orders but the mirror's, by the logarithm."""
-    found, block, grid = tables.coefficients_for(
-        hf, plan.method, plan.coherence, scope, tables.reach(plan, hf), terms=plan.terms, threads=threads
-    )
-    middle = np.array([math.sqrt(max(scope.kappas[0], 0.1 * scope.kappas[1]) * scope.kappas[1])])
-    parts = found.rows[..., : plan.terms] @ found.basis_at(middle)[0, : plan.terms].astype(np.float32)
-    holds_powers = coefficients.holds_powers(plan.method, adds_powers=plan.coherence.adds_powers)
-    powers = parts[..., 0] if holds_powers else np.sum(parts**2, axis=-1)
-    rows, columns = block.orders()
-    powers = np.where((rows == 0)[:, None] & (columns == 0), 0.0, powers)
-    strongest = np.argpartition(powers.ravel(), -min(_STRONG_ORDERS, powers.size))[-_STRONG_ORDERS:]
-    row, column = np.unravel_index(strongest, powers.shape)
-    q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
-    u = sample.deflections[:, :2]
-    # The place on the way from red to blue that is nearest to each order.
-    foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), 1e-12)[:, None]
-    foot = np.clip(foot, 1e3 / scope.lambda_max_nm, 1e3 / scope.lambda_min_nm)
-    away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    falloff = 1.0
-    if plan.coherence.kind != "replicas":
-        falloff = tables.falloff_um2(plan.coherence, 0.5)
-    strength = np.log(np.maximum(powers.ravel()[strongest], 1e-30)) - falloff * away
-    return np.asarray(strength.max(axis=1) + np.log(np.maximum(sample.gains, 1e-30)))

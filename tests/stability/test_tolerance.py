@@ -1,4 +1,4 @@
-"""A tolerance is kept on directions that no plan has read: calls of ``bench/tolerance_sweep.py``, and those that failed."""
+"""A tolerance is kept on directions that no plan has read: calls of ``bench/tolerance_sweep.py``, and what failed."""
 
 from __future__ import annotations
 
