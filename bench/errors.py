@@ -6,10 +6,28 @@ import warnings
 
 import numpy as np
 
+# f, what dim colours' errors are relative to, as a share of Y*.
+FLOOR = 1e-3
+
+
+def brightness(luminance: np.ndarray, weights: np.ndarray | None = None) -> float:
+    """Y*: the larger of percentile 99 of Y and the luminance-weighted median of Y."""
+    weights = np.ones(len(luminance)) if weights is None else weights
+    return max(percentile(luminance, weights, 0.99), percentile(luminance, weights * luminance, 0.5))
+
+
+def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+    """The least value that so large a share of all weight does not exceed; 0 of nothing."""
+    if not len(values) or not weights.sum() > 0.0:
+        return 0.0
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][min(np.searchsorted(total, share * total[-1] * (1.0 - 1e-12)), len(values) - 1)])
+
 
 def relative(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """The design's, (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f), f a thousandth of the 99th percentile of Y."""
-    size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(exact[:, 1], 99.0))
+    """The design's, (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f)."""
+    size = np.maximum(np.linalg.norm(exact, axis=1), FLOOR * brightness(exact[:, 1]))
     return np.asarray(np.linalg.norm(found - exact, axis=1) / size)
 
 

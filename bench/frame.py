@@ -88,7 +88,7 @@ def taken_ms(calls: dict[str, Any], rounds: int, device: Any) -> dict[str, tuple
 def errors(image: wd.Image, exact: wd.Image, where: Any) -> Any:
     """The design's error of the pixels wholly inside the lit surface, of those among them."""
     inside = (exact.coverage == 1.0) & image.lit
-    floor = 1e-3 * np.percentile(exact.xyz[inside][:, 1], 99.0)
+    floor = judged.FLOOR * judged.brightness(exact.xyz[inside][:, 1])
     chosen = inside & where
     size = np.maximum(np.linalg.norm(exact.xyz[chosen], axis=1), floor)
     return np.linalg.norm(image.xyz[chosen] - exact.xyz[chosen], axis=1) / size

@@ -18,6 +18,7 @@ import warpdiff as wd
 from warpdiff import optics, trial
 from warpdiff.bench import reference, scenes
 from warpdiff.bench.configurations import FEW, Configuration
+from warpdiff.bench.errors import FLOOR, brightness, percentile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -126,7 +127,7 @@ def drawn(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndar
     if count < FEW:
         return np.arange(count), np.ones(count)
     luminance = np.nan_to_num(result.xyz[:, 1].astype(np.float64), nan=np.inf, posinf=np.inf)
-    bright = luminance >= 0.5e-3 * brightness(np.where(np.isinf(luminance), 0.0, luminance), np.ones(count))
+    bright = luminance >= 0.5 * FLOOR * brightness(np.where(np.isinf(luminance), 0.0, luminance), np.ones(count))
     unread = ~result.read
     chosen, weights = [], []
     groups = [np.flatnonzero(unread & bright), np.flatnonzero(unread & ~bright)]
@@ -151,22 +152,6 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
     )  # fmt: skip
 
 
-def brightness(luminance: np.ndarray, weights: np.ndarray) -> float:
-    """Y*: the larger of percentile 99 of Y and the luminance-weighted median of Y."""
-    if not len(luminance):
-        return 0.0
-    return max(percentile(luminance, weights, 0.99), percentile(luminance, weights * luminance, 0.5))
-
-
-def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The least value that so large a share of all weight does not exceed; 0 of nothing."""
-    if not len(values) or not weights.sum() > 0.0:
-        return 0.0
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][min(np.searchsorted(total, share * total[-1] * (1.0 - 1e-12)), len(values) - 1)])
-
-
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
     """The design's error of a picture, of XYZ against the truth, both (n, 3) and all lit, but for f's lower limit.
 
@@ -177,7 +162,7 @@ def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None
     moved = np.linalg.norm(xyz - exact, axis=1)
     moved[~np.isfinite(moved)] = math.inf
     white = min(brightness(exact[:, 1], weights), white)
-    floor = max(1e-3 * white, LEAST)
+    floor = max(FLOOR * white, LEAST)
     errors = moved / np.maximum(np.linalg.norm(exact, axis=1), floor)
     above = exact[:, 1] >= floor
     whole, bright, dim = (percentile(errors[some], weights[some], 0.99) for some in (slice(None), above, ~above))

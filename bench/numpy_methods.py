@@ -16,6 +16,7 @@ import numpy as np
 import warpdiff as wd
 from warpdiff import fourier, spectrum
 from warpdiff.bench import reference
+from warpdiff.bench.errors import FLOOR, brightness
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
 
 SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
@@ -59,8 +60,8 @@ def percentile_99(errors):
 
 
 def colour_error(xyz, truth):
-    """The 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f), f a thousandth of that of Y; both (n, 3)."""
-    floor = max(1e-3 * np.percentile(truth[:, 1], 99.0), DARK)
+    """The 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f); both (n, 3)."""
+    floor = max(FLOOR * brightness(truth[:, 1]), DARK)
     with np.errstate(all="ignore"):
         moved = np.linalg.norm(np.asarray(xyz, dtype=np.float64) - truth, axis=1)
     return percentile_99(moved / np.maximum(np.linalg.norm(truth, axis=1), floor))

@@ -1,6 +1,6 @@
 """Speed against accuracy: every method over its settings, the automatic choice, and peers, on the pixels of a scene.
 
-Errors are the design's, ‖ΔXYZ‖ / max(‖XYZ‖, f), f a thousandth of the 99th percentile of Y, and ΔE2000, exposed so that
+Errors are the design's, ‖ΔXYZ‖ / max(‖XYZ‖, f), f as in ``errors``, and ΔE2000, exposed so that
 this percentile is 1, both against the float64 reference. Times are of warm calls, arrays in and arrays out, on as many
 of the scene's lit pixels as take about a tenth of a second. What comes before is apart, compilation not counted: plan,
 coefficients and table of a height field that was not seen before.

@@ -1,7 +1,7 @@
 """Error of ``shade`` against the float64 reference, beside its time: a table of tolerances.
 
 Pictures are of the tube with synthetic fingers and, where the data is present, with the levelled scan. The error is
-the design's: ‖ΔXYZ‖ / max(‖XYZ‖, f), f a thousandth of the 99th percentile of Y over the lit pixels; no pigment, one
+the design's: ‖ΔXYZ‖ / max(‖XYZ‖, f), f as in ``errors``; no pigment, one
 light.
 """
 

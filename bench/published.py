@@ -2,7 +2,7 @@
 
 The frame is the tube with the levelled 65 µm scan. Both methods shade the same directions of a stratified sample of its
 lit pixels; the truth is the float64 reference on them, and the error the design's: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f) over
-the pixels with Y >= f, f a thousandth of the 99th percentile of Y. A time is that of the shading kernel alone on a
+the pixels with Y >= f, f as in ``errors``. A time is that of the shading kernel alone on a
 larger sample, with its tables warm: a median of rounds in which all settings take turns.
 
 The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
+from warpdiff.bench.errors import FLOOR, brightness
 
 WIDTHS = 9.0
 # A Gaussian exp(−WIDTHS²/2) is what is left out.
@@ -553,10 +554,10 @@ def stratified(mask, count, seed=0):
 
 
 def picture_error(xyz, truth):
-    """The error of XYZ (k, 3) against ``Pixels``; f is a thousandth of the 99th percentile of Y over the lit ones."""
+    """The error of XYZ (k, 3) against ``Pixels``, over the lit ones."""
     use = truth.lit & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
-    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    floor = FLOOR * brightness(exact[:, 1])
     above = exact[:, 1] >= floor
     error = moved[above] / np.maximum(np.linalg.norm(exact[above], axis=1), floor)
     below = np.percentile(moved[~above] / floor, 99.0) if not above.all() else 0.0

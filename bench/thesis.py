@@ -510,7 +510,7 @@ def mean_map(setup: Setup, hf: wd.HeightField, light: Floats, pixels: int, **opt
 
 
 def exposure(xyz: Floats) -> float:
-    """1 over the 99th percentile of luminance, as ``wd.Image.auto_exposure``, or over the largest where that is 0."""
+    """1 over the 99th percentile of luminance, or over the largest where that is 0."""
     return 1.0 / float(np.nanpercentile(xyz[..., 1], 99.0) or np.nanmax(xyz[..., 1]))
 
 
@@ -726,7 +726,7 @@ def pictures(setup: Setup, made: Figure, views: list[tuple[str, dict[str, Any]]]
             "tolerance": 3e-2, "samples_per_pixel": 1 if setup.quick else 4, "pigment": 0.05,
         }  # fmt: skip
         image = wd.shade(**(arguments | options))
-        tiles.append((label, image.xyz, RENDERED * image.auto_exposure))
+        tiles.append((label, image.xyz, RENDERED * exposure(np.where(image.lit[..., None], image.xyz, np.nan))))
     rows = [("", tiles[first : first + 2]) for first in range(0, len(tiles), 2)]
     return mosaic(setup, made, rows, inch=4.2)
 

@@ -26,6 +26,7 @@ import numpy as np
 import warpdiff as wd
 from warpdiff import demo, optics, search, tables
 from warpdiff.bench import inputs, reference
+from warpdiff.bench.errors import FLOOR, brightness
 from warpdiff.coefficients import METHODS, POWER_METHODS
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
@@ -143,7 +144,7 @@ class Call:
         self.w = np.abs(self.deflections[:, 2])
         exact = reference.reference_reflectance(given.hf, lights, views, coherence, tolerance=given.tolerance / 5.0)
         self.exact = exact
-        floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+        floor = FLOOR * brightness(exact[:, 1])
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
         self._arrays: dict[int, Any] = {}

@@ -287,9 +287,9 @@ def main() -> int:
     )
     circumstances = (
         f"{'With' if scan else 'Without'} crops of the scan. {sum(each.judged for each in outcomes)} directions "
-        f"judged, all of calls of fewer than {configurations.FEW}, else {judge.COUNT} or more that the plan never read. "
-        f"{time.perf_counter() - begin:.0f} s. {options.jobs} processes on {platform.machine()}; calls {library:.0f} "
-        f"s, truths {truth:.0f} s."
+        f"judged, all of calls of fewer than {configurations.FEW}, else {judge.COUNT} and more that no plan read. "
+        f"{time.perf_counter() - begin:.0f} s. {options.jobs} processes on {platform.machine()}; calls "
+        f"{library:.0f} s, truths {truth:.0f} s."
     )
     lines = [
         f"# Honoured tolerance: {len(indices)} random calls, seed {options.seed}", "", bar, "", circumstances, "",

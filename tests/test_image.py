@@ -97,15 +97,29 @@ def test_png_is_srgb(image, bits, dtype, exposure, tmp_path):
     assert pixels[3, 3, 0] == 0, "negative components are to be clipped"
 
 
-def test_automatic_exposure_maps_the_99th_percentile_of_lit_pixels_to_1(plan, rng):
-    luminance = rng.uniform(0.1, 9.0, (40, 50))
-    mask = rng.random((40, 50)) < 0.5
-    dark = mask & (rng.random((40, 50)) < 0.2)
+def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
+    luminance = rng.uniform(0.1, 9.0, (200, 250))
+    mask = rng.random(luminance.shape) < 0.5
+    dark = mask & (rng.random(luminance.shape) < 0.2)
     luminance[~mask | dark] = 0.0
-    xyz = np.repeat(luminance[..., None], 3, axis=2).astype(np.float32)
-    image = wd.Image(xyz=xyz, mask=mask, lit=mask & ~dark, coverage=mask.astype(np.float32), plan=plan)
+
+    def exposure():
+        xyz = np.repeat(luminance[..., None], 3, axis=2).astype(np.float32)
+        image = wd.Image(xyz=xyz, mask=mask, lit=mask & ~dark, coverage=mask.astype(np.float32), plan=plan)
+        return image.auto_exposure
+
     lit = luminance[mask & ~dark]
-    assert np.percentile(lit * image.auto_exposure, 99.0) == pytest.approx(1.0, rel=1e-6)
+    usual = exposure()
+    assert np.mean(lit * usual) == pytest.approx(0.5, rel=1e-3)
+    # A mirror's highlight in a ten-thousandth of them changes nothing, ...
+    brightest = np.flatnonzero((mask & ~dark).ravel())[: len(lit) // 10_000]
+    luminance.ravel()[brightest] = 1e6
+    assert exposure() == pytest.approx(usual, rel=1e-3)
+    # ... and an order in a two-hundredth, where all else is dark, is what is exposed for.
+    luminance[luminance > 0.0] = 1e-9
+    orders = np.flatnonzero((mask & ~dark).ravel())[:: 200]
+    luminance.ravel()[orders] = 2.0
+    assert 2.0 * exposure() == pytest.approx(0.5 * 200.0, rel=0.05)
 
 
 def test_a_black_picture_is_saved_as_one(plan, tmp_path):

@@ -133,7 +133,7 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 
 
 def test_a_plan_reads_as_a_paragraph(rough):
-    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=6.5))
+    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=6.5), method="low-rank")
     text = str(plan)
     assert "\n" not in text
     assert text.startswith("Low-rank basis")
@@ -151,6 +151,9 @@ def test_a_plan_reads_as_a_paragraph(rough):
         f"Some {plan.multiply_adds:.2g} multiply-adds a direction, {plan.microseconds:.2g} µs of a core",
     ):
         assert part in text
+    table = wd.plan(rough, at_angle(20.0), tolerance=3e-2)
+    assert f"{table.nodes} nodes an octave" in str(table)
+    assert f"after {table.table_seconds:.2g} s for the table" in str(table)
     assert "bounded for all directions" in str(wd.plan(rough, UP, UP))
     assert "Direct sum" in str(wd.plan(rough, method="direct"))
     assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))

@@ -44,8 +44,9 @@ _LEFT_AT_ALIAS, _SAFE_DEVIATIONS, _NEVER = 0.05, 4.2, 1e6
 _WITHIN = 1.2
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
 _SMALLEST_KAPPA = 1e-3
-# What functions of w may leave out, as a share of the tolerance: cardinal polynomials add up to less than each of them.
-_SHARE, _SHARE_OF_CARDINALS = 0.2, 0.02
+# What functions of w may leave out where it is most, as a share of the tolerance: cardinal polynomials add up to less
+# than each of them.
+_SHARE, _SHARE_OF_CARDINALS = 0.5, 0.05
 # Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
 _SAMPLED, _LEAST_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
@@ -134,6 +135,13 @@ def table_for(
     return held[wanted][:2]
 
 
+def function_count(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> int:
+    """Functions of w that colours of a plan's table share."""
+    return int(_prepared(hf, plan, scope, illuminant, device=device, threads=threads)[1].functions.shape[1])
+
+
 def begin_to_load(
     hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
 ) -> None:
@@ -167,7 +175,7 @@ def _prepared(
 ) -> tuple[_Source, Projection]:
     """What comes before the rows: layout, terms and projection."""
     reached = tables.Reached.by(plan.scope.joined(scope))
-    numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.tolerance
+    numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.functions, plan.tolerance
     key = device.alias, plan.method, plan.coherence, numbers, reached
 
     def make() -> tuple[_Source, dict[str, Projection]]:

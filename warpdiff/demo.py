@@ -35,7 +35,7 @@ class Picture:
         name: Its file's name without suffix.
         what: What it shows.
         make: Computes it; takes a progress callback.
-        exposure: Factor on the automatic exposure: orders are a thousand times weaker than the mirror direction.
+        exposure: Factor on the automatic exposure.
     """
 
     name: str
@@ -96,17 +96,16 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
         return lambda progress: brdf_map(hf, to_light, size=size, progress=progress)
 
     made = [
-        Picture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake), 10.0),
+        Picture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake)),
         Picture(
             "disc_cd",
             "a compact disc, 1.6 µm tracks with pits",
             lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, samples_per_pixel=4, progress=progress),
-            6.0,
         ),
-        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), 0.04),
-        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), 0.04),
-        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), 3.0),
-        Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers), 3.0),
+        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), 0.1),
+        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), 0.25),
+        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd)),
+        Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers)),
     ]
     if data is not None and (data / SCAN).is_file():
         scan = cleaned_scan(data / SCAN)
@@ -115,15 +114,15 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                 "snake_elaphe",
                 "the scan of Elaphe guttata on the snake, its fingers along the body",
                 snake(scan, half_snake),
-                10.0,
+                2.0,
             ),
             Picture(
                 "snake_elaphe_across",
                 "the same with its fingers across the body",
                 snake(scan, half_snake, "along"),
-                5.0,
+                1.3,
             ),
-            Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), 3.0),
+            Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), 0.4),
         ]
         if (data / MESH).is_file():
             made.append(
@@ -147,7 +146,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                         tolerance=3e-2,
                         progress=progress,
                     ),
-                    1.5,
+                    0.4,
                 )
             )
     return made

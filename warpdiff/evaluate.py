@@ -112,7 +112,8 @@ def reflectance(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
         to_view: Directions to the viewer, the same; one and many broadcast.
         illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
-        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the call's directions.
+        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the call's directions and of the bright ones
+            (Y at least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
         method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
             ``"direct"`` (float64, slow and certain).
         coherence: The window, source or copies; None is averaged with σ = 16.25 µm.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.plans import Plan
 
 _FORMATS = (".exr", ".png")
+# The share of the lit pixels that automatic exposure leaves out.
+_TOO_BRIGHT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -46,13 +49,16 @@ class Image:
 
     @property
     def auto_exposure(self) -> float:
-        """The factor that maps the 99th percentile of the lit pixels' luminance to 1; 1 for a black picture."""
-        luminance = self.xyz[..., 1][self.lit]
-        if not luminance.size:
-            return 1.0
-        # Of orders so sharp that a hundredth of the pixels sees none, the brightest one stands for them.
-        bright = float(np.percentile(luminance, 99.0)) or float(luminance.max())
-        return 1.0 / bright if bright > 0.0 else 1.0
+        """The factor that maps the lit pixels' mean luminance to a half; 1 for a black picture.
+
+        Their brightest ten-thousandth does not count. Orders may fill a picture or a thousandth of it, and lie next to a
+        mirror's highlight that is a thousand times as bright: a percentile would be any of these.
+        """
+        luminance = np.sort(self.xyz[..., 1][self.lit].astype(np.float64))
+        kept = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
+        # Of fewer than two there is no other.
+        mean = float(np.mean(kept if kept.size else luminance)) if luminance.size else 0.0
+        return 0.5 / mean if mean > 0.0 else 1.0
 
     def save(self, path: str | os.PathLike[str], *, exposure: float | None = None, bits: int = 8) -> Path:
         """Write the picture; an existing file is replaced only once the new one is complete.

@@ -313,6 +313,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         adaptive=True,
         nodes=0,
         rays_per_width=0.0,
+        functions=0,
         footprint=False,
         supersampled=0.0,
         max_uv=scope.max_uv,

@@ -25,6 +25,8 @@ LABELS = {
 _SUMMED, _LOOKED_UP = 9e9, 2.7e9
 # An octave, of a table.
 MIN_NODES, MAX_NODES = 4, 512
+# Functions of w come in multiples of these.
+FUNCTIONS, MOST_FUNCTIONS = 4, 32
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,8 @@ class Plan:
         adaptive: Whether directions with less than the largest bandwidth take fewer of them.
         nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
         rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
+        functions: Functions of w that all colours of the table share, a multiple of 4; 0 takes as many as the tolerance
+            asks for.
         footprint: Whether the table has levels, from which a pixel's mean over its range of (u, v) is taken.
         supersampled: Of a picture, the share of its lit pixels that took more rays, as the predicted error of their
             footprint exceeds the tolerance.
@@ -82,6 +86,7 @@ class Plan:
     adaptive: bool
     nodes: int
     rays_per_width: float
+    functions: int
     footprint: bool
     supersampled: float
     max_uv: float
@@ -109,6 +114,10 @@ class Plan:
             checks.number(self.rays_per_width, "rays_per_width", above=0.0)
             if not MIN_NODES <= self.nodes <= MAX_NODES:
                 raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
+        if checks.count(self.functions, "functions", least=0) % FUNCTIONS or self.functions > MOST_FUNCTIONS:
+            raise ValueError(
+                f"functions must be a multiple of {FUNCTIONS} up to {MOST_FUNCTIONS}, or 0, got {self.functions}"
+            )
         checks.flag(self.footprint, "footprint")
         if self.footprint and not self.nodes:
             raise ValueError("footprint=True takes a table: give nodes, or method='low-rank/table'")
@@ -167,7 +176,8 @@ class Plan:
         if self.nodes:
             rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
             pixels = ", blurred for the range of (u, v) that a pixel sees," if self.footprint else ""
-            parts.append(f"a polar table of {rays}{pixels} integrates to {self.quadrature:.1e}")
+            shared = f" and {self.functions} functions of w" if self.functions else ""
+            parts.append(f"a polar table of {rays}{shared}{pixels} integrates to {self.quadrature:.1e}")
             if self.supersampled:
                 parts.append(f"{100.0 * self.supersampled:.2g} % of the lit pixels, too steep for that, took more rays")
         elif self.wavelengths:

@@ -246,8 +246,8 @@ def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
 
 
 def megabytes(plan: Plan) -> float:
-    """Size of a table, of about as many functions of w as there are terms."""
-    return _layout(plan).rows * 3 * plan.terms * 4e-6
+    """Size of a table, of about as many functions of w as there are terms where these are not said."""
+    return _layout(plan).rows * 3 * (plan.functions or plan.terms) * 4e-6
 
 
 def _layout(plan: Plan) -> Layout:
@@ -258,4 +258,4 @@ def _layout(plan: Plan) -> Layout:
 
 def multiply_adds(plan: Plan) -> float:
     """Those of a direction."""
-    return 9.0 * 3.0 * tables.lanes_of(plan.terms)
+    return 9.0 * 3.0 * (plan.functions or tables.lanes_of(plan.terms))

@@ -11,6 +11,7 @@ import numpy as np
 
 from warpdiff import spectrum
 from warpdiff.linear_algebra import on_one_thread
+from warpdiff.plans import FUNCTIONS, MOST_FUNCTIONS
 from warpdiff.polar import LOG_RED, node_count
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
 # Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
 _ENTRIES = 160
-# Functions of w come in these numbers.
-_FUNCTIONS, _MOST_FUNCTIONS = 4, 32
 # Where colours are this share of the largest, errors count as there.
 _DIM_W = 1e-2
 # Samples of the colour curves from one node to the next.
@@ -69,7 +68,7 @@ class Projection:
 
 @on_one_thread()
 def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
-    """The projection for a plan's nodes and tolerance."""
+    """The projection for a plan's nodes and its functions of w, or as many of these as its tolerance asks for."""
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * spectrum.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * spectrum.LAMBDA_MIN_NM * 1e-3
     ws = np.linspace(low, high, _ENTRIES)
@@ -86,9 +85,10 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    remaining = np.sqrt(np.append(np.cumsum(squares)[::-1], 0.0) / np.sum(squares))
+    # What the first functions leave out, 0, 1, …, at the |w| where that is most: a call may see no other.
+    remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
-    m = min(_FUNCTIONS * math.ceil(max(needed, 1) / _FUNCTIONS), _MOST_FUNCTIONS)
+    m = plan.functions or min(FUNCTIONS * math.ceil(max(needed, 1) / FUNCTIONS), MOST_FUNCTIONS)
     functions = left[:, :m] / relative
     matrices = np.einsum("wm,wil->ilm", left[:, :m] * relative, basis)
     return Projection(ws, functions.astype(np.float32), matrices.astype(np.float32), weights.astype(np.float32))

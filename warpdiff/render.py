@@ -65,7 +65,8 @@ def shade(
         hf: The height field; its x axis lies along the tangent field.
         light: One light, or several.
         view: The camera.
-        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · 99th percentile of Y), in 99 % of the lit pixels.
+        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the lit pixels and of the bright ones (Y at
+            least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
         method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
             ``"direct"`` (float64, slow and certain).
         coherence: The window, source or copies; None is averaged with σ = 16.25 µm.

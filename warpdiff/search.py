@@ -18,6 +18,7 @@ from warpdiff import coefficients, colour_table, polar, tables
 from warpdiff.coefficients import holds_powers
 from warpdiff.device import load
 from warpdiff.expansions import EXPANSIONS
+from warpdiff.plans import FUNCTIONS
 from warpdiff.scope import Scope
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.trial import kernels_tried
@@ -48,6 +49,8 @@ _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, the next larger one; the largest,
 # which take seconds, only where the error of a smaller one says that they will do.
 _LIKELY, _SURELY_MEASURED, _SURELY_TRIED = 0.85, 48, 64
+# More functions of w, which make look-ups dearer, where they leave so little of the error.
+_WORTH_FUNCTIONS = 0.8
 _WIDENINGS = 3
 # What a jury finds wanting gets so much more of the least weight's exponent, a register more of terms or half an octave
 # more of wavelengths, whichever mends most, where that leaves so little of the error.
@@ -60,6 +63,9 @@ _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SLACK = 1.2
 _SUBDIVISION_SHARE = 0.3
+# Of so few bright directions in the jury, others may err by more: wavelengths get this share of theirs, or are left as
+# the bounds have them, and neighbours end where the brightest that was seen is lost in the dark.
+_FEW, _TOO_FEW, _MARGIN_OF_FEW = 50, 8, 0.1
 # Error of a fitted basis in float32, measured against the direct sum.
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
@@ -124,12 +130,14 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         plan = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
         fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
     plan, neighbourhood, quadrature = fewer, 0.0, 0.0
-    if trial.is_sparse:
-        plan = dataclasses.replace(plan, least_weight=max(plan.least_weight, plan.tolerance * trial.least_weight))
-    else:
+    if trial.bright >= _FEW:
         plan, neighbourhood = _fewer_neighbours(plan, trial, _NEIGHBOUR_SHARE * target)
-    if trial.integrates and not trial.is_sparse:
-        plan, quadrature = _fewer_wavelengths(plan, trial, _QUADRATURE_SHARE * target)
+    else:
+        plan = dataclasses.replace(plan, least_weight=max(plan.least_weight, plan.tolerance * trial.least_weight))
+    if trial.integrates and trial.bright >= _TOO_FEW:
+        # Errors fall so fast with the number of wavelengths that a wide margin takes few more.
+        margin = 1.0 if trial.bright >= _FEW else _MARGIN_OF_FEW
+        plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
     share = SAFETY * whole / (truncation + neighbourhood + quadrature + rounding)
@@ -162,15 +170,22 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
         for rung in sizes
         if polar.expected_error(rung[0], few=few) <= _LIKELY * target or rung[0] >= _SURELY_MEASURED
     ]
+    functions = 0
     while likely:
         nodes, rays_per_width = likely.pop(0)
-        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width)
+        tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width, functions=functions)
+        tried = trial.with_functions(tried)
         if polar.megabytes(tried) > polar.MOST_MEGABYTES:
             break
         trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
         if best is None:
             trial.settle(tried)
         error = trial.judged(tried)
+        if error > target:
+            # What more nodes do not mend may be more functions of w.
+            richer = trial.with_functions(tried, FUNCTIONS)
+            if richer.functions > tried.functions and (left := trial.judged(richer)) < _WORTH_FUNCTIONS * error:
+                tried, error, functions = richer, left, richer.functions
         best = dataclasses.replace(
             tried,
             footprint=footprint,

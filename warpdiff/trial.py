@@ -6,6 +6,7 @@ A search may try what it likes on the pilots; the jury is not looked at before i
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from warpdiff import coefficients, colour_table, pilots, tables
 from warpdiff.device import load
 from warpdiff.integration import Integrator
 from warpdiff.launches import launch
+from warpdiff.plans import MOST_FUNCTIONS
 from warpdiff.scope import lateral
 
 if TYPE_CHECKING:
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
 
 # Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
 _LUCKY = 4
-# Fewer bright directions of the jury than these do not stand for the others.
-_FEW = 50
 # Light that is this weak against a mirror's is darkness, whatever else a call sees.
 DARK = 1e-10
 # A picture's floor, as a share of its brightness.
@@ -132,12 +132,12 @@ class Trial:
         return bool(np.any(self._floor > DARK) or np.any(self.exact(self.pilots) > DARK))
 
     @property
-    def is_sparse(self) -> bool:
-        """Whether so few of the jury are bright that bright directions elsewhere may err by more."""
+    def bright(self) -> float:
+        """How many of the jury are bright; infinite where the jury is all there is."""
         if len(self.jury) == len(self._watched):
-            return False
+            return math.inf
         self.exact(self.jury)
-        return bool(np.count_nonzero(self.jury.above, axis=1).min() < _FEW)
+        return float(np.count_nonzero(self.jury.above, axis=1).min())
 
     @property
     def least_weight(self) -> float:
@@ -216,6 +216,14 @@ class Trial:
         colour_table.begin_to_load(
             self.hf, plan, self._scope, self._illuminants[0], device=self._device, threads=self._threads
         )
+
+    def with_functions(self, plan: Plan, more: int = 0) -> Plan:
+        """A plan that says how many functions of w its table has, those for its tolerance or some more."""
+        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
+        counts = [
+            colour_table.function_count(self.hf, plan, self._scope, each, **options) for each in self._illuminants
+        ]
+        return dataclasses.replace(plan, functions=min(max(counts) + more, MOST_FUNCTIONS))
 
     def fitted(self, plan: Plan) -> coefficients.Coefficients:
         """The coefficients of a plan with a fitted basis."""
