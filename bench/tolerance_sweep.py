@@ -165,6 +165,17 @@ def failures(outcomes: list[Outcome]) -> list[str]:
     return rows
 
 
+def badly_told(outcomes: list[Outcome]) -> list[str]:
+    """Calls whose predicted error is far from the measured one."""
+    low, high = PREDICTED
+    return [
+        f"- `--index {each.index}`: predicted / measured {each.margin:.2g}, measured / tolerance: bright "
+        f"{each.bright:.2g}, dim {each.dim:.2g}: {each.words}"
+        for each in outcomes
+        if each.margin is not None and not low <= each.margin <= high
+    ]
+
+
 def falls_short(outcomes: list[Outcome]) -> list[str]:
     """What the bar asks for and does not get."""
     short = []
@@ -293,7 +304,8 @@ def main() -> int:
     )
     lines = [
         f"# Honoured tolerance: {len(indices)} random calls, seed {options.seed}", "", bar, "", circumstances, "",
-        *table(outcomes), "", "## Not within the tolerance, refused, or warned of", "", *failures(outcomes),
+        *table(outcomes), "", "## Not within the tolerance, refused, or warned of", "", *failures(outcomes), "",
+        "## Predicted errors far from the measured ones", "", *badly_told(outcomes),
     ]  # fmt: skip
     text = "\n".join(lines) + "\n"
     print("\n" + text)

@@ -426,7 +426,8 @@ def test_steep_pixels_take_more_rays(tube, fingers, pictures):
     assert "took more rays" in str(blurred.plan)
     for quantile in (50.0, 90.0, 99.0):
         found = [np.percentile(errors(each, exact), quantile) for each in (lax, some, blurred)]
-        assert found[2] <= found[1] < 0.8 * found[0]
+        # All three look up the same table: what is left is what rays add.
+        assert found[2] <= found[1] < 0.9 * found[0]
     np.testing.assert_array_equal(lax.coverage, blurred.coverage)
 
 

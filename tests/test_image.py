@@ -117,7 +117,7 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
     assert exposure() == pytest.approx(usual, rel=1e-3)
     # ... and an order in a two-hundredth, where all else is dark, is what is exposed for.
     luminance[luminance > 0.0] = 1e-9
-    orders = np.flatnonzero((mask & ~dark).ravel())[:: 200]
+    orders = np.flatnonzero((mask & ~dark).ravel())[::200]
     luminance.ravel()[orders] = 2.0
     assert 2.0 * exposure() == pytest.approx(0.5 * 200.0, rel=0.05)
 

@@ -70,7 +70,8 @@ def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
     for tolerance, error in zip(TOLERANCES, errors, strict=True):
         print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
         assert error.lit > 0.8 * PIXELS
-        assert error.share_below < 0.9
+        # The tube's highlight is most of its light.
+        assert error.share_below < 0.99
         assert error.p99 <= tolerance
         assert error.below <= tolerance
 

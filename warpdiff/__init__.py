@@ -4,8 +4,9 @@ The map of the package, in the order in which data flows:
 
 - ``heightfield``, ``gratings``: a measured or synthetic surface, and its cleaning
 - ``coherence``: the window, source or copies that limit the coherent part of the surface
-- ``plans``: the numbers that kernels get; ``planning``, ``search``, ``scope``: from a tolerance to these: by bounds, by
-  trying them, and for which directions; ``aliasing``: what the pitch cannot carry
+- ``plans``: the numbers that kernels get; ``planning``, ``search``: from a tolerance to these, by bounds and by trying;
+  ``scope``, ``pilots``, ``trial``: for which directions, on which of them, and against what; ``aliasing``: what the
+  pitch cannot carry
 - ``expansions``, ``fourier``: series of exp(2πiκh) that separate the wavelength from the heights; their transforms, in
   NumPy
 - ``coefficients``, ``interpolation``, ``tables``: Fourier coefficients as functions of κ, in a basis fitted to them;

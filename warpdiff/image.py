@@ -51,8 +51,8 @@ class Image:
     def auto_exposure(self) -> float:
         """The factor that maps the lit pixels' mean luminance to a half; 1 for a black picture.
 
-        Their brightest ten-thousandth does not count. Orders may fill a picture or a thousandth of it, and lie next to a
-        mirror's highlight that is a thousand times as bright: a percentile would be any of these.
+        Their brightest ten-thousandth does not count. Orders may fill a picture or a thousandth of it, and lie next to
+        a mirror's highlight that is a thousand times as bright: a percentile would be any of these.
         """
         luminance = np.sort(self.xyz[..., 1][self.lit].astype(np.float64))
         kept = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]

@@ -63,8 +63,8 @@ _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SLACK = 1.2
 _SUBDIVISION_SHARE = 0.3
-# Of so few bright directions in the jury, others may err by more: wavelengths get this share of theirs, or are left as
-# the bounds have them, and neighbours end where the brightest that was seen is lost in the dark.
+# Of so few bright directions in the jury, others may err by more: terms and wavelengths get this share of theirs, or
+# wavelengths are left as the bounds have them, and neighbours end where the brightest one seen is lost in the dark.
 _FEW, _TOO_FEW, _MARGIN_OF_FEW = 50, 8, 0.1
 # Error of a fitted basis in float32, measured against the direct sum.
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
@@ -124,19 +124,21 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     """
     target = plan.tolerance / SAFETY
     plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
-    fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
+    by_mirror, bright = trial.bright
+    terms_share = (1.0 if by_mirror >= _FEW else _MARGIN_OF_FEW) * _TERMS_SHARE
+    fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     if rounding > target and automatic:
         # Powers of coefficients that vanish with a high power of κ cancel in float32; amplitudes do not.
         plan = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
-        fewer, truncation, rounding = _fewer_terms(plan, trial, _TERMS_SHARE * target)
+        fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     plan, neighbourhood, quadrature = fewer, 0.0, 0.0
-    if trial.bright >= _FEW:
+    if bright >= _FEW:
         plan, neighbourhood = _fewer_neighbours(plan, trial, _NEIGHBOUR_SHARE * target)
     else:
         plan = dataclasses.replace(plan, least_weight=max(plan.least_weight, plan.tolerance * trial.least_weight))
-    if trial.integrates and trial.bright >= _TOO_FEW:
+    if trial.integrates and bright >= _TOO_FEW:
         # Errors fall so fast with the number of wavelengths that a wide margin takes few more.
-        margin = 1.0 if trial.bright >= _FEW else _MARGIN_OF_FEW
+        margin = 1.0 if bright >= _FEW else _MARGIN_OF_FEW
         plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
@@ -160,6 +162,9 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
     None where all are too large.
     """
     target = plan.tolerance / SAFETY
+    if plan.coherence.kind == "source":
+        # What surrounds the mirror direction is sampled.
+        plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
     few = polar.stand_apart(trial.hf, plan.coherence)
@@ -255,7 +260,8 @@ def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float
 
 def _repairs(plan: Plan, trial: Trial) -> list[Plan]:
     """The plan with more neighbours, with more terms if there are any, and with more wavelengths if it takes some."""
-    found = [dataclasses.replace(plan, least_weight=plan.least_weight * math.exp(-_MORE_EXPONENT))]
+    lost = plan.tolerance * trial.least_weight
+    found = [dataclasses.replace(plan, least_weight=min(plan.least_weight * math.exp(-_MORE_EXPONENT), lost))]
     longer = _longer(plan, trial)
     if longer is not None:
         found.append(longer)

@@ -48,8 +48,8 @@ class Group:
     Attributes:
         sample: The directions and their weights.
         exact: What the finest plan makes of them, once it has been asked; shape as of ``Trial.run``.
-        scale: What errors are relative to, (illuminants, n).
-        above: Whether they are bright, (illuminants, n).
+        scale: What errors are relative to, (rows, n), a row for each illuminant and floor.
+        above: Whether they are bright, (rows, n).
     """
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
@@ -68,11 +68,16 @@ class Group:
     def __len__(self) -> int:
         return len(self.sample)
 
-    def weigh(self, exact: NDArray[np.float64], floor: NDArray[np.float64]) -> None:
-        """Find what errors are relative to, as the README defines them, for a floor of each illuminant."""
-        self.exact = exact
-        self.above = _luminance(exact) >= floor[:, None]
-        self.scale = np.maximum(np.linalg.norm(exact, axis=2), floor[:, None])
+    def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
+        """Find what errors are relative to, as the README defines them, for floors of shape (illuminants, m)."""
+        self.exact, rows = exact, floors.reshape(-1, 1)
+        self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
+        self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
+
+    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The error of each direction, shape (rows, n)."""
+        moved = np.linalg.norm(values - against, axis=2)
+        return np.asarray(np.repeat(moved, len(self.scale) // len(moved), axis=0) / self.scale)
 
 
 class Trial:
@@ -116,10 +121,10 @@ class Trial:
         self._watched = self._group(seen)
         self._sees_all = len(seen) == round(seen.weights.sum())
         luminance = _luminance(self.run(coarse, self._watched))
-        self._find_floor(luminance)
+        self._find_floors(luminance)
         # Of a spectrum's points the brightest tells.
         brightest = luminance[0].reshape(len(seen), -1).max(axis=1)
-        searched, judging = pilots.drawn(seen, suspect, brightest, float(self._floor[0]))
+        searched, judging = pilots.drawn(seen, suspect, brightest, float(self._floors[0].min()))
         self.pilots = self._watched if searched is seen else self._group(searched)
         self.jury = self._watched if judging is seen else self._group(judging)
         self.lateral = lateral(hf, plan.coherence, self.pilots.sample.deflections, self.pilots.sample.to_lights)
@@ -129,20 +134,22 @@ class Trial:
     @property
     def any_light(self) -> bool:
         """Whether any of the directions sees more than darkness."""
-        return bool(np.any(self._floor > DARK) or np.any(self.exact(self.pilots) > DARK))
+        return bool(np.any(self._floors > DARK) or np.any(self.exact(self.pilots) > DARK))
 
     @property
-    def bright(self) -> float:
-        """How many of the jury are bright; infinite where the jury is all there is."""
+    def bright(self) -> tuple[float, float]:
+        """How many of the jury are bright, by the highest floor and by the lowest; infinite where all are judged."""
         if len(self.jury) == len(self._watched):
-            return math.inf
+            return math.inf, math.inf
         self.exact(self.jury)
-        return float(np.count_nonzero(self.jury.above, axis=1).min())
+        counts = np.count_nonzero(self.jury.above, axis=1).reshape(self._floors.shape)
+        return float(counts.min()), float(counts.max(axis=1).min())
 
     @property
     def least_weight(self) -> float:
         """The weight, as a share of the tolerance, at which the brightest that was seen is lost in the dark."""
-        return float(np.min(self._floor / np.maximum(self._peak, self._floor)))
+        least = self._floors.min(axis=1)
+        return float(np.min(least / np.maximum(self._peak, least)))
 
     @property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -154,22 +161,26 @@ class Trial:
     def _group(self, sample: DirectionSample) -> Group:
         return Group(sample, self._device, self._points)
 
-    def _find_floor(self, luminance: NDArray[np.float64]) -> None:
-        """Find the floor of each illuminant from luminances (illuminants, n) of what is watched.
+    def _find_floors(self, luminance: NDArray[np.float64]) -> None:
+        """Find the floors of each illuminant from luminances (illuminants, n) of what is watched.
 
-        Where that is a part of the call, its few brightest directions tell of luck: others would hardly see them.
+        Where that is a part of the call, its few brightest directions may be luck: errors are to be small by a floor
+        with them and by one without.
         """
+        order = np.argsort(luminance[0])
+        kept = [order] if self._sees_all else [order, order[: -_LUCKY * self._points]]
         weights = self._watched.weights
-        kept = slice(None) if self._sees_all else np.argsort(luminance[0])[: -_LUCKY * self._points]
-        bright = [brightness(each[kept], weights[kept], with_median=self.integrates) for each in luminance]
-        self._floor = np.maximum(_FLOOR * np.asarray(bright), DARK)
+        bright = [
+            [brightness(each[some], weights[some], with_median=self.integrates) for some in kept] for each in luminance
+        ]
+        self._floors = np.maximum(_FLOOR * np.asarray(bright), DARK)
         self._peak = luminance.max(axis=1)
 
     def sharpen(self, plan: Plan) -> None:
         """Judge by twice the wavelengths of a plan."""
         if plan.coherence.adds_powers:
             # The mirror's coefficient, of power 1, must not show in what is far darker.
-            needed = _LEFT_OUT * plan.tolerance * float(self._floor.min()) / self._gain
+            needed = _LEFT_OUT * plan.tolerance * float(self._floors.min()) / self._gain
             self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
         if self.integrates:
             self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
@@ -178,15 +189,15 @@ class Trial:
 
     def settle(self, plan: Plan) -> None:
         """See with a plan that is nearly right how bright the call is, which errors are relative to."""
-        self._find_floor(_luminance(self.run(plan, self._watched)))
+        self._find_floors(_luminance(self.run(plan, self._watched)))
         for group in (self.pilots, self.jury):
             if group.exact is not None:
-                group.weigh(group.exact, self._floor)
+                group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
         """What the finest plan makes of directions."""
         if group.exact is None:
-            group.weigh(self.run(self.finest, group), self._floor)
+            group.weigh(self.run(self.finest, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
@@ -234,9 +245,9 @@ class Trial:
         return found
 
     def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The error of each pilot, shape (illuminants, n)."""
+        """The error of each pilot, shape (rows, n)."""
         self.exact(self.pilots)
-        return np.asarray(np.linalg.norm(values - against, axis=2) / self.pilots.scale)
+        return self.pilots.errors(values, against)
 
     def error(self, values: NDArray[np.float64], against: NDArray[np.float64] | None = None) -> float:
         """Percentile 99 of the pilots' errors, of bright ones or of dim ones, whichever is larger."""
@@ -246,14 +257,14 @@ class Trial:
     def judged(self, plan: Plan) -> float:
         """The same of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
         exact = self.exact(self.jury)
-        errors = np.linalg.norm(self.run(plan, self.jury) - exact, axis=2) / self.jury.scale
+        errors = self.jury.errors(self.run(plan, self.jury), exact)
         seen = self.jury.sample
         # Where bounds were cut short for a source at the horizon, a table is right and the truth is not.
         resolved = lateral(self.hf, plan.coherence, seen.deflections, seen.to_lights) <= plan.max_lateral
         return worst(errors, self.jury, np.repeat(resolved, self._points) if resolved.any() else None)
 
     def keeps(self, errors: NDArray[np.float64], most: float) -> NDArray[np.bool_]:
-        """Whether percentile 99 of pilots' errors (…, illuminants, n) is at most so much, shape (…)."""
+        """Whether percentile 99 of pilots' errors (…, rows, n) is at most so much, shape (…)."""
         fine = errors <= most
         result = np.ones(errors.shape[:-2], dtype=bool)
         for index in range(errors.shape[-2]):
@@ -284,7 +295,7 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 
 
 def worst(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | None = None) -> float:
-    """Percentile 99 of errors (illuminants, n), of bright directions or of dim ones, whichever is larger."""
+    """Percentile 99 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
     kept = np.ones(errors.shape[1], dtype=bool) if some is None else some
     return max(
         _percentile(each[mask & kept], group.weights[mask & kept], 0.99)
