@@ -66,6 +66,8 @@ _SUBDIVISION_SHARE = 0.3
 # Of so few bright directions in the jury, others may err by more: terms and wavelengths get this share of theirs, or
 # wavelengths are left as the bounds have them, and neighbours end where the brightest one seen is lost in the dark.
 _FEW, _TOO_FEW, _MARGIN_OF_FEW = 50, 8, 0.1
+# Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
+_TOLD, _TOLD_BY_FEW = 2.0, 4.0
 # Error of a fitted basis in float32, measured against the direct sum.
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
@@ -142,7 +144,7 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
-    share = SAFETY * whole / (truncation + neighbourhood + quadrature + rounding)
+    share = _told(whole, plan, trial) / (truncation + neighbourhood + quadrature + rounding)
     return dataclasses.replace(
         plan,
         truncation=share * truncation,
@@ -191,12 +193,13 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
             richer = trial.with_functions(tried, FUNCTIONS)
             if richer.functions > tried.functions and (left := trial.judged(richer)) < _WORTH_FUNCTIONS * error:
                 tried, error, functions = richer, left, richer.functions
+        told = _told(error, plan, trial)
         best = dataclasses.replace(
             tried,
             footprint=footprint,
-            truncation=SAFETY * min(truncation, error),
+            truncation=min(truncation, told),
             neighbourhood=0.0,
-            quadrature=SAFETY * max(0.0, error - truncation),
+            quadrature=max(0.0, told - truncation),
             rounding=0.0,
             multiply_adds=polar.multiply_adds(tried),
             table_multiply_adds=polar.making_multiply_adds(trial.hf, tried),
@@ -217,6 +220,13 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
                 if rung[0] <= _SURELY_TRIED or error * (nodes / rung[0]) ** polar.ORDER <= target
             ]
     return best
+
+
+def _told(error: float, plan: Plan, trial: Trial) -> float:
+    """The error to predict by the jury's, the larger the less it stands for the call; no reason to refuse a plan."""
+    ample = _TOLD if trial.bright[1] >= _FEW else _TOLD_BY_FEW
+    factor = SAFETY if math.isinf(trial.bright[0]) else ample
+    return min(factor * error, max(SAFETY * error, plan.tolerance))
 
 
 def _likely_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]) -> tuple[Plan, float]:
