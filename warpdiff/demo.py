@@ -104,7 +104,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
         ),
         Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), 0.1),
         Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), 0.25),
-        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd)),
+        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), 0.4),
         Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers)),
     ]
     if data is not None and (data / SCAN).is_file():

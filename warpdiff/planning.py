@@ -268,13 +268,16 @@ def plan_for(
             found, hf, scope, sample, illuminants, wavelengths_nm, coarse=coarse, device=device, threads=threads
         )
     if tried is not None and (tried.any_light or cut_short):
-        best = search.tabled(found, tried, footprint=footprint) if tabled else None
+        needed = footprint or integration == "table"
+        best = search.tabled(found, tried, footprint=footprint, needed=needed) if tabled else None
         if best is None and integration == "table":
             raise ValueError(
                 f"method='{method}/table' takes more than {polar.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: use "
                 "method='auto', or ask for a larger tolerance"
             )
-        if best is None or (best.error > tolerance and integration != "table"):
+        # Points in place of means err by more than a table that keeps the tolerance without any safety.
+        most = tolerance * (search.SAFETY if footprint else 1.0)
+        if best is None or (best.error > most and integration != "table"):
             best = search.refined(found, tried, automatic=method == "auto")
         found = best
     if ample.truncation > tolerance * _AMPLITUDE_MARGIN:

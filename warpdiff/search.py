@@ -46,11 +46,11 @@ _LATERAL_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
 _TRIES = 6
-# A table is made for each try: of those that are expected to err by about the target, the next larger one; the largest,
-# which take seconds, only where the error of a smaller one says that they will do.
-_LIKELY, _SURELY_MEASURED, _SURELY_TRIED = 0.85, 48, 64
+# A table is made for each try: of those that are expected to err by about the target, and then of those that will do by
+# what it errs. The largest take seconds, and are not the first.
+_LIKELY, _SURELY_MEASURED, _HOPE = 0.85, 48, 1.25
 # More functions of w, which make look-ups dearer, where they leave so little of the error.
-_WORTH_FUNCTIONS = 0.8
+_WORTH_FUNCTIONS = 0.9
 _WIDENINGS = 3
 # What a jury finds wanting gets so much more of the least weight's exponent, a register more of terms or half an octave
 # more of wavelengths, whichever mends most, where that leaves so little of the error.
@@ -157,11 +157,17 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     )
 
 
-def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
-    """The smallest polar table that keeps the tolerance on the pilots, or the best of those within reach.
+def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan | None:
+    """The smallest polar table that the jury finds within the tolerance, or the best of those within reach.
 
     A table is made for each attempt and found again by the call that follows, which adds the levels for footprints.
     None where all are too large.
+
+    Args:
+        plan: The plan from bounds.
+        trial: Some of the call's directions.
+        footprint: Whether pixels show means.
+        needed: Whether the finest is to be tried, however little it promises.
     """
     target = plan.tolerance / SAFETY
     if plan.coherence.kind == "source":
@@ -169,7 +175,8 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
         plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
-    few = polar.stand_apart(trial.hf, plan.coherence)
+    # What hardly any of the jury tells, the largest error that tables make does.
+    few = polar.stand_apart(trial.hf, plan.coherence) or trial.bright[1] < _TOO_FEW
     sizes = polar.rungs(plan.coherence)
     best = None
     likely = [
@@ -188,10 +195,11 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
         if best is None:
             trial.settle(tried)
         error = trial.judged(tried)
-        if error > target:
+        if error > target and not functions:
             # What more nodes do not mend may be more functions of w.
+            functions = tried.functions
             richer = trial.with_functions(tried, FUNCTIONS)
-            if richer.functions > tried.functions and (left := trial.judged(richer)) < _WORTH_FUNCTIONS * error:
+            if richer.functions > functions and (left := trial.judged(richer)) < _WORTH_FUNCTIONS * error:
                 tried, error, functions = richer, left, richer.functions
         told = _told(error, plan, trial)
         best = dataclasses.replace(
@@ -214,11 +222,15 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool) -> Plan | None:
             plan, truncation = longer, found
             likely.insert(0, (nodes, rays_per_width))
         else:
-            likely = [
+            hoped = _HOPE * target
+            promising = [rung for rung in likely if error * (nodes / rung[0]) ** polar.ORDER <= hoped]
+            finest = [
                 rung
                 for rung in likely
-                if rung[0] <= _SURELY_TRIED or error * (nodes / rung[0]) ** polar.ORDER <= target
+                if polar.megabytes(dataclasses.replace(tried, nodes=rung[0], rays_per_width=rung[1]))
+                <= polar.MOST_MEGABYTES
             ]
+            likely = promising or (finest[-1:] if needed else [])
     return best
 
 

@@ -204,7 +204,7 @@ class Trial:
         """What a plan makes of directions, the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         import warp as wp
 
-        group = on or self.pilots
+        group = self.pilots if on is None else on
         seen = group.deflections, group.to_lights, group.gains
         if self._wavenumbers is not None:
             table = tables.table_for(self.hf, plan, self._scope, device=self._device, threads=self._threads)
