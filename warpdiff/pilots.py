@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 # what it found.
 _WATCHED, _PILOTS, _JURY = 1024, 128, 256
 # Suspects of each kind, and the orders that count as strong.
-_NEAR_ORDERS, _NEAR_MIRROR, _OF_LARGEST_GAIN, _AT_EACH_END = 96, 32, 32, 12
-_STRONG_ORDERS = 24
+_NEAR_MIRROR, _OF_LARGEST_GAIN, _AT_EACH_END = 32, 32, 12
+_STRONG_ORDERS, _NEAR_EACH_ORDER, _NEAR_ORDERS = 24, 4, 64
 # How often bright directions and suspects are drawn, where those that stand for the call are drawn once.
 _BRIGHT_SHARE, _SUSPECT_SHARE = 1.0, 0.25
 _SEED = 1
@@ -111,26 +111,29 @@ def _suspects(hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan
     u, v, w = sample.deflections.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     passing = lateral(hf, plan.coherence, sample.deflections, sample.to_lights)
+    by_orders = _by_orders(hf, scope, sample, plan, threads=threads)
     kinds = [
         (-across, _NEAR_MIRROR),
-        (_near_orders(hf, scope, sample, plan, threads=threads), _NEAR_ORDERS),
         (sample.gains, _OF_LARGEST_GAIN),
+        # Each order by itself, too: many directions by one of them say nothing of the few by another.
+        (by_orders.max(axis=1), _NEAR_ORDERS),
+        *((each, _NEAR_EACH_ORDER) for each in by_orders.T),
         *((each, _AT_EACH_END) for each in (across, passing, w, -w, -light, light + w)),
     ]
     return np.unique(np.concatenate([np.argsort(each, kind="stable")[-most:] for each, most in kinds]))
 
 
-def _near_orders(
+def _by_orders(
     hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
-    """How much light directions may see of the strongest orders but the mirror's, by the logarithm."""
+    """How much light directions may see of each of the strongest orders but the mirror's, by the logarithm, (n, m)."""
     found, block, grid = tables.coefficients_for(
         hf, plan.method, plan.coherence, scope, tables.reach(plan, hf), terms=plan.terms, threads=threads
     )
     middle = np.array([math.sqrt(max(scope.kappas[0], 0.1 * scope.kappas[1]) * scope.kappas[1])])
     parts = found.rows[..., : plan.terms] @ found.basis_at(middle)[0, : plan.terms].astype(np.float32)
     holds_powers = coefficients.holds_powers(plan.method, adds_powers=plan.coherence.adds_powers)
-    powers = parts[..., 0] if holds_powers else np.sum(parts**2, axis=-1)
+    powers = parts[..., 0] if holds_powers else np.sum(parts.astype(np.float64) ** 2, axis=-1)
     rows, columns = block.orders()
     powers = np.where((rows == 0)[:, None] & (columns == 0), 0.0, powers)
     strongest = np.argpartition(powers.ravel(), -min(_STRONG_ORDERS, powers.size))[-_STRONG_ORDERS:]
@@ -145,4 +148,4 @@ def _near_orders(
     if plan.coherence.kind != "replicas":
         falloff = tables.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers.ravel()[strongest], 1e-30)) - falloff * away
-    return np.asarray(strength.max(axis=1) + np.log(np.maximum(sample.gains, 1e-30)))
+    return np.asarray(strength + np.log(np.maximum(sample.gains, 1e-30))[:, None])

@@ -202,18 +202,19 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
             if richer.functions > functions and (left := trial.judged(richer)) < _WORTH_FUNCTIONS * error:
                 tried, error, functions = richer, left, richer.functions
         told = _told(error, plan, trial)
-        best = dataclasses.replace(
-            tried,
-            footprint=footprint,
-            truncation=min(truncation, told),
-            neighbourhood=0.0,
-            quadrature=max(0.0, told - truncation),
-            rounding=0.0,
-            multiply_adds=polar.multiply_adds(tried),
-            table_multiply_adds=polar.making_multiply_adds(trial.hf, tried),
-            searched=True,
-            judged=len(trial.jury),
-        )
+        if best is None or told < best.error:
+            best = dataclasses.replace(
+                tried,
+                footprint=footprint,
+                truncation=min(truncation, told),
+                neighbourhood=0.0,
+                quadrature=max(0.0, told - truncation),
+                rounding=0.0,
+                multiply_adds=polar.multiply_adds(tried),
+                table_multiply_adds=polar.making_multiply_adds(trial.hf, tried),
+                searched=True,
+                judged=len(trial.jury),
+            )
         if error <= target:
             break
         # Pilots may have missed what takes more terms.
