@@ -120,7 +120,7 @@ def _suspects(hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan
         *((each, _NEAR_EACH_ORDER) for each in by_orders.T),
         *((each, _AT_EACH_END) for each in (across, passing, w, -w, -light, light + w)),
     ]
-    return np.unique(np.concatenate([np.argsort(each, kind="stable")[-most:] for each, most in kinds]))
+    return np.unique(np.concatenate([np.argpartition(each, -most)[-most:] for each, most in kinds]))
 
 
 def _by_orders(
