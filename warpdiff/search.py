@@ -45,6 +45,8 @@ _EXPONENT_STEP = 0.5
 _LATERAL_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
+# Up to so many times the lateral of bright pilots these tell how little of its bound suffices; else this is the least.
+_TELLS_OF, _UNTOLD = 2.0, -0.25
 _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, and then of those that will do by
 # what it errs. The largest take seconds, and are not the first.
@@ -388,7 +390,10 @@ def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, fl
     plan, exact = _wide_enough(plan, trial, share)
     per_sample = plan.subdivisions * plan.wavelengths
     for bandwidth in _bandwidths(plan, trial, share, exact):
-        adapted = dataclasses.replace(plan, bandwidth_um=bandwidth)
+        a, b, c = bandwidth
+        # As many wavelengths serve a grazing source, for which bounds were cut short, nearer to the horizon.
+        reach = min(((plan.wavelengths - 1.0) / _SPAN - b * plan.max_w - c) / a, trial.max_lateral)
+        adapted = dataclasses.replace(plan, bandwidth_um=bandwidth, max_lateral=max(plan.max_lateral, reach))
         most = wavelength_count(adapted, adapted.max_lateral, adapted.max_w)
         adapted = dataclasses.replace(adapted, wavelengths=tables.set_size(min(most, 2.0 * plan.wavelengths)))
         if plan.subdivisions > 1:
@@ -444,7 +449,11 @@ def _bandwidths(
         errors.append(trial.errors(values, exact))
         size = tables.set_size(size * 2.0 ** (-1.0 / tables.SETS_AN_OCTAVE))
 
-    factors = np.stack(np.meshgrid(_LATERAL_STEPS, _HEIGHT_STEPS, _COLOUR_STEPS, indexing="ij"), axis=-1)
+    # Of a source, grazing light is foreshortened beyond what bright pilots tell of.
+    seen = float(np.max(trial.lateral, initial=0.0, where=trial.pilots.above.all(axis=0)))
+    known_to = plan.coherence.kind != "source" or seen * _TELLS_OF >= trial.max_lateral
+    lateral_steps = _LATERAL_STEPS if known_to else _LATERAL_STEPS[_LATERAL_STEPS >= _UNTOLD]
+    factors = np.stack(np.meshgrid(lateral_steps, _HEIGHT_STEPS, _COLOUR_STEPS, indexing="ij"), axis=-1)
     parts = 2.0 ** factors.reshape(-1, 3) * plan.bandwidth_um
     counts = 1.0 + _SPAN * (np.outer(parts[:, 0], trial.lateral) + np.outer(parts[:, 1], trial.w) + parts[:, 2:])
     # Rounded down to a size that was tried; nothing below the smallest was.

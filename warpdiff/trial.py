@@ -152,6 +152,11 @@ class Trial:
         return float(np.min(least / np.maximum(self._peak, least)))
 
     @property
+    def max_lateral(self) -> float:
+        """The largest lateral of the call, to which bounds need not reach."""
+        return self._scope.max_lateral
+
+    @property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Lateral, |w| and weight of what is watched, as the call's cost depends on them."""
         seen = self._watched.sample
@@ -260,7 +265,7 @@ class Trial:
         errors = self.jury.errors(self.run(plan, self.jury), exact)
         seen = self.jury.sample
         # Where bounds were cut short for a source at the horizon, a table is right and the truth is not.
-        resolved = lateral(self.hf, plan.coherence, seen.deflections, seen.to_lights) <= plan.max_lateral
+        resolved = lateral(self.hf, plan.coherence, seen.deflections, seen.to_lights) <= self.finest.max_lateral
         return worst(errors, self.jury, np.repeat(resolved, self._points) if resolved.any() else None)
 
     def keeps(self, errors: NDArray[np.float64], most: float) -> NDArray[np.bool_]:
