@@ -66,7 +66,7 @@ _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 _SLACK = 1.2
 _SUBDIVISION_SHARE = 0.3
 # Of so few bright directions in the jury, others may err by more: terms and wavelengths get this share of theirs, or
-# wavelengths are left as the bounds have them, and neighbours end where the brightest one seen is lost in the dark.
+# wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the dark.
 _FEW, _TOO_FEW, _MARGIN_OF_FEW = 50, 8, 0.1
 # Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
 _TOLD, _TOLD_BY_FEW = 2.0, 4.0
@@ -138,8 +138,6 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     plan, neighbourhood, quadrature = fewer, 0.0, 0.0
     if bright >= _FEW:
         plan, neighbourhood = _fewer_neighbours(plan, trial, _NEIGHBOUR_SHARE * target)
-    else:
-        plan = dataclasses.replace(plan, least_weight=max(plan.least_weight, plan.tolerance * trial.least_weight))
     if trial.integrates and bright >= _TOO_FEW:
         # Errors fall so fast with the number of wavelengths that a wide margin takes few more.
         margin = 1.0 if bright >= _FEW else _MARGIN_OF_FEW
@@ -285,8 +283,8 @@ def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float
 
 def _repairs(plan: Plan, trial: Trial) -> list[Plan]:
     """The plan with more neighbours, with more terms if there are any, and with more wavelengths if it takes some."""
-    lost = plan.tolerance * trial.least_weight
-    found = [dataclasses.replace(plan, least_weight=min(plan.least_weight * math.exp(-_MORE_EXPONENT), lost))]
+    deeper = min(plan.least_weight * math.exp(-_MORE_EXPONENT), trial.finest.least_weight)
+    found = [dataclasses.replace(plan, least_weight=deeper)]
     longer = _longer(plan, trial)
     if longer is not None:
         found.append(longer)

@@ -146,12 +146,6 @@ class Trial:
         return float(counts.min()), float(counts.max(axis=1).min())
 
     @property
-    def least_weight(self) -> float:
-        """The weight, as a share of the tolerance, at which the brightest that was seen is lost in the dark."""
-        least = self._floors.min(axis=1)
-        return float(np.min(least / np.maximum(self._peak, least)))
-
-    @property
     def max_lateral(self) -> float:
         """The largest lateral of the call, to which bounds need not reach."""
         return self._scope.max_lateral
@@ -179,7 +173,6 @@ class Trial:
             [brightness(each[some], weights[some], with_median=self.integrates) for some in kept] for each in luminance
         ]
         self._floors = np.maximum(_FLOOR * np.asarray(bright), DARK)
-        self._peak = luminance.max(axis=1)
 
     def sharpen(self, plan: Plan) -> None:
         """Judge by twice the wavelengths of a plan."""
