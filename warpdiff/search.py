@@ -69,7 +69,7 @@ _SUBDIVISION_SHARE = 0.3
 # wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the dark.
 _FEW, _TOO_FEW, _MARGIN_OF_FEW = 50, 8, 0.1
 # Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
-_TOLD, _TOLD_BY_FEW = 2.0, 4.0
+_TOLD, _TOLD_BY_FEW = 2.0, 2.5
 # Error of a fitted basis in float32, measured against the direct sum.
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
