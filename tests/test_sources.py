@@ -136,7 +136,7 @@ def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
 
 def test_what_no_truth_resolves_does_not_judge():
     """A source at the horizon takes more wavelengths than there are, but a table has no need of them."""
-    directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10), np.arange(10))
+    directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)
     group.weigh(np.ones((1, 10, 3)), np.array([[1e-3]]))
     errors = np.zeros((1, 10))

@@ -34,14 +34,12 @@ class DirectionSample:
         to_lights: Unit vectors in the local frame, shape (n, 3), float64.
         gains: Factor between ⟨|P|²⟩ and the result, shape (n,).
         weights: For how many of the call's directions each stands, shape (n,).
-        places: Where they lie in the sample that they were taken from, shape (n,).
     """
 
     deflections: NDArray[np.float64]
     to_lights: NDArray[np.float64]
     gains: NDArray[np.float64]
     weights: NDArray[np.float64]
-    places: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.gains)
@@ -56,7 +54,7 @@ class DirectionSample:
         weights = np.full(len(places), len(lit) / max(len(places), 1))
         return cls(
             deflections[places].astype(np.float64), to_lights[places].astype(np.float64), gains[places].astype(float),
-            weights, places,
+            weights,
         )  # fmt: skip
 
     @classmethod
@@ -65,17 +63,17 @@ class DirectionSample:
         weights = np.concatenate([each.weights for each in parts])
         return cls(
             np.concatenate([each.deflections for each in parts]), np.concatenate([each.to_lights for each in parts]),
-            np.concatenate([each.gains for each in parts]), weights, np.arange(len(weights)),
+            np.concatenate([each.gains for each in parts]), weights,
         )  # fmt: skip
 
     @classmethod
     def none(cls) -> DirectionSample:
         """No directions."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
         """Those at some places, with weights of their own."""
-        return DirectionSample(self.deflections[places], self.to_lights[places], self.gains[places], weights, places)
+        return DirectionSample(self.deflections[places], self.to_lights[places], self.gains[places], weights)
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:

@@ -185,6 +185,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
         if polar.expected_error(rung[0], few=few) <= _LIKELY * target or rung[0] >= _SURELY_MEASURED
     ]
     functions = 0
+    by_terms: float | None = None
     while likely:
         nodes, rays_per_width = likely.pop(0)
         tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width, functions=functions)
@@ -219,20 +220,22 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
             break
         # Pilots may have missed what takes more terms.
         longer = _longer(plan, trial)
-        if longer is not None and (found := trial.judged(plan)) > _TERMS_SHARE * target:
-            plan, truncation = longer, found
+        if longer is not None and by_terms is None:
+            by_terms = trial.judged(plan)
+        if longer is not None and by_terms is not None and by_terms > _TERMS_SHARE * target:
+            plan, truncation, by_terms = longer, by_terms, None
             likely.insert(0, (nodes, rays_per_width))
         else:
             hoped = _HOPE * target
             promising = [rung for rung in likely if error * (nodes / rung[0]) ** polar.ORDER <= hoped]
-            finest = [
-                rung
-                for rung in likely
-                if polar.megabytes(dataclasses.replace(tried, nodes=rung[0], rays_per_width=rung[1]))
-                <= polar.MOST_MEGABYTES
-            ]
-            likely = promising or (finest[-1:] if needed else [])
+            likely = promising or (_finest(likely, tried) if needed else [])
     return best
+
+
+def _finest(rungs: list[tuple[int, float]], plan: Plan) -> list[tuple[int, float]]:
+    """The finest of some sizes that a table may have, if there is one."""
+    sizes = [(rung, dataclasses.replace(plan, nodes=rung[0], rays_per_width=rung[1])) for rung in rungs]
+    return [rung for rung, sized in sizes if polar.megabytes(sized) <= polar.MOST_MEGABYTES][-1:]
 
 
 def _told(error: float, plan: Plan, trial: Trial) -> float:

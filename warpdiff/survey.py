@@ -86,8 +86,5 @@ class Survey:
         inputs = [*self._seen, *places, BLOCK]
         launch(directions.pick, len(ranks), inputs, picked, in_runs=True, device=self._device, threads=1)
         deflections, to_lights, gains = (each.numpy().astype(np.float64) for each in picked)
-        return (
-            scope,
-            count,
-            DirectionSample(deflections, to_lights, gains, np.full(len(ranks), count / len(ranks)), ranks),
-        )
+        weights = np.full(len(ranks), count / len(ranks))
+        return scope, count, DirectionSample(deflections, to_lights, gains, weights)
