@@ -1,7 +1,8 @@
 """What watching and judging take of a call and of a first picture: all that a plan does besides searching on pilots.
 
 Rows are calls of random directions and first pictures of a height field, whose coefficients and tables are made anew;
-kernels are compiled before. Medians of several, each of directions of its own.
+kernels are compiled before. Medians of several, each of directions of its own. With ``--plain`` nothing is watched, so
+that the file also times another version of the package: ``PYTHONPATH=<its folder> python bench/plan_cost.py --plain``.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import meshes, pilots, trial
+from warpdiff import meshes
 from warpdiff.bench import inputs
 
 COUNTS = (128, 1000, 20_000, 200_000)
@@ -42,6 +43,8 @@ class Clock:
 
 def watch(clock: Clock) -> None:
     """Put what watches and judges on a clock."""
+    from warpdiff import pilots, trial
+
     pilots.watched = clock.timed(pilots.watched)  # type: ignore[assignment]
     pilots.drawn = clock.timed(pilots.drawn)  # type: ignore[assignment]
     plain = trial.Trial.run
@@ -79,11 +82,13 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7, help="calls a row (7)")
+    parser.add_argument("--plain", action="store_true", help="time whole calls alone")
     parser.add_argument("--seed", type=int, default=0, help="of the directions (0)")
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     rng, clock = np.random.default_rng(options.seed), Clock()
-    watch(clock)
+    if not options.plain:
+        watch(clock)
     fields = {
         "fingers 25.6 µm": wd.gratings.fingers(size_um=25.6, pitch_um=0.09),
         "blazed": wd.gratings.blazed(2.5, 0.25),

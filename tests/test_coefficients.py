@@ -166,3 +166,18 @@ def test_interpolation_kernel_and_its_transform():
     for frequency in (0.0, 0.1, 0.25):
         numeric = np.trapezoid(values * np.cos(2.0 * np.pi * frequency * t), t)
         assert interpolation.kernel_transform(np.array([frequency]), 8)[0] == pytest.approx(numeric, rel=1e-5)
+
+
+@pytest.mark.parametrize("method", ["low-rank", "power"])
+def test_what_a_shallow_surface_scatters_several_times(method):
+    """Nothing oscillates with κ, but powers of the n-th order grow as κ²ⁿ: right in proportion to themselves."""
+    x = np.arange(64) / 64.0
+    hf = wd.HeightField(5e-3 * np.sin(2.0 * np.pi * x)[None, :], 0.05)
+    found, block = build(hf, method, (1.28, 2.63), adds_powers=True, terms=20)
+    at = np.linspace(1.28, 2.63, 41)
+    values = np.einsum("xn,kn->kx", found.rows[0, :, 0].astype(float), basis_at(found, at))
+    exact = np.abs(transforms(hf, block, at)[:, 0]) ** 2
+    _, order = block.orders()
+    for n in (1, 2):
+        some = np.abs(order) == n
+        np.testing.assert_allclose(values[:, some], exact[:, some], rtol=1e-5 * n**4)

@@ -15,6 +15,7 @@ from conftest import at_angle, hemisphere
 import warpdiff as wd
 from warpdiff import coefficients, fourier, optics, tables
 from warpdiff.bench import reference
+from warpdiff.bench.errors import FLOOR, brightness
 from warpdiff.expansions import EXPANSIONS
 
 UP = [0.0, 0.0, 1.0]
@@ -83,7 +84,9 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        for name in ("least_weight", "quadrature", "neighbourhood", "error"):
+        # What was measured may be smaller for the larger tolerance, where neither plan could be smaller.
+        names = ("least_weight",) if plans[0].searched else ("least_weight", "quadrature", "neighbourhood", "error")
+        for name in names:
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values, reverse=True)
         for plan in plans:
@@ -103,24 +106,24 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
 )
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
-    lights, views = hemisphere(rng, 256), hemisphere(rng, 256)
-    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence)
-    plan = wd.plan(rough, lights[:128], views[:128], coherence=coherence)
+    lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
+    few = wd.plan(rough, lights[:1000], views[:1000], coherence=coherence, method="low-rank")
+    plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
     assert plan.searched
     assert not few.searched
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_lateral=plan.max_lateral)
     assert plan.multiply_adds < samples.multiply_adds
-    for part in (slice(0, 128), slice(128, 256)):
+    for part in (slice(0, 1000), slice(1000, 40_000, 20)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = wd.reflectance(rough, lights[part], views[part], plan=plan)
-        floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+        floor = FLOOR * brightness(exact[:, 1])
         error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
-        measured = np.percentile(error, 99.0)
-        assert measured <= plan.tolerance
-        if part.start == 0:
-            assert measured <= plan.error <= 10.0 * measured
+        assert np.percentile(error, 99.0) <= plan.tolerance
+        bright = exact[:, 1] >= floor
+        measured = max(np.percentile(error[some], 99.0) for some in (bright, ~bright))
+        assert 0.5 * measured <= plan.error <= 10.0 * max(measured, 0.01 * plan.tolerance)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
@@ -151,7 +154,7 @@ def test_a_plan_reads_as_a_paragraph(rough):
         f"Some {plan.multiply_adds:.2g} multiply-adds a direction, {plan.microseconds:.2g} µs of a core",
     ):
         assert part in text
-    table = wd.plan(rough, at_angle(20.0), tolerance=3e-2)
+    table = wd.plan(rough, at_angle(20.0), tolerance=1e-1)
     assert f"{table.nodes} nodes an octave" in str(table)
     assert f"after {table.table_seconds:.2g} s for the table" in str(table)
     assert "bounded for all directions" in str(wd.plan(rough, UP, UP))

@@ -12,6 +12,7 @@ are amplitudes. The other two are made from the last, for the range of κ that a
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -33,6 +34,8 @@ POWER_METHODS = ("power",)
 # Entries of a basis' table per radian of a power's fastest oscillation, e^{2πiκ(h − h')}: the cubic errs by 0.023/16⁴ =
 # 4e-7. Amplitudes of centred heights oscillate half as fast and err by 2e-8.
 _STEPS_PER_RADIAN = 16
+# Of a shallow surface nothing oscillates, but what it scatters n times is in proportion to κ²ⁿ.
+_FEWEST_STEPS = 64
 # What is left out of the series that fitted bases are made from, and the least of what is kept of them: float32.
 _SERIES_TOLERANCE = 1e-7
 _LEAST_LEFT_OUT = 1e-7
@@ -88,6 +91,23 @@ class Coefficients:
             + before * t * beyond / 2.0 * basis[entry + 2]
             - before * t * after / 6.0 * basis[entry + 3]
         )
+
+    def strongest(self, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The largest coefficients at a |κ| in the middle of the range: their places, flattened, and their powers."""
+        places, powers = self._strongest
+        return places[:count], powers[:count]
+
+    @functools.cached_property
+    def _strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """A few dozen of them, which take a look at all."""
+        high = self.kappa_low + self.step * (len(self.basis) - 3)
+        middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
+        parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))
+        powers = parts[..., 0] if parts.shape[2] == 1 else np.sum(parts.astype(np.float64) ** 2, axis=2)
+        most = min(_STRONGEST, powers.size)
+        places = np.argpartition(powers.ravel(), -most)[-most:]
+        places = places[np.argsort(-powers.ravel()[places], kind="stable")]
+        return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
         """The fewest terms of a fitted basis that leave out no more than a tolerance, or all of them."""
@@ -200,7 +220,7 @@ def _radians_per_kappa(hf: HeightField) -> float:
 def _table_kappas(hf: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
     """The step and the |κ| of the entries of a basis' table."""
     low, high = kappas
-    step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(hf)), (high - low) / 4.0 or 1.0)
+    step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(hf)), (high - low) / _FEWEST_STEPS or 1.0)
     return step, np.asarray(low + step * np.arange(-1, math.ceil((high - low) / step) + 3), dtype=np.float64)
 
 

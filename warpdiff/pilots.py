@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff import coefficients, tables
+from warpdiff import tables
 from warpdiff.scope import lateral, stratified
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _suspects(hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan
         (-across, _NEAR_MIRROR),
         (sample.gains, _OF_LARGEST_GAIN),
         # Each order by itself, too: many directions by one of them say nothing of the few by another.
-        (by_orders.max(axis=1), _NEAR_ORDERS),
+        (by_orders.max(axis=1, initial=-math.inf), _NEAR_ORDERS),
         *((each, _NEAR_EACH_ORDER) for each in by_orders.T),
         *((each, _AT_EACH_END) for each in (across, passing, w, -w, -light, light + w)),
     ]
@@ -130,15 +130,13 @@ def _by_orders(
     found, block, grid = tables.coefficients_for(
         hf, plan.method, plan.coherence, scope, tables.reach(plan, hf), terms=plan.terms, threads=threads
     )
-    middle = np.array([math.sqrt(max(scope.kappas[0], 0.1 * scope.kappas[1]) * scope.kappas[1])])
-    parts = found.rows[..., : plan.terms] @ found.basis_at(middle)[0, : plan.terms].astype(np.float32)
-    holds_powers = coefficients.holds_powers(plan.method, adds_powers=plan.coherence.adds_powers)
-    powers = parts[..., 0] if holds_powers else np.sum(parts.astype(np.float64) ** 2, axis=-1)
+    strongest, powers = found.strongest(_STRONG_ORDERS + 1)
     rows, columns = block.orders()
-    powers = np.where((rows == 0)[:, None] & (columns == 0), 0.0, powers)
-    strongest = np.argpartition(powers.ravel(), -min(_STRONG_ORDERS, powers.size))[-_STRONG_ORDERS:]
-    row, column = np.unravel_index(strongest, powers.shape)
+    row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
+    # The mirror's is another kind.
+    kept = np.flatnonzero(q.any(axis=1))[:_STRONG_ORDERS]
+    q, powers = q[kept], powers[kept]
     u = sample.deflections[:, :2]
     # The place on the way from red to blue that is nearest to each order.
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), 1e-12)[:, None]
@@ -147,5 +145,5 @@ def _by_orders(
     falloff = 1.0
     if plan.coherence.kind != "replicas":
         falloff = tables.falloff_um2(plan.coherence, 0.5)
-    strength = np.log(np.maximum(powers.ravel()[strongest], 1e-30)) - falloff * away
+    strength = np.log(np.maximum(powers, 1e-30)) - falloff * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, 1e-30))[:, None])

@@ -37,22 +37,26 @@ _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
 # What a fitted basis may leave out of a coefficient's largest value, as a share of the tolerance: where κ is small, the
 # coefficient is, too.
 _BASIS_SHARE = 1e-2
-# A colour changes as fast as the colour curves and the illuminant do: their share of the samples, at a tolerance of
-# 1e-2, in samples per unit of 1/λ [µm]; cubic interpolation between samples errs as the fourth power of their distance.
+# A colour changes as fast as the colour curves and the illuminant do: their share of the samples, per unit of 1/λ [µm].
 _COLOUR_BANDWIDTH_UM = 48.0
-# The integral's share of the tolerance.
-_QUADRATURE_SHARE = 0.25
-# Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the same cubics.
-_SAMPLES_PER_ORDER = 10.0
+# An order passes as a Gaussian of 1/λ: samples for each of its deviations at a tolerance of 1e-2. Quintics between
+# samples, under curves with lines, err as the sixth power of their distance; measured from 1e-1 to 1e-4 for D65, FL11
+# and HP1, for Gaussians of 1/18 to 1/222 per µm.
+_SAMPLES_PER_DEVIATION = 0.95
+# What bounds leave to the integral and, of a mirror a thousand times as bright as the call, to neighbours, as shares of
+# the tolerance.
+_QUADRATURE_SHARE, _NEIGHBOUR_SHARE = 0.15, 1e-2
+# Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the kernel's cubics between them.
+_SAMPLES_PER_ORDER = 16.0
 # Samples of the copies' factor for each of its lobes.
 _SAMPLES_PER_LOBE = 2.0
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
 _PATCH_IN_SIGMAS = 20.0
-_MOST_WAVELENGTHS = 20_000
+_MOST_WAVELENGTHS = 50_000
 _MOST_SAMPLES = 2_000_000
 # Of a source that grazes the surface: foreshortened fifty times and more.
-_MOST_GRAZING = 8192
+_MOST_GRAZING = 16_384
 _LESS_COHERENT = {
     "averaged": "a smaller sigma_um",
     "centred": "a smaller sigma_um",
@@ -65,10 +69,12 @@ _FLOAT32_ROUNDING = 2.0**-24
 _SEARCHED_COST = 5.0
 # A picture that is worth a table is rendered again, with another light or view.
 _REPEATS = 3.0
-# Fewer directions are evaluated as they are: to search would take longer than it saves.
-_FEWEST_SAMPLED = 16
-# |w| of directions that are searched for all the same.
-_GRAZING = 0.05
+# Calls of fewer directions are computed by the bounds: to search would take longer than it saves. Of copies, for which
+# it saves the most, fewer.
+FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
+# Powers of coefficients that vanish with κ cancel in float32, the more the smaller |w|: below these, what is not tried
+# is computed by amplitudes.
+_POWERS_SERVE, _GRAZING = 1e-2, 0.05
 # A plan holds a little further than the directions that it was made for: its ranges are rounded up.
 _LITTLE = 0.03
 _SEED = 0
@@ -240,11 +246,21 @@ def plan_for(
         raise ValueError(f"method='{method}/table' integrates over λ, and wavelengths_nm asks for a spectrum")
     check_cycles(hf, scope.kappas[1])
     pitch = aliasing.coarsest_pitch_um(hf)
-    ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=wavelengths_nm is None)
+    colour = wavelengths_nm is None
+    ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=colour)
     between = coherence.centre_um is not None and method != "direct"
     _warn_of_aliasing(scope, pitch, tables.radius(ample) if between else 0.0)
     if method == "direct":
         return ample
+    tabled = integration == "table" or footprint
+    if method == "auto" and colour and not tabled:
+        tabled = _pays(hf, ample, count)
+    # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
+    cut_short = ample.max_lateral < scope.max_lateral
+    is_searched = len(sample) > 0 and (tabled or cut_short or count >= _fewest_searched(coherence))
+    if method == "auto" and not is_searched and (tolerance < _POWERS_SERVE or scope.min_w < _GRAZING):
+        # What is not tried is to lose nothing in float32.
+        ample = _ample(hf, scope, tolerance=tolerance, method=trial.TRUTH, coherence=coherence, colour=colour)
     found = ample
     if ample.method not in EXPANSIONS:
         basis, _, _ = tables.coefficients_for(
@@ -252,17 +268,12 @@ def plan_for(
         )
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
-    tabled = integration == "table" or footprint
-    if method == "auto" and wavelengths_nm is None and not tabled:
-        tabled = _pays(hf, found, count)
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
-    # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
-    cut_short = ample.max_lateral < scope.max_lateral
-    # Powers of coefficients that vanish with κ may cancel in float32, which only a trial tells.
-    grazing = 0.0 < scope.min_w < _GRAZING
     tried = None
-    if len(sample) >= _FEWEST_SAMPLED or ((cut_short or tabled or grazing) and len(sample)):
-        coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=coherence, colour=wavelengths_nm is None)
+    if is_searched:
+        coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=coherence, colour=colour)
+        # Half the wavelengths of bounds, which are ample, tell as well what is bright.
+        coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
         coarse = replace(coarse, terms=min(coarse.terms, tables.LANES)) if method not in EXPANSIONS else coarse
         tried = trial.Trial(
             found, hf, scope, sample, illuminants, wavelengths_nm, coarse=coarse, device=device, threads=threads
@@ -285,6 +296,11 @@ def plan_for(
         found = replace(found, terms=ample.terms, truncation=max(found.truncation, ample.truncation))
     _check_error(hf, found, strict=strict)
     return found
+
+
+def _fewest_searched(coherence: Coherence) -> int:
+    """From how many directions on a search pays."""
+    return _FEWEST_OF_COPIES if coherence.kind == "replicas" else FEWEST_SEARCHED
 
 
 def _pays(hf: HeightField, plan: Plan, count: float) -> bool:
@@ -327,7 +343,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         lambda_max_nm=scope.lambda_max_nm,
         height_range_um=hf.height_range_um,
         truncation=expansion.remainder(argument, terms),
-        neighbourhood=0.0 if coherence.kind == "replicas" else _QUADRATURE_SHARE * tolerance,
+        neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
         quadrature=tolerance * _QUADRATURE_SHARE if colour else 0.0,
         rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
         aliasing=0.0,
@@ -348,24 +364,24 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
 def _bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
     """Samples per unit of 1/λ that a direction takes, as a, b, c [µm] of a·lateral + b·|w| + c.
 
-    A trapezoidal sum in 1/λ sees what oscillates slower than its samples. Products of two points of the surface
-    oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their distance, and the colour curves add a
-    constant.
+    Products of two points of the surface oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their
+    distance, so that orders pass as Gaussians, and the colour curves add a constant.
     """
-    distance = math.sqrt(math.log(2.0 / (tolerance * _QUADRATURE_SHARE)))
-    cubic = (1e-2 / tolerance) ** 0.25
-    constant = _COLOUR_BANDWIDTH_UM * cubic
-    if coherence.sigma_um is not None:
-        return 2.0 * coherence.sigma_um * distance, hf.height_range_um, constant
     if coherence.kind == "replicas":
         # |mean over the patch|² has orders between −|u|Lx − |v|Ly and the same above, in samples of cubics.
-        return _SAMPLES_PER_ORDER * cubic, _SAMPLES_PER_ORDER * cubic * hf.height_range_um, constant
+        cubic = (1e-2 / tolerance) ** 0.25
+        per_order = _SAMPLES_PER_ORDER * cubic
+        return per_order, per_order * hf.height_range_um, _COLOUR_BANDWIDTH_UM * cubic
+    per_deviation = _SAMPLES_PER_DEVIATION * (1e-2 / tolerance) ** (1.0 / 6.0)
+    if coherence.sigma_um is not None:
+        lateral = per_deviation * math.sqrt(8.0) * math.pi * coherence.sigma_um
+        return lateral, hf.height_range_um, _COLOUR_BANDWIDTH_UM
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, as they are.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * 1e3 / LAMBDA_MIN_NM / _SPAN
-    lateral = distance / (math.sqrt(2.0) * math.pi * coherence.spread) * log_band / _SPAN
-    return lateral, wider * hf.height_range_um, wider * constant
+    lateral = per_deviation / coherence.spread * log_band / _SPAN
+    return lateral, wider * hf.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 
 
 def _check_neighbours(hf: HeightField, plan: Plan) -> None:

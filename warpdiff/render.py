@@ -15,7 +15,7 @@ from warpdiff.evaluate import check_call, check_plan
 from warpdiff.frame import Frame, load_kernels
 from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
-from warpdiff.planning import plan_for, warn_outside
+from warpdiff.planning import FEWEST_SEARCHED, plan_for, warn_outside
 from warpdiff.plans import AUTOMATIC, Plan, check_method
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
@@ -238,6 +238,9 @@ class Wanted:
     def load_likely_kernels(self, hf: HeightField, view: View) -> None:
         """Begin to load what the plan is likely to take: threads that compile would wait until rays have been cast."""
         if self.method.partition("/")[0] not in ("auto", AUTOMATIC):
+            return
+        if not self.footprint and view.width * view.height < FEWEST_SEARCHED:
+            # What its bounds will ask for is not known.
             return
         # What looks halfway between light and eye has the largest |w|.
         back = view.frame().back

@@ -24,7 +24,7 @@ from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.trial import kernels_tried
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     import warp as wp
     from numpy.typing import NDArray
@@ -66,8 +66,9 @@ _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 _SLACK = 1.2
 _SUBDIVISION_SHARE = 0.3
 # Of so few bright directions in the jury, others may err by more: terms and wavelengths get this share of theirs, or
-# wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the dark.
-_FEW, _TOO_FEW, _MARGIN_OF_FEW = 50, 8, 0.1
+# wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the dark. Tables,
+# whose errors fall slowly with their size, get a larger share.
+_FEW, _TOO_FEW, _MARGIN_OF_FEW, _TABLES_OF_FEW = 64, 8, 0.1, 0.5
 # Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
 _TOLD, _TOLD_BY_FEW = 2.0, 2.5
 # Error of a fitted basis in float32, measured against the direct sum.
@@ -143,6 +144,10 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         margin = 1.0 if bright >= _FEW else _MARGIN_OF_FEW
         plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
+    if whole > target and automatic and plan.method != trial.finest.method:
+        # What a jury finds that cancels, and pilots have not seen.
+        amplitudes = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
+        plan, whole = _enough_of_all(amplitudes, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
     share = _told(whole, plan, trial) / (truncation + neighbourhood + quadrature + rounding)
     return dataclasses.replace(
@@ -169,12 +174,11 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
         footprint: Whether pixels show means.
         needed: Whether the finest is to be tried, however little it promises.
     """
-    target = plan.tolerance / SAFETY
+    target = plan.tolerance / SAFETY * (1.0 if trial.bright[1] >= _FEW else _TABLES_OF_FEW)
     if plan.coherence.kind == "source":
         # What surrounds the mirror direction is sampled.
         plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
-    exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
-    plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target, exact)
+    plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target)
     # What hardly any of the jury tells, the largest error that tables make does.
     few = polar.stand_apart(trial.hf, plan.coherence) or trial.bright[1] < _TOO_FEW
     sizes = polar.rungs(plan.coherence)
@@ -245,19 +249,23 @@ def _told(error: float, plan: Plan, trial: Trial) -> float:
     return min(factor * error, max(SAFETY * error, plan.tolerance))
 
 
-def _likely_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]) -> tuple[Plan, float]:
+def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
     """The fewest terms within their share and what they leave out, by one try and the residuals of the fitted basis.
 
     More terms are another kernel, which a table does not need.
     """
+
+    def left_by(terms: int) -> float:
+        tried = dataclasses.replace(plan, terms=terms, wavelengths=trial.finest.wavelengths)
+        return trial.judged(dataclasses.replace(tried, least_weight=trial.finest.least_weight))
+
     if plan.method in EXPANSIONS:
-        return _fewest_terms(plan, trial, share, exact)
+        return _fewest_terms(plan, plan.terms, share, left_by)
     left_out = trial.fitted(plan).left_out
     most = len(left_out) - 1
     if most <= tables.LANES:
         return dataclasses.replace(plan, terms=most), 0.0
-    tried = dataclasses.replace(plan, terms=tables.LANES)
-    error = trial.error(trial.run(tried), exact)
+    error = left_by(tables.LANES)
     for terms in range(tables.LANES, most):
         expected = error * float(left_out[terms] / left_out[tables.LANES])
         if expected <= share:
@@ -361,11 +369,16 @@ def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, flo
 def _fewer_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float, float]:
     """The fewest terms within their share, in whole SIMD registers; what they leave out, and float32's error."""
     exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
-    found, truncation = _fewest_terms(plan, trial, share, exact)
+
+    def left_by(terms: int) -> float:
+        return trial.error(trial.run(dataclasses.replace(plan, terms=terms)), exact)
+
+    most = plan.terms if plan.method in EXPANSIONS else trial.fitted(plan).terms
+    found, truncation = _fewest_terms(plan, most, share, left_by)
     rounding = _rounding(plan)
     if not truncation:
         # As many terms as there are leave out nothing that shows: the rest is float32's.
-        rounding = max(rounding, trial.error(trial.run(found), exact))
+        rounding = max(rounding, left_by(found.terms))
     return found, truncation, rounding
 
 
@@ -374,14 +387,12 @@ def _rounding(plan: Plan) -> float:
     return _ROUNDING_OF_POWERS if plan.coherence.adds_powers else _ROUNDING_OF_AMPLITUDES
 
 
-def _fewest_terms(plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]) -> tuple[Plan, float]:
+def _fewest_terms(plan: Plan, most: int, share: float, left_by: Callable[[int], float]) -> tuple[Plan, float]:
     """The fewest terms within their share, in whole SIMD registers, and what they leave out: all that there are, 0."""
-    most = plan.terms if plan.method in EXPANSIONS else trial.fitted(plan).terms
-    for registers in range(1, math.ceil(most / tables.LANES)):
-        tried = dataclasses.replace(plan, terms=registers * tables.LANES)
-        error = trial.error(trial.run(tried), exact)
+    for terms in range(tables.LANES, most, tables.LANES):
+        error = left_by(terms)
         if error <= share:
-            return tried, error
+            return dataclasses.replace(plan, terms=terms), error
     return dataclasses.replace(plan, terms=most), 0.0
 
 

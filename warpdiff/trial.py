@@ -113,7 +113,7 @@ class Trial:
             self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
         self._gain = float(np.percentile(sample.gains, 99.0))
         terms = coefficients.series_terms(hf, scope.kappas)
-        self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms, adaptive=False)
+        self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms)
         kernels = kernels_tried(terms, plan.method, min(plan.terms, tables.LANES), plan.coherence)
         load([each.integrate if self.integrates else each.sample for each in kernels], device)
 
