@@ -113,7 +113,7 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     assert not few.searched
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_lateral=plan.max_lateral)
     assert plan.multiply_adds < samples.multiply_adds
-    for part in (slice(0, 1000), slice(1000, 40_000, 20)):
+    for part in (slice(0, 500), slice(1000, 40_000, 80)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -157,7 +157,7 @@ def test_a_plan_reads_as_a_paragraph(rough):
     table = wd.plan(rough, at_angle(20.0), tolerance=1e-1)
     assert f"{table.nodes} nodes an octave" in str(table)
     assert f"after {table.table_seconds:.2g} s for the table" in str(table)
-    assert "bounded for all directions" in str(wd.plan(rough, UP, UP))
+    assert "what bounds leave as a rule" in str(wd.plan(rough, UP, UP))
     assert "Direct sum" in str(wd.plan(rough, method="direct"))
     assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
     source = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("source")))

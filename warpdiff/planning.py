@@ -43,9 +43,9 @@ _COLOUR_BANDWIDTH_UM = 48.0
 # samples, under curves with lines, err as the sixth power of their distance; measured from 1e-1 to 1e-4 for D65, FL11
 # and HP1, for Gaussians of 1/18 to 1/222 per µm.
 _SAMPLES_PER_DEVIATION = 0.95
-# What bounds leave to the integral and, of a mirror a thousand times as bright as the call, to neighbours, as shares of
-# the tolerance.
-_QUADRATURE_SHARE, _NEIGHBOUR_SHARE = 0.15, 1e-2
+# What plans from bounds leave to the integral, as a rule, and of a mirror a thousand times as bright as the call to
+# neighbours, as shares of the tolerance. Copies' bounds are looser.
+_QUADRATURE_SHARE, _SHARE_OF_COPIES, _NEIGHBOUR_SHARE = 0.09, 0.3, 0.01
 # Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the kernel's cubics between them.
 _SAMPLES_PER_ORDER = 16.0
 # Samples of the copies' factor for each of its lobes.
@@ -320,6 +320,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
     argument = 2.0 * math.pi * scope.kappas[1] * expansion.offset_and_scale(hf)[1]
     terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
     least_weight = tolerance * _WEIGHT_MARGINS[coherence.adds_powers]
+    share = _SHARE_OF_COPIES if coherence.kind == "replicas" else _QUADRATURE_SHARE
     result = Plan(
         method="direct" if method == "direct" else series,
         coherence=coherence,
@@ -344,7 +345,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         height_range_um=hf.height_range_um,
         truncation=expansion.remainder(argument, terms),
         neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
-        quadrature=tolerance * _QUADRATURE_SHARE if colour else 0.0,
+        quadrature=tolerance * share if colour else 0.0,
         rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
         aliasing=0.0,
         scalar_error=validity.error_bound(hf.rms_um, hf.mean_slope),

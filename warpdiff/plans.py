@@ -70,7 +70,7 @@ class Plan:
         scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
             the surface and no part of ``error``.
         multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
-        searched: Whether the errors were measured on some of the directions; otherwise they are bounds.
+        searched: Whether the errors were measured on some of the directions; otherwise they are what bounds leave as a rule.
         judged: On how many, which the search has not seen where there are enough of them.
         table_multiply_adds: Predicted cost of making the table; 0 without one.
     """
@@ -163,7 +163,7 @@ class Plan:
             sums = f"Direct sum over the height samples in float64, {self.coherence}"
             return f"{sums}: no approximation but the integral over λ. {self._scalar}"
         scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
-        how = "bounded for all directions"
+        how = "what bounds leave as a rule"
         if self.searched:
             how = f"measured on {self.judged} of the directions, which stand for all"
         start = (

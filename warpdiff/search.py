@@ -71,6 +71,8 @@ _SUBDIVISION_SHARE = 0.3
 _FEW, _TOO_FEW, _MARGIN_OF_FEW, _TABLES_OF_FEW = 64, 8, 0.1, 0.5
 # Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
 _TOLD, _TOLD_BY_FEW = 2.0, 2.5
+# And no less than this share of the tolerance, which no few hundred directions vouch for.
+_LEAST_TOLD = 0.05
 # Error of a fitted basis in float32, measured against the direct sum.
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
@@ -246,7 +248,8 @@ def _told(error: float, plan: Plan, trial: Trial) -> float:
     """The error to predict by the jury's, the larger the less it stands for the call; no reason to refuse a plan."""
     ample = _TOLD if trial.bright[1] >= _FEW else _TOLD_BY_FEW
     factor = SAFETY if math.isinf(trial.bright[0]) else ample
-    return min(factor * error, max(SAFETY * error, plan.tolerance))
+    told = min(factor * error, max(SAFETY * error, plan.tolerance))
+    return max(told, _LEAST_TOLD * plan.tolerance)
 
 
 def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
