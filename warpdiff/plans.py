@@ -70,7 +70,7 @@ class Plan:
         scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
             the surface and no part of ``error``.
         multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
-        searched: Whether the errors were measured on some of the directions; otherwise they are what bounds leave as a rule.
+        searched: Whether the errors were measured on some directions; otherwise they are what bounds leave as a rule.
         judged: On how many, which the search has not seen where there are enough of them.
         table_multiply_adds: Predicted cost of making the table; 0 without one.
     """
