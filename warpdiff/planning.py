@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, trial, validity
+from warpdiff.coefficients import holds_powers
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
@@ -21,7 +22,7 @@ from warpdiff.expansions import EXPANSIONS, check_cycles
 from warpdiff.heightfield import HeightField
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.plans import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
-from warpdiff.scope import DirectionSample, Scope, hemisphere_pairs, stratified
+from warpdiff.scope import DirectionSample, Scope, hemisphere_pairs, lateral, stratified
 from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ _AMPLITUDE_MARGIN = 1e-3
 # The mirror's coefficient is the brightest by far, and a frame need not show it, but its Gaussian's tail: weights, on
 # powers or on amplitudes, are negligible below this share of the tolerance.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
+# Where nothing is tried, a call may be as dark as f is at least.
+_DARKEST = 1e-12
 # What a fitted basis may leave out of a coefficient's largest value, as a share of the tolerance: where κ is small, the
 # coefficient is, too.
 _BASIS_SHARE = 1e-2
@@ -43,6 +46,8 @@ _COLOUR_BANDWIDTH_UM = 48.0
 # samples, under curves with lines, err as the sixth power of their distance; measured from 1e-1 to 1e-4 for D65, FL11
 # and HP1, for Gaussians of 1/18 to 1/222 per µm.
 _SAMPLES_PER_DEVIATION = 0.95
+# Two levels of a tall surface, seen from the mirror direction, oscillate: samples for each cycle, besides the colours'.
+_SAMPLES_PER_CYCLE = 6.0
 # What plans from bounds leave to the integral, as a rule, and of a mirror a thousand times as bright as the call to
 # neighbours, as shares of the tolerance. Copies' bounds are looser.
 _QUADRATURE_SHARE, _SHARE_OF_COPIES, _NEIGHBOUR_SHARE = 0.09, 0.3, 0.01
@@ -53,7 +58,7 @@ _SAMPLES_PER_LOBE = 2.0
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.
 _MOST_NEIGHBOURS = 40_000
 _PATCH_IN_SIGMAS = 20.0
-_MOST_WAVELENGTHS = 50_000
+_MOST_WAVELENGTHS = 65_536
 _MOST_SAMPLES = 2_000_000
 # Of a source that grazes the surface: foreshortened fifty times and more.
 _MOST_GRAZING = 16_384
@@ -72,9 +77,10 @@ _REPEATS = 3.0
 # Calls of fewer directions are computed by the bounds: to search would take longer than it saves. Of copies, for which
 # it saves the most, fewer.
 FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
-# Powers of coefficients that vanish with κ cancel in float32, the more the smaller |w|: below these, what is not tried
-# is computed by amplitudes.
-_POWERS_SERVE, _GRAZING = 1e-2, 0.05
+# Of an explicit method that adds powers in float32.
+_FEWEST_TRIED = 16
+# Directions whose cost is counted where none are tried.
+_COUNTED = 64
 # A plan holds a little further than the directions that it was made for: its ranges are rounded up.
 _LITTLE = 0.03
 _SEED = 0
@@ -257,10 +263,15 @@ def plan_for(
         tabled = _pays(hf, ample, count)
     # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
     cut_short = ample.max_lateral < scope.max_lateral
-    is_searched = len(sample) > 0 and (tabled or cut_short or count >= _fewest_searched(coherence))
-    if method == "auto" and not is_searched and (tolerance < _POWERS_SERVE or scope.min_w < _GRAZING):
-        # What is not tried is to lose nothing in float32.
+    # Powers of coefficients that vanish with κ cancel in float32, which only a trial tells.
+    cancels = method != "auto" and holds_powers(ample.method, adds_powers=coherence.adds_powers)
+    fewest = _FEWEST_TRIED if cancels else _fewest_searched(coherence)
+    is_searched = len(sample) > 0 and (tabled or cut_short or count >= fewest)
+    if method == "auto" and not is_searched:
+        # Amplitudes take no longer.
         ample = _ample(hf, scope, tolerance=tolerance, method=trial.TRUTH, coherence=coherence, colour=colour)
+    if not is_searched and coherence.adds_powers:
+        ample = replace(ample, least_weight=tolerance * _DARKEST)
     found = ample
     if ample.method not in EXPANSIONS:
         basis, _, _ = tables.coefficients_for(
@@ -269,33 +280,69 @@ def plan_for(
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
-    tried = None
     if is_searched:
-        coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=coherence, colour=colour)
-        # Half the wavelengths of bounds, which are ample, tell as well what is bright.
-        coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
-        coarse = replace(coarse, terms=min(coarse.terms, tables.LANES)) if method not in EXPANSIONS else coarse
-        tried = trial.Trial(
-            found, hf, scope, sample, illuminants, wavelengths_nm, coarse=coarse, device=device, threads=threads
-        )
-    if tried is not None and (tried.any_light or cut_short):
-        needed = footprint or integration == "table"
-        best = search.tabled(found, tried, footprint=footprint, needed=needed) if tabled else None
-        if best is None and integration == "table":
-            raise ValueError(
-                f"method='{method}/table' takes more than {polar.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: use "
-                "method='auto', or ask for a larger tolerance"
-            )
-        # Points in place of means err by more than a table that keeps the tolerance without any safety.
-        most = tolerance * (search.SAFETY if footprint else 1.0)
-        if best is None or (best.error > most and integration != "table"):
-            best = search.refined(found, tried, automatic=method == "auto")
-        found = best
+        found = _by_trial(
+            found, hf, scope, sample, method=method, integration=integration, tabled=tabled, footprint=footprint,
+            cut_short=cut_short, illuminants=illuminants, wavelengths_nm=wavelengths_nm, device=device, threads=threads,
+        )  # fmt: skip
+    else:
+        found = _with_cost(found, hf, sample)
     if ample.truncation > tolerance * _AMPLITUDE_MARGIN:
         # The series that all bases are made from, and judged by, ends too soon.
         found = replace(found, terms=ample.terms, truncation=max(found.truncation, ample.truncation))
     _check_error(hf, found, strict=strict)
     return found
+
+
+def _by_trial(
+    plan: Plan,
+    hf: HeightField,
+    scope: Scope,
+    sample: DirectionSample,
+    *,
+    method: str,
+    integration: str,
+    tabled: bool,
+    footprint: bool,
+    cut_short: bool,
+    illuminants: tuple[str, ...],
+    wavelengths_nm: NDArray[np.float64] | None,
+    device: wp.Device,
+    threads: int,
+) -> Plan:
+    """The plan that a search finds from that of bounds, which is left where all is dark."""
+    tolerance, colour = plan.tolerance, wavelengths_nm is None
+    coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=plan.coherence, colour=colour)
+    # Half the wavelengths of bounds, which are ample, tell as well what is bright.
+    coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
+    coarse = replace(coarse, terms=min(coarse.terms, tables.LANES)) if method not in EXPANSIONS else coarse
+    tried = trial.Trial(
+        plan, hf, scope, sample, illuminants, wavelengths_nm, coarse=coarse, device=device, threads=threads
+    )
+    if not tried.any_light and not cut_short:
+        return plan
+    needed = footprint or integration == "table"
+    best = search.tabled(plan, tried, footprint=footprint, needed=needed) if tabled else None
+    if best is None and integration == "table":
+        raise ValueError(
+            f"method='{method}/table' takes more than {polar.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: use "
+            "method='auto', or ask for a larger tolerance"
+        )
+    # Points in place of means err by more than a table that keeps the tolerance without any safety.
+    most = tolerance * (search.SAFETY if footprint else 1.0)
+    if best is None or (best.error > most and integration != "table"):
+        best = search.refined(plan, tried, automatic=method == "auto")
+    return best
+
+
+def _with_cost(plan: Plan, hf: HeightField, sample: DirectionSample) -> Plan:
+    """The plan with the mean cost of some directions, where there are any."""
+    if not len(sample):
+        return plan
+    places = stratified(len(sample), _COUNTED)
+    deflections, to_lights = sample.deflections[places], sample.to_lights[places]
+    reaches = lateral(hf, plan.coherence, deflections, to_lights)
+    return replace(plan, multiply_adds=search.mean_cost(hf, plan, reaches, np.abs(deflections[:, 2])))
 
 
 def _fewest_searched(coherence: Coherence) -> int:
@@ -373,16 +420,17 @@ def _bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tu
         cubic = (1e-2 / tolerance) ** 0.25
         per_order = _SAMPLES_PER_ORDER * cubic
         return per_order, per_order * hf.height_range_um, _COLOUR_BANDWIDTH_UM * cubic
-    per_deviation = _SAMPLES_PER_DEVIATION * (1e-2 / tolerance) ** (1.0 / 6.0)
+    quintic = (1e-2 / tolerance) ** (1.0 / 6.0)
+    per_deviation, cycles = quintic * _SAMPLES_PER_DEVIATION, quintic * _SAMPLES_PER_CYCLE
     if coherence.sigma_um is not None:
         lateral = per_deviation * math.sqrt(8.0) * math.pi * coherence.sigma_um
-        return lateral, hf.height_range_um, _COLOUR_BANDWIDTH_UM
+        return lateral, cycles * hf.height_range_um, _COLOUR_BANDWIDTH_UM
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, as they are.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * 1e3 / LAMBDA_MIN_NM / _SPAN
     lateral = per_deviation / coherence.spread * log_band / _SPAN
-    return lateral, wider * hf.height_range_um, wider * _COLOUR_BANDWIDTH_UM
+    return lateral, wider * cycles * hf.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 
 
 def _check_neighbours(hf: HeightField, plan: Plan) -> None:

@@ -69,7 +69,7 @@ class Plan:
             relative to theirs. It is a property of the data and no part of ``error``.
         scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
             the surface and no part of ``error``.
-        multiply_adds: Predicted cost of a direction, in the mean over the sample, or of the dearest one if unsearched.
+        multiply_adds: Predicted cost of a direction, in the mean over the sample.
         searched: Whether the errors were measured on some directions; otherwise they are what bounds leave as a rule.
         judged: On how many, which the search has not seen where there are enough of them.
         table_multiply_adds: Predicted cost of making the table; 0 without one.
