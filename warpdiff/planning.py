@@ -52,7 +52,7 @@ _SAMPLES_PER_CYCLE = 6.0
 # neighbours, as shares of the tolerance. Copies' bounds are looser.
 _QUADRATURE_SHARE, _SHARE_OF_COPIES, _NEIGHBOUR_SHARE = 0.09, 0.3, 0.01
 # Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the kernel's cubics between them.
-_SAMPLES_PER_ORDER = 16.0
+_SAMPLES_PER_ORDER = 24.0
 # Samples of the copies' factor for each of its lobes.
 _SAMPLES_PER_LOBE = 2.0
 # A wider neighbourhood is a mistake in the units or a patch much larger than the window.

@@ -184,7 +184,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
     # What hardly any of the jury tells, the largest error that tables make does.
     few = polar.stand_apart(trial.hf, plan.coherence) or trial.bright[1] < _TOO_FEW
     sizes = polar.rungs(plan.coherence)
-    best = None
+    best, least = None, math.inf
     likely = [
         rung
         for rung in sizes
@@ -209,7 +209,8 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
             if richer.functions > functions and (left := trial.judged(richer)) < _WORTH_FUNCTIONS * error:
                 tried, error, functions = richer, left, richer.functions
         told = _told(error, plan, trial)
-        if best is None or told < best.error:
+        if error < least:
+            least = error
             best = dataclasses.replace(
                 tried,
                 footprint=footprint,
@@ -235,7 +236,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
             hoped = _HOPE * target
             promising = [rung for rung in likely if error * (nodes / rung[0]) ** polar.ORDER <= hoped]
             likely = promising or (_finest(likely, tried) if needed else [])
-    return best
+    return best if needed or (best is not None and least <= target) else None
 
 
 def _finest(rungs: list[tuple[int, float]], plan: Plan) -> list[tuple[int, float]]:
