@@ -37,7 +37,7 @@ WHOLE = (640, 480)
 POINTS, FEWER = 96, 64
 DEVIATION, CUT = 0.5, 1.5
 # What the points of a truth may err by, in tolerances of the picture.
-OF_POINTS = 0.1
+OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
 # Towards the eye, from above and grazing, and its distance in radii of the body.
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
