@@ -49,8 +49,8 @@ _SAMPLES_PER_DEVIATION = 0.95
 # Two levels of a tall surface, seen from the mirror direction, oscillate: samples for each cycle, besides the colours'.
 _SAMPLES_PER_CYCLE = 6.0
 # What plans from bounds leave to the integral, as a rule, and of a mirror a thousand times as bright as the call to
-# neighbours, as shares of the tolerance. Copies' bounds are looser.
-_QUADRATURE_SHARE, _SHARE_OF_COPIES, _NEIGHBOUR_SHARE = 0.09, 0.3, 0.01
+# neighbours, as shares of the tolerance.
+_QUADRATURE_SHARE, _NEIGHBOUR_SHARE = 0.08, 0.01
 # Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the kernel's cubics between them.
 _SAMPLES_PER_ORDER = 24.0
 # Samples of the copies' factor for each of its lobes.
@@ -76,7 +76,7 @@ _SEARCHED_COST = 5.0
 _REPEATS = 3.0
 # Calls of fewer directions are computed by the bounds: to search would take longer than it saves. Of copies, for which
 # it saves the most, fewer.
-FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
+FEWEST_SEARCHED, _FEWEST_OF_COPIES = 8192, 4096
 # Of an explicit method that adds powers in float32.
 _FEWEST_TRIED = 16
 # Directions whose cost is counted where none are tried.
@@ -261,6 +261,7 @@ def plan_for(
     tabled = integration == "table" or footprint
     if method == "auto" and colour and not tabled:
         tabled = _pays(hf, ample, count)
+    most_making = math.inf if integration == "table" or footprint else _saved(ample, count)
     # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
     cut_short = ample.max_lateral < scope.max_lateral
     # Powers of coefficients that vanish with κ cancel in float32, which only a trial tells.
@@ -282,8 +283,9 @@ def plan_for(
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
     if is_searched:
         found = _by_trial(
-            found, hf, scope, sample, method=method, integration=integration, tabled=tabled, footprint=footprint,
-            cut_short=cut_short, illuminants=illuminants, wavelengths_nm=wavelengths_nm, device=device, threads=threads,
+            found, hf, scope, sample, method=method, integration=integration, footprint=footprint,
+            most_making=most_making if tabled else 0.0, cut_short=cut_short, illuminants=illuminants,
+            wavelengths_nm=wavelengths_nm, device=device, threads=threads,
         )  # fmt: skip
     else:
         found = _with_cost(found, hf, sample)
@@ -302,15 +304,18 @@ def _by_trial(
     *,
     method: str,
     integration: str,
-    tabled: bool,
     footprint: bool,
+    most_making: float,
     cut_short: bool,
     illuminants: tuple[str, ...],
     wavelengths_nm: NDArray[np.float64] | None,
     device: wp.Device,
     threads: int,
 ) -> Plan:
-    """The plan that a search finds from that of bounds, which is left where all is dark."""
+    """The plan that a search finds from that of bounds, which is left where all is dark.
+
+    A table may take ``most_making`` multiply-adds to make; 0 is none.
+    """
     tolerance, colour = plan.tolerance, wavelengths_nm is None
     coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=plan.coherence, colour=colour)
     # Half the wavelengths of bounds, which are ample, tell as well what is bright.
@@ -321,16 +326,18 @@ def _by_trial(
     )
     if not tried.any_light and not cut_short:
         return plan
-    needed = footprint or integration == "table"
-    best = search.tabled(plan, tried, footprint=footprint, needed=needed) if tabled else None
-    if best is None and integration == "table":
+    explicit = integration == "table"
+    best = None
+    if most_making:
+        best = search.tabled(plan, tried, footprint=footprint, needed=explicit, most_making=most_making)
+    if best is None and explicit:
         raise ValueError(
             f"method='{method}/table' takes more than {polar.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: use "
             "method='auto', or ask for a larger tolerance"
         )
     # Points in place of means err by more than a table that keeps the tolerance without any safety.
     most = tolerance * (search.SAFETY if footprint else 1.0)
-    if best is None or (best.error > most and integration != "table"):
+    if best is None or (best.error > most and not explicit):
         best = search.refined(plan, tried, automatic=method == "auto")
     return best
 
@@ -356,7 +363,12 @@ def _pays(hf: HeightField, plan: Plan, count: float) -> bool:
     if rung is None or not has_table(plan.method, plan.coherence):
         return False
     smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
-    return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST > polar.making_multiply_adds(hf, smallest)
+    return _saved(plan, count) > polar.making_multiply_adds(hf, smallest)
+
+
+def _saved(plan: Plan, count: float) -> float:
+    """Multiply-adds of so many directions without a table, of a plan by bounds."""
+    return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST
 
 
 def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, coherence: Coherence, colour: bool) -> Plan:
@@ -367,7 +379,6 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
     argument = 2.0 * math.pi * scope.kappas[1] * expansion.offset_and_scale(hf)[1]
     terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
     least_weight = tolerance * _WEIGHT_MARGINS[coherence.adds_powers]
-    share = _SHARE_OF_COPIES if coherence.kind == "replicas" else _QUADRATURE_SHARE
     result = Plan(
         method="direct" if method == "direct" else series,
         coherence=coherence,
@@ -392,7 +403,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         height_range_um=hf.height_range_um,
         truncation=expansion.remainder(argument, terms),
         neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
-        quadrature=tolerance * share if colour else 0.0,
+        quadrature=_QUADRATURE_SHARE * tolerance if colour else 0.0,
         rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
         aliasing=0.0,
         scalar_error=validity.error_bound(hf.rms_um, hf.mean_slope),

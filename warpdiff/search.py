@@ -51,8 +51,8 @@ _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, and then of those that will do by
 # what it errs. The largest take seconds, and are not the first.
 _LIKELY, _SURELY_MEASURED, _HOPE = 0.85, 48, 1.25
-# More functions of w, which make look-ups dearer, where they leave so little of the error.
-_WORTH_FUNCTIONS = 0.9
+# More functions of w, which make look-ups dearer, are tried up to so many targets, taken where they leave so little.
+_MENDED_BY_FUNCTIONS, _WORTH_FUNCTIONS = 4.0, 0.9
 _WIDENINGS = 3
 # What a jury finds wanting gets so much more of the least weight's exponent, a register more of terms or half an octave
 # more of wavelengths, whichever mends most, where that leaves so little of the error.
@@ -164,19 +164,20 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     )
 
 
-def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan | None:
+def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_making: float) -> Plan | None:
     """The smallest polar table that the jury finds within the tolerance, or the best of those within reach.
 
     A table is made for each attempt and found again by the call that follows, which adds the levels for footprints.
-    None where all are too large.
+    None where all are too large, or err too much for points.
 
     Args:
         plan: The plan from bounds.
         trial: Some of the call's directions.
         footprint: Whether pixels show means.
         needed: Whether the finest is to be tried, however little it promises.
+        most_making: Multiply-adds that making one may take.
     """
-    target = plan.tolerance / SAFETY * (1.0 if trial.bright[1] >= _FEW else _TABLES_OF_FEW)
+    target = plan.tolerance / SAFETY * (1.0 if footprint or trial.bright[1] >= _FEW else _TABLES_OF_FEW)
     if plan.coherence.kind == "source":
         # What surrounds the mirror direction is sampled.
         plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
@@ -196,13 +197,14 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
         nodes, rays_per_width = likely.pop(0)
         tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width, functions=functions)
         tried = trial.with_functions(tried)
-        if polar.megabytes(tried) > polar.MOST_MEGABYTES:
+        making = polar.making_multiply_adds(trial.hf, tried)
+        if polar.megabytes(tried) > polar.MOST_MEGABYTES or making > most_making:
             break
         trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
         if best is None:
             trial.settle(tried)
         error = trial.judged(tried)
-        if error > target and not functions:
+        if target < error <= _MENDED_BY_FUNCTIONS * target and not functions:
             # What more nodes do not mend may be more functions of w.
             functions = tried.functions
             richer = trial.with_functions(tried, FUNCTIONS)
@@ -219,7 +221,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
                 quadrature=max(0.0, told - truncation),
                 rounding=0.0,
                 multiply_adds=polar.multiply_adds(tried),
-                table_multiply_adds=polar.making_multiply_adds(trial.hf, tried),
+                table_multiply_adds=making,
                 searched=True,
                 judged=len(trial.jury),
             )
@@ -236,7 +238,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool) -> Plan |
             hoped = _HOPE * target
             promising = [rung for rung in likely if error * (nodes / rung[0]) ** polar.ORDER <= hoped]
             likely = promising or (_finest(likely, tried) if needed else [])
-    return best if needed or (best is not None and least <= target) else None
+    return best if needed or footprint or least <= target else None
 
 
 def _finest(rungs: list[tuple[int, float]], plan: Plan) -> list[tuple[int, float]]:
