@@ -267,7 +267,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     view = wd.View((0.4, -1.6, 2.0), (0, 0, 0), width=24, height=18)
     light = wd.DirectionalLight((0.5, 0.8, 1.0), illuminant=illuminant, power=1.7)
     quad = textured_quad()
-    options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3}
+    options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3, "footprint": False}
     bare, half, whole = (wd.shade(quad, fingers, light, view, pigment=p, **options).xyz for p in (0.0, 0.5, 1.0))
     body = reference.Body.of(prepare_surface(quad), TEXTURE)
     truth = [

@@ -76,7 +76,7 @@ _SEARCHED_COST = 5.0
 _REPEATS = 3.0
 # Calls of fewer directions are computed by the bounds: to search would take longer than it saves. Of copies, for which
 # it saves the most, fewer.
-FEWEST_SEARCHED, _FEWEST_OF_COPIES = 8192, 4096
+FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
 # Of an explicit method that adds powers in float32.
 _FEWEST_TRIED = 16
 # Directions whose cost is counted where none are tried.

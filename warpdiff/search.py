@@ -139,7 +139,7 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         plan = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
         fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     plan, neighbourhood, quadrature = fewer, 0.0, 0.0
-    if bright >= _FEW:
+    if by_mirror >= _FEW:
         plan, neighbourhood = _fewer_neighbours(plan, trial, _NEIGHBOUR_SHARE * target)
     if trial.integrates and bright >= _TOO_FEW:
         # Errors fall so fast with the number of wavelengths that a wide margin takes few more.
