@@ -92,14 +92,9 @@ class Coefficients:
             - before * t * after / 6.0 * basis[entry + 3]
         )
 
-    def strongest(self, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The largest coefficients at a |κ| in the middle of the range: their places, flattened, and their powers."""
-        places, powers = self._strongest
-        return places[:count], powers[:count]
-
     @functools.cached_property
-    def _strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """A few dozen of them, which take a look at all."""
+    def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The few dozen largest coefficients at a |κ| in the middle of the range: places, flattened, and powers."""
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
         parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))

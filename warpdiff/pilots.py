@@ -130,7 +130,7 @@ def _by_orders(
     found, block, grid = tables.coefficients_for(
         hf, plan.method, plan.coherence, scope, tables.reach(plan, hf), terms=plan.terms, threads=threads
     )
-    strongest, powers = found.strongest(_STRONG_ORDERS + 1)
+    strongest, powers = found.strongest
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)

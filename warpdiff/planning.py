@@ -1,7 +1,7 @@
 """The plan: from a height field, a coherence, a range of directions and a tolerance to the numbers the kernels get.
 
-Bounds that hold for all directions of the range come first and err on the side of accuracy; ``search`` then finds on a
-sample of the directions how much of them is needed.
+Bounds that hold for all directions of the range come first and err on the side of accuracy. Calls of few directions are
+computed by them; for many, ``search`` finds on a sample of the directions how much of them is needed.
 """
 
 from __future__ import annotations
@@ -258,16 +258,15 @@ def plan_for(
     _warn_of_aliasing(scope, pitch, tables.radius(ample) if between else 0.0)
     if method == "direct":
         return ample
-    tabled = integration == "table" or footprint
-    if method == "auto" and colour and not tabled:
-        tabled = _pays(hf, ample, count)
-    most_making = math.inf if integration == "table" or footprint else _saved(ample, count)
+    most_making = math.inf if integration == "table" or footprint else 0.0
+    if method == "auto" and colour and not most_making:
+        most_making = _most_making(hf, ample, count)
     # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
     cut_short = ample.max_lateral < scope.max_lateral
     # Powers of coefficients that vanish with κ cancel in float32, which only a trial tells.
     cancels = method != "auto" and holds_powers(ample.method, adds_powers=coherence.adds_powers)
     fewest = _FEWEST_TRIED if cancels else _fewest_searched(coherence)
-    is_searched = len(sample) > 0 and (tabled or cut_short or count >= fewest)
+    is_searched = len(sample) > 0 and (most_making > 0.0 or cut_short or count >= fewest)
     if method == "auto" and not is_searched:
         # Amplitudes take no longer.
         ample = _ample(hf, scope, tolerance=tolerance, method=trial.TRUTH, coherence=coherence, colour=colour)
@@ -284,7 +283,7 @@ def plan_for(
     if is_searched:
         found = _by_trial(
             found, hf, scope, sample, method=method, integration=integration, footprint=footprint,
-            most_making=most_making if tabled else 0.0, cut_short=cut_short, illuminants=illuminants,
+            most_making=most_making, cut_short=cut_short, illuminants=illuminants,
             wavelengths_nm=wavelengths_nm, device=device, threads=threads,
         )  # fmt: skip
     else:
@@ -357,18 +356,14 @@ def _fewest_searched(coherence: Coherence) -> int:
     return _FEWEST_OF_COPIES if coherence.kind == "replicas" else FEWEST_SEARCHED
 
 
-def _pays(hf: HeightField, plan: Plan, count: float) -> bool:
-    """Whether a table takes less time to make than it saves."""
+def _most_making(hf: HeightField, plan: Plan, count: float) -> float:
+    """Multiply-adds that a table saves so many directions of a plan by bounds; 0 where none takes less to make."""
     rung = polar.smallest_rung(plan)
     if rung is None or not has_table(plan.method, plan.coherence):
-        return False
+        return 0.0
     smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
-    return _saved(plan, count) > polar.making_multiply_adds(hf, smallest)
-
-
-def _saved(plan: Plan, count: float) -> float:
-    """Multiply-adds of so many directions without a table, of a plan by bounds."""
-    return _REPEATS * count * plan.multiply_adds / _SEARCHED_COST
+    saved = _REPEATS * count * plan.multiply_adds / _SEARCHED_COST
+    return saved if saved > polar.making_multiply_adds(hf, smallest) else 0.0
 
 
 def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, coherence: Coherence, colour: bool) -> Plan:

@@ -1,9 +1,9 @@
 """The cheapest numbers that keep a tolerance, found by trying them on some of a call's directions and judged on others.
 
-Bounds hold for the worst surface and the worst direction, and ask for ten to a hundred times the work that a scene
-needs. A hundred of its own directions, computed a few dozen times over, tell how much that is: less than a hundredth of
-a picture's time. Each source of error is measured by itself against what the bounds ask for, twice as fine; the plan
-that results is judged as a whole on directions that the search has not seen, and made finer until it holds there.
+Bounds hold for the worst surface and the worst direction, and ask for more work than most scenes need. A hundred of a
+call's own directions, computed a few dozen times over, tell how much that is, in the time of some ten thousand. Each
+source of error is measured by itself against what the bounds ask for, twice as fine; the plan that results is judged as
+a whole on directions that the search has not seen, and made finer until it holds there.
 """
 
 from __future__ import annotations
