@@ -74,6 +74,7 @@ class Errors(NamedTuple):
     silhouette: np.ndarray
     shadowed: np.ndarray
     settled: np.ndarray  # of interior ones
+    told: np.ndarray  # what ``image.error`` has for these
 
 
 def bodies(data: str | None, given: list[Path]) -> dict[str, Callable[[], Any]]:
@@ -96,7 +97,19 @@ def lumpy(subdivisions: int) -> Any:
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = mesh.vertices.T
     mesh.vertices *= (1.0 + 0.12 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y) + 0.08 * np.cos(6.0 * z))[:, None]
-    return mesh
+    return _unwrapped(mesh, np.column_stack([np.arctan2(y, x) / (2.0 * math.pi) + 0.5, 0.5 + 0.5 * z]))
+
+
+def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
+    """A mesh with texture coordinates whose u goes around: faces across the seam get corners of their own."""
+    faces, vertices = np.array(mesh.faces), np.asarray(mesh.vertices)
+    across = np.ptp(uv[faces, 0], axis=1) > 0.5
+    beyond = across[:, None] & (uv[faces, 0] < 0.5)
+    moved, where = np.unique(faces[beyond], return_inverse=True)
+    faces[beyond] = len(vertices) + where
+    uv = np.concatenate([uv, uv[moved] + [1.0, 0.0]])
+    visual = trimesh.visual.TextureVisuals(uv=uv)
+    return trimesh.Trimesh(np.concatenate([vertices, vertices[moved]]), faces, visual=visual, process=False)
 
 
 def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
@@ -173,8 +186,15 @@ def judged(given: Crop, exact: Truth, image: wd.Image) -> Errors:
     covered = np.maximum(image.coverage[MARGIN:-MARGIN, MARGIN:-MARGIN], 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * given.white)
     error = np.linalg.norm(inner / covered - exact.xyz, axis=2) / size
+    # Relative to what the crop's own white tells.
+    told = image.error[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    own = np.maximum(np.linalg.norm(inner, axis=2), FLOOR * brightness(image.xyz[image.lit][:, 1].astype(np.float64)))
     return Errors(
-        error[exact.interior], error[exact.silhouette], error[exact.shadowed], (exact.settled / size)[exact.interior]
+        error[exact.interior],
+        error[exact.silhouette],
+        error[exact.shadowed],
+        (exact.settled / size)[exact.interior],
+        (told * own / size)[exact.interior],
     )
 
 
@@ -203,10 +223,11 @@ def main() -> None:
     names, fields = bodies(options.data, options.mesh), surfaces(options.data)
     names = {each: names[each] for each in options.bodies or names}
     fields = {each: fields[each] for each in options.surfaces or fields}
-    print(
-        "| body | surface | distance | tolerance | rays | interior | settled | P50 / tolerance | P99 "
-        "| silhouettes, P95 | shadow edges, P95 | ΔE2000, P99 | means | warned |\n" + "| --- " * 14 + "|"
+    heads = (
+        "body | surface | distance | tolerance | rays | interior | settled | P50 / tolerance | P99 | silhouettes, P95 "
+        "| shadow edges, P95 | ΔE2000, P99 | bounded | rank correlation | told / true | means | warned"
     )
+    print(f"| {heads} |\n{'| --- ' * (heads.count('|') + 1)}|")
     within, everything, begin = 0, 0, time.perf_counter()
     for each in crops(names, fields, options.seed):
         exact = truth(each, min(options.tolerances))
@@ -229,14 +250,24 @@ def main() -> None:
                 print(
                     f"| {each.name} | {tolerance:g} | {samples} | {100.0 * exact.interior.mean():.0f} % "
                     f"| {_percentiles(found.settled, 99.0)[0] / tolerance:.2f} | {p50:.3f} | {p99:.2f} "
-                    f"| {edges[0]:.2f} | {edges[1]:.2f} | {colours:.1f} "
-                    f"| {'yes' if image.plan.footprint else 'no'} | {told} |",
+                    f"| {edges[0]:.2f} | {edges[1]:.2f} | {colours:.1f} | {_estimates(found)} "
+                    f"| {'blurs' if image.plan.blurs else 'points'} | {told} |",
                     flush=True,
                 )
     print(
         f"\n{within} of {everything} pictures have P99 <= 1 and P50 <= 1/4 of their tolerance over interior pixels; "
         f"{time.perf_counter() - begin:.0f} s, seed {options.seed}."
     )
+
+
+def _estimates(found: Errors) -> str:
+    """How well errors are told: the share that is bounded, the correlation of ranks, and the ratio of sums."""
+    true, told = found.interior, found.told
+    if len(true) < 3:
+        return "| | "
+    ranks = [np.argsort(np.argsort(each)) for each in (true, told)]
+    bounded, ratio = 100.0 * np.mean(true <= told), told.sum() / max(true.sum(), 1e-30)
+    return f"{bounded:.0f} % | {np.corrcoef(*ranks)[0, 1]:.2f} | {ratio:.1f}"
 
 
 def _percentiles(values: np.ndarray, *which: float) -> np.ndarray:
