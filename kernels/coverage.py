@@ -2,15 +2,15 @@
 
 import warp as wp
 
-from warpdiff import supersample
+from warpdiff import refinement
 from warpdiff.kernels.native import filled
-from warpdiff.kernels.scene import Camera, Sampling, SurfaceArrays, Tiles
+from warpdiff.kernels.scene import Camera, Cells, Sampling, SurfaceArrays
 
 # Faces side by side.
 ABREAST = 16
 
 # Faces side by side as they lie in the picture, so that the compiler makes vectors of that, and then one after the
-# other: with the pixels of a row, one by one, or with rays of tiles side by side.
+# other: with the pixels of a row, one by one, or with the cells of pixels side by side.
 _COVER = """
 #if !defined(__CUDA_ARCH__)
     // Products of corners on such a grid are exact in a picture, so that faces leave no gap where they meet.
@@ -25,11 +25,10 @@ _COVER = """
     const int* const faces = (const int*)surface.faces.data;
     const float* const positions = (const float*)surface.positions.data;
     const double* const offsets = (const double*)sampling.offsets.data;
-    const unsigned long long* const marks = (const unsigned long long*)tiles.marks.data;
-    const int* const first_rays = (const int*)tiles.first_rays.data;
-    const int* const ends = (const int*)tiles.ends.data;
+    const unsigned long long* const marks = (const unsigned long long*)cells.marks.data;
+    const int* const ranks = (const int*)cells.ranks.data;
     unsigned long long* const nearest = (unsigned long long*)nearest_out.data;
-    const bool orthographic = camera.orthographic, of_tiles = tiles.first_rays.shape[0] > 0;
+    const bool orthographic = camera.orthographic, of_cells = cells.ranks.shape[0] > 0;
     const bool scattered = sampling.offsets.shape[0] > 0;
     const int width = camera.width, height = camera.height, words = (width + 63) / 64;
     const double per_width = 0.5 * width / axes[12], per_height = 0.5 * height / axes[13];
@@ -38,25 +37,20 @@ _COVER = """
     auto smaller = [](double a, double b) { return a < b ? a : b; };
     auto larger = [](double a, double b) { return a > b ? a : b; };
 
-    // Where rays lie about the centre of a pixel: one of a sample, or those of a tile of each kind.
-    double right_of = 0.5, below_of = 0.5, most = reach, reaches[KINDS] = {};
-    if (!of_tiles && sampling.places.shape[0] > 0) {
+    // Where rays lie about the centre of a pixel: one of a sample, or those of its cells.
+    double right_of = 0.5, below_of = 0.5, most = reach;
+    if (!of_cells && sampling.places.shape[0] > 0) {
         right_of += ((const double*)sampling.places.data)[2 * sampling.sample];
         below_of += ((const double*)sampling.places.data)[2 * sampling.sample + 1];
     }
-    float aside[KINDS][MOST_RAYS] = {}, below[KINDS][MOST_RAYS] = {};
-    int sizes[KINDS] = {};
-    for (int kind = 0; of_tiles && kind < (int)tiles.ends.shape[0]; ++kind) {
-        const int across = ((const int*)tiles.across.data)[kind];
-        const double apart = ((const double*)tiles.apart.data)[kind];
-        sizes[kind] = across * across;
-        reaches[kind] = 0.5 * (across - 1) * apart;
-        most = larger(most, reaches[kind]);
-        for (int ray = 0; ray < sizes[kind]; ++ray) {
-            aside[kind][ray] = ray % across * apart - reaches[kind];
-            below[kind][ray] = ray / across * apart - reaches[kind];
-        }
+    float aside[MOST_RAYS] = {}, below[MOST_RAYS] = {};
+    const int across = cells.across, size = across * across;
+    const double reach_of_cells = 0.5 - 0.5 / across;
+    for (int ray = 0; of_cells && ray < size; ++ray) {
+        aside[ray] = (float)((ray % across + 0.5) / across - 0.5);
+        below[ray] = (float)((ray / across + 0.5) / across - 0.5);
     }
+    if (of_cells) most = larger(most, reach_of_cells);
 
     // Triangles: columns, rows and distances of their corners, whether the edges across from these run from the vertex
     // of the smaller number to the larger, and the face.
@@ -128,7 +122,7 @@ _COVER = """
                 }
                 if (!(least <= largest)) continue;
                 const int left = (int)least, end_column = (int)largest + 1;
-                if (!of_tiles) {
+                if (!of_cells) {
                     for (int column = left; column < end_column; ++column) {
                         const int ray = row * width + column;
                         const double* const offset = offsets + 2LL * ray;
@@ -146,28 +140,26 @@ _COVER = """
                     if (64 * word + 64 > end_column) pixels &= ~0ULL >> (64 * word + 64 - end_column);
                     for (; pixels != 0; pixels &= pixels - 1) {
                         const int column = 64 * word + __builtin_ctzll(pixels);
-                        const int first = first_rays[row * width + column];
-                        int kind = 0;
-                        while (first >= ends[kind]) ++kind;
+                        const int first = ranks[row * width + column] * size;
                         double inside[3];
                         find(column + 0.5, row + 0.5, inside);
                         bool is_beside = false;
-                        lanes at_centre[3], along[3], across[3];
+                        lanes at_centre[3], along[3], athwart[3];
                         for (int k = 0; k < 3; ++k) {
                             along[k] = lanes{} + (float)(signs[k][i] * right[k][i]);
-                            across[k] = lanes{} + (float)(signs[k][i] * down[k][i]);
+                            athwart[k] = lanes{} + (float)(signs[k][i] * down[k][i]);
                             at_centre[k] = lanes{} + (float)inside[k];
-                            is_beside |= inside[k] < -reaches[kind] * (wp::abs(right[k][i]) + wp::abs(down[k][i]));
+                            is_beside |= inside[k] < -reach_of_cells * (wp::abs(right[k][i]) + wp::abs(down[k][i]));
                         }
                         if (is_beside) continue;
-                        for (int ray = 0; ray < sizes[kind]; ray += LANES) {
-                            const lanes x = *(const lanes*)(aside[kind] + ray), y = *(const lanes*)(below[kind] + ray);
+                        for (int ray = 0; ray < size; ray += LANES) {
+                            const lanes x = *(const lanes*)(aside + ray), y = *(const lanes*)(below + ray);
                             lanes at[3];
-                            for (int k = 0; k < 3; ++k) at[k] = at_centre[k] + (along[k] * y - across[k] * x);
+                            for (int k = 0; k < 3; ++k) at[k] = at_centre[k] + (along[k] * y - athwart[k] * x);
                             const flags each = (at[0] >= 0.0f) & (at[1] >= 0.0f) & (at[2] >= 0.0f) & BITS;
                             int covered = 0;
                             for (int j = 0; j < LANES; ++j) covered |= each[j];
-                            if (ray + LANES > sizes[kind]) covered &= (1 << (sizes[kind] - ray)) - 1;
+                            if (ray + LANES > size) covered &= (1 << (size - ray)) - 1;
                             for (; covered != 0; covered &= covered - 1) {
                                 const int j = __builtin_ctz(covered);
                                 keep(at[0][j], at[1][j], at[2][j], first + ray + j);
@@ -280,12 +272,12 @@ _COVER = """
 """
 
 
-@wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=supersample.LANES, KINDS=len(supersample.KINDS)))
+@wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=max(refinement.rays_at(refinement.MOST_LEVEL), 8)))
 def cover_run(
     camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,
-    tiles: Tiles,
+    cells: Cells,
     reach: wp.float64,
     begin: wp.int32,
     end: wp.int32,

@@ -1,16 +1,12 @@
-"""From pixels and a light to what the spectral kernels take: (u, v, w), gain and footprint.
-
-And back from the colours of rays to those of pixels.
-"""
+"""From what rays see and a light to what the spectral kernels take: (u, v, w), gain and footprint."""
 
 import warp as wp
 
 from warpdiff import optics
 from warpdiff.kernels import spectral
-from warpdiff.kernels.footprints import spread
+from warpdiff.kernels.footprints import spread_run
 from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import Footprint, Pixels
-from warpdiff.kernels.tiles import classes_of, fan_out_run, list_classes
+from warpdiff.kernels.scene import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(spectral.OPTIONS)
 
@@ -57,8 +53,8 @@ _DEFLECT = """
         const int count = wp::min(end - from, ABREAST);
         int hits = 0;
         for (int i = 0; i < count; ++i) hits |= hit[from + i];
+        if (sums && resets) memset(xyz + 3LL * from, 0, 3 * count * sizeof(float));
         if (sums && begins) {
-            memset(xyz + 3LL * from, 0, 3 * count * sizeof(float));
             memset(coverage + from, 0, count * sizeof(double));
             memset(lit + from, 0, count * sizeof(bool));
         }
@@ -140,6 +136,7 @@ def deflect(
     scale: wp.float64,
     counted: wp.float64,
     begins: wp.bool,
+    resets: wp.bool,
     hidden: wp.array(dtype=wp.bool),
     begin: wp.int32,
     end: wp.int32,
@@ -171,6 +168,7 @@ def deflect_pixels(
     weight: wp.float64,
     counted: wp.float64,
     begins: wp.bool,
+    resets: wp.bool,
     hidden: wp.array(dtype=wp.bool),
     first: wp.int32,
     run: wp.int32,
@@ -186,8 +184,8 @@ def deflect_pixels(
 
     All that meet the mesh have a deflection, and where the light does not come their gain is 0. Its pigment is added to
     ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked as lit,
-    from nothing if the sum ``begins``; empty arrays are none of these. ``hidden`` says which pixels the light does not
-    reach; empty is none.
+    from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these. ``hidden``
+    says which pixels the light does not reach; empty is none.
     """
     to_light = lights.to_lights[which]
     strength = lights.strengths[which]
@@ -195,7 +193,7 @@ def deflect_pixels(
     thread, _ = wp.tid()
     begin = first + thread * run
     deflect(
-        pixels, to_light, reflection, scale, counted, begins, hidden, begin, begin + run,
+        pixels, to_light, reflection, scale, counted, begins, resets, hidden, begin, begin + run,
         deflections_out, to_lights_out, gains_out, xyz_out, coverage_out, lit_out,
     )  # fmt: skip
     if strength[1] == wp.float64(0.0) or xyz_out.shape[0] == 0:
@@ -290,172 +288,17 @@ def pick(
 @wp.kernel
 def spread_pixels(
     # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    pixels: Pixels,
     deflections: wp.array(dtype=wp.vec3d),
-    gains: wp.array(dtype=wp.float32),
-    hit: wp.array(dtype=wp.int32),
-    width: wp.int32,
-    height: wp.int32,
     deviation: wp.float32,
     first: wp.int32,
     run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):
-    """What a pixel's filter does to (u, v).
-
-    Pixels are a picture of a width and height, or pictures one after the other.
-    """
+    """What rays' filters, of a deviation in pixels, do to (u, v)."""
     thread, _ = wp.tid()
     begin = first + thread * run
-    spread(deflections, gains, hit, width, height, deviation, begin, begin + run, footprints_out)
-
-
-@wp.kernel
-def classify(
-    # In:
-    colours: wp.array(dtype=wp.vec3f),
-    deflections: wp.array(dtype=wp.vec3d),
-    gains: wp.array(dtype=wp.float32),
-    width: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bounds: wp.array(dtype=wp.float32),
-    first: wp.int32,
-    run: wp.int32,
-    # Out:
-    classes_out: wp.array(dtype=wp.uint8),
-):
-    """The class of each pixel: 0 is not lit, 1 has a contrast within all bounds, and those beyond are of three classes.
-
-    Three for each further bound that is exceeded, from 2 on: where (u, v) changes evenly all around, where it does not,
-    and where a pixel beside is not lit.
-
-    Contrast is the largest difference from those beside it in the picture, of which there are whole rows, relative to
-    the pixel itself, or to ``floor``, if that is more. The more evenly (u, v) changes all around, the less it counts.
-    """
-    thread, _ = wp.tid()
-    begin = first + thread * run
-    classes_of(
-        colours, deflections, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out
-    )
-
-
-@wp.kernel
-def list_steep(
-    # In:
-    colours: wp.array(dtype=wp.vec3f),
-    deflections: wp.array(dtype=wp.vec3d),
-    gains: wp.array(dtype=wp.float32),
-    width: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bounds: wp.array(dtype=wp.float32),
-    begins: wp.int32,
-    size: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
-    # Out:
-    classes_out: wp.array(dtype=wp.uint8),
-    lists_out: wp.array2d(dtype=wp.int32),
-    counts_out: wp.array2d(dtype=wp.int32),
-):
-    """The pixels of each class of ``classify`` from 2 on in parts of a picture, of a ``size`` but for the last.
-
-    The first part begins at the pixel ``begins``. A part's lists lie in ``lists_out``, (classes, pixels), from its
-    first pixel on; ``counts_out``, (parts, classes + 1), are their lengths, and at the end how many pixels are lit.
-    """
-    thread, _ = wp.tid()
-    begin = first + thread * run
-    classes_of(
-        colours, deflections, gains, width, gains.shape[0] // width, floor, bounds, begin, begin + run, classes_out
-    )
-    list_classes(classes_out, begin, begin + run, (begin - begins) // size, lists_out, counts_out)
-
-
-@wp.kernel
-def fan_out(
-    # In:
-    deflections: wp.array(dtype=wp.vec3d),
-    to_lights: wp.array(dtype=wp.vec3f),
-    gains: wp.array(dtype=wp.float32),
-    tiles: wp.array(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec2d),
-    width: wp.int32,
-    deviation: wp.float32,
-    with_lights: wp.bool,
-    first: wp.int32,
-    run: wp.int32,
-    # Out:
-    deflections_out: wp.array(dtype=wp.vec3d),
-    to_lights_out: wp.array(dtype=wp.vec3f),
-    gains_out: wp.array(dtype=wp.float32),
-    footprints_out: wp.array(dtype=Footprint),
-    hit_out: wp.array(dtype=wp.int32),
-):
-    """What rays of tiles see where (u, v) changes evenly: by the parabolas through a pixel and those around it.
-
-    Args:
-        deflections: Those of the picture's pixels.
-        to_lights: Their directions to the light.
-        gains: Their factors.
-        tiles: The pixels that have a tile; −1 is none.
-        places: Where rays lie, (right, down) of the centre [pixels].
-        width: Pixels in a row.
-        deviation: Of the rays' filters [pixels].
-        with_lights: Whether directions to the light count.
-        first: The first thread's tile.
-        run: How many a thread takes.
-        deflections_out: Those of the rays.
-        to_lights_out: Their directions to the light.
-        gains_out: Their factors.
-        footprints_out: As ``spread_pixels`` has them.
-        hit_out: 1 for each ray of a pixel.
-    """
-    thread, _ = wp.tid()
-    begin = first + thread * run
-    fan_out_run(
-        deflections, to_lights, gains, tiles, places, width, deviation, with_lights, begin, begin + run,
-        deflections_out, to_lights_out, gains_out, footprints_out, hit_out
-    )  # fmt: skip
-
-
-@wp.kernel
-def gather(
-    # In:
-    colours: wp.array(dtype=wp.vec3f),
-    hit: wp.array(dtype=wp.int32),
-    tiles: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32),
-    first: wp.int32,
-    run: wp.int32,
-    # Out:
-    colours_out: wp.array(dtype=wp.vec3f),
-):
-    """Set the colours of pixels to the means over the rays of their tiles that meet the mesh; a pixel −1 is none."""
-    thread, _ = wp.tid()
-    for tile in range(first + thread * run, first + (thread + 1) * run):
-        if tiles[tile] < 0:
-            continue
-        rays = weights.shape[0]
-        total = wp.vec3f()
-        weight = wp.float32(0.0)
-        for k in range(rays):
-            i = tile * rays + k
-            if hit[i] != 0:
-                total += weights[k] * colours[i]
-                weight += weights[k]
-        if weight > 0.0:
-            colours_out[tiles[tile]] = total / weight
-
-
-@wp.kernel
-def accumulate(
-    # In:
-    colours: wp.array(dtype=wp.vec3f),
-    first: wp.int32,
-    run: wp.int32,
-    # Out:
-    xyz_out: wp.array(dtype=wp.vec3f),
-):
-    """Add colours to others."""
-    thread, _ = wp.tid()
-    for i in range(first + thread * run, first + (thread + 1) * run):
-        xyz_out[i] = xyz_out[i] + colours[i]
+    spread_run(camera, surface, pixels, deflections, deviation, begin, begin + run, footprints_out)

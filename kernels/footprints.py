@@ -1,126 +1,147 @@
-"""What a pixel's filter makes of (u, v): how they spread, to first order, and where their mean lies, to second.
+"""What a filter makes of (u, v), to first order: ray differentials (Igehy 1999) on the face that a ray has met.
 
-Powers are means over a Gaussian of (u, v) whose changes along rows and columns are those of its deviation. What is
-brighter within it counts for more: to first order a factor that changes moves the mean by what its logarithm has in
-common with (u, v). The gain is one; and weak gratings send w² times a spectrum of (u, v) on. What others do differently
-a look-up adds, from what w has in common with (u, v).
+The eye's direction, the point of the face's plane, its shading frame and so (u, v) change with the place in the picture
+in closed form. Nothing is asked of the pixels beside, so that nothing leaks over edges, and every ray has its own.
 """
 
 import warp as wp
 
 from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import Footprint
+from warpdiff.kernels.scene import Camera, Footprint, Pixels, SurfaceArrays
+from warpdiff.kernels.shading_frames import LEAST_COSINE
 
-# By how much of itself the gain times w² changes at most along a deviation, that the mean still moves in proportion.
-_MOST_GAINED = 0.5
+# The least cosine between the view and a face that its plane is followed at: below, a footprint is a streak anyway.
+_LEAST_FACING = 1e-4
 
-# A footprint, from changes from pixel to pixel along rows and columns, of (u, v, w) and of the gain times w², relative
-# to it, and half the sum of second differences.
-PUT_FOOTPRINT = filled(
-    """
-    const float variance = deviation * deviation, most_gained = MOST / deviation;
-    auto gained = [&](float change) {
-        return change < -most_gained ? -most_gained : change < most_gained ? change : most_gained;
-    };
-    auto put_footprint = [&](const float* along, const float* down, float bend_u, float bend_v, auto put) {
-        const float more = gained(along[3]), more_down = gained(down[3]);
-        put(0, deviation * along[0]);
-        put(1, deviation * along[1]);
-        put(2, deviation * down[0]);
-        put(3, deviation * down[1]);
-        put(4, variance * (more * along[0] + more_down * down[0] + bend_u));
-        put(5, variance * (more * along[1] + more_down * down[1] + bend_v));
-        put(6, variance * (along[2] * along[0] + down[2] * down[0]));
-        put(7, variance * (along[2] * along[1] + down[2] * down[1]));
-    };
-""",
-    MOST=f"{_MOST_GAINED}f",
-)
-
-# How (u, v, w) and the gain differ to the left, to the right, above and below, and then many pixels side by side.
+# Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time.
 _SPREAD = """
-    const double* const all = (const double*)deflections.data;
-    const float* const all_gains = (const float*)gains.data;
-    const int* const is_hit = (const int*)hit.data;
+    const double* const axes = (const double*)camera.axes.data;
+    const int* const is_hit = (const int*)pixels.hit.data;
+    const int* const faces = (const int*)surface.faces.data;
+    const float* const of_corners[3] = {(const float*)surface.positions.data, (const float*)surface.normals.data,
+        (const float*)surface.tangents.data};
+    const float* const of_pixels[4] = {(const float*)pixels.tangent.data, (const float*)pixels.bitangent.data,
+        (const float*)pixels.normal.data, (const float*)pixels.to_view.data};
+    const float* const places = (const float*)pixels.place.data;
+    const double* const uvw = (const double*)deflections.data;
     float* const out = (float*)footprints_out.data;
-    const int offsets[4] = {-1, 1, -width, width};
-    int column = begin % width, row = begin / width % height;
+    const bool smooth = surface.smooth, perspective = !camera.orthographic;
+    // By a deviation to the right, and downwards.
+    float steps[2][3], back[3], eye[3];
+    for (int c = 0; c < 3; ++c) {
+        steps[0][c] = (float)(deviation * 2.0 * axes[12] / camera.width * axes[3 + c]);
+        steps[1][c] = (float)(-deviation * 2.0 * axes[13] / camera.height * axes[6 + c]);
+        back[c] = (float)axes[9 + c];
+        eye[c] = (float)axes[c];
+    }
+    auto dot = [](const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; };
+    auto cross = [](const float* a, const float* b, float* result) {
+        result[0] = a[1] * b[2] - a[2] * b[1];
+        result[1] = a[2] * b[0] - a[0] * b[2];
+        result[2] = a[0] * b[1] - a[1] * b[0];
+    };
     for (int from = begin; from < end; from += ABREAST) {
         const int count = wp::min(end - from, ABREAST);
         int hits = 0;
         for (int i = 0; i < count; ++i) hits |= is_hit[from + i];
         if (hits == 0) {
-            memset(out + 8LL * from, 0, 8 * count * sizeof(float));
-            row = (row + (column + count) / width) % height;
-            column = (column + count) % width;
+            memset(out + 4LL * from, 0, 4 * count * sizeof(float));
             continue;
         }
-        float there[4][ABREAST] = {}, u[4][ABREAST] = {}, v[4][ABREAST] = {}, w[4][ABREAST] = {};
-        float gain[4][ABREAST] = {}, w_here[ABREAST] = {}, gain_here[ABREAST] = {}, made[8][ABREAST];
-        for (int i = 0; i < count; ++i) {
-            const long long k = from + i;
-            const bool inside[4] = {column > 0, column < width - 1, row > 0, row < height - 1};
-            for (int n = 0; n < 4; ++n) {
-                const bool counts = is_hit[k] != 0 && inside[n] && is_hit[k + offsets[n]] != 0;
-                const long long other = counts ? k + offsets[n] : k;
-                there[n][i] = counts ? 1.0f : 0.0f;
-                u[n][i] = (float)(all[3 * other] - all[3 * k]);
-                v[n][i] = (float)(all[3 * other + 1] - all[3 * k + 1]);
-                w[n][i] = (float)(all[3 * k + 2] - all[3 * other + 2]);
-                gain[n][i] = all_gains[other];
+        // Where nothing is met, what is there of any face and pixel.
+        float corner[3][3][3][ABREAST], frame[4][3][ABREAST], b0[ABREAST], b1[ABREAST], seen[3][ABREAST];
+        float made[4][ABREAST];
+        for (int i = 0; i < ABREAST; ++i) {
+            const int k = from + (i < count ? i : 0);
+            const bool met = is_hit[k] != 0;
+            const int* const corners = faces + 3LL * (met ? ((const int*)pixels.face.data)[k] : 0);
+            for (int which = 0; which < 3; ++which) {
+                const long long at = 3LL * corners[which];
+                for (int what = 0; what < 3; ++what)
+                    for (int c = 0; c < 3; ++c) corner[what][which][c][i] = of_corners[what][at + c];
             }
-            w_here[i] = (float)-all[3 * k + 2];
-            gain_here[i] = all_gains[k];
-            if (++column < width) continue;
-            column = 0;
-            row = row + 1 < height ? row + 1 : 0;
+            for (int what = 0; what < 4; ++what)
+                for (int c = 0; c < 3; ++c) frame[what][c][i] = met ? of_pixels[what][3LL * k + c] : 0.0f;
+            for (int c = 0; c < 3; ++c) seen[c][i] = met ? (float)-uvw[3LL * k + c] : 0.0f;
+            b0[i] = met ? places[2LL * k] : 0.0f;
+            b1[i] = met ? places[2LL * k + 1] : 0.0f;
         }
         for (int i = 0; i < ABREAST; ++i) {
-            float changes[2][4], bend_u = 0.0f, bend_v = 0.0f;
-            const float per_w = w_here[i] > 0.0f ? 2.0f / w_here[i] : 0.0f;
-            for (int axis = 0; axis < 2; ++axis) {
-                const int n = 2 * axis;
-                // From the one before and to the one after; where the two disagree, an edge of the body or of a
-                // texture's chart lies between: the smaller change is the surface.
-                const float u0 = -u[n][i], v0 = -v[n][i], u1 = u[n + 1][i], v1 = v[n + 1][i];
-                const float size0 = u0 * u0 + v0 * v0, size1 = u1 * u1 + v1 * v1;
-                const float bent_u = u1 - u0, bent_v = v1 - v0, bent = bent_u * bent_u + bent_v * bent_v;
-                const float both = there[n][i] * there[n + 1][i];
-                const float agree = bent < (size0 < size1 ? size0 : size1) ? both : 0.0f;
-                const float smaller = size0 < size1 ? 1.0f : 0.0f;
-                const float share0 = both > 0.0f ? (agree > 0.0f ? 0.5f : smaller) : there[n][i];
-                const float share1 = both > 0.0f ? 1.0f - share0 : there[n + 1][i];
-                // None from or to what is not lit.
-                auto change = [&](float other, float of_w) {
-                    const float sum = other + gain_here[i], least = other < gain_here[i] ? other : gain_here[i];
-                    return least > 0.0f ? 2.0f * (other - gain_here[i]) / sum + per_w * of_w : 0.0f;
-                };
-                changes[axis][0] = share0 * u0 + share1 * u1;
-                changes[axis][1] = share0 * v0 + share1 * v1;
-                changes[axis][2] = share1 * w[n + 1][i] - share0 * w[n][i];
-                changes[axis][3] = share1 * change(gain[n + 1][i], w[n + 1][i]) - share0 * change(gain[n][i], w[n][i]);
-                bend_u += 0.5f * agree * bent_u;
-                bend_v += 0.5f * agree * bent_v;
+            const float share[3] = {b0[i], b1[i], 1.0f - b0[i] - b1[i]};
+            float t[3], b[3], n[3], view[3], edge1[3], edge2[3], across[3], of_share1[3], of_share2[3], away[3];
+            float blend[3], tangent[3], normal1[3], normal2[3], tangent1[3], tangent2[3];
+            for (int c = 0; c < 3; ++c) {
+                t[c] = frame[0][c][i];
+                b[c] = frame[1][c][i];
+                n[c] = frame[2][c][i];
+                view[c] = frame[3][c][i];
+                edge1[c] = corner[0][1][c][i] - corner[0][0][c][i];
+                edge2[c] = corner[0][2][c][i] - corner[0][0][c][i];
+                normal1[c] = corner[1][1][c][i] - corner[1][0][c][i];
+                normal2[c] = corner[1][2][c][i] - corner[1][0][c][i];
+                tangent1[c] = corner[2][1][c][i] - corner[2][0][c][i];
+                tangent2[c] = corner[2][2][c][i] - corner[2][0][c][i];
+                blend[c] = corner[1][0][c][i] + share[1] * normal1[c] + share[2] * normal2[c];
+                tangent[c] = corner[2][0][c][i] + share[1] * tangent1[c] + share[2] * tangent2[c];
+                away[c] = eye[c] - corner[0][0][c][i] - share[1] * edge1[c] - share[2] * edge2[c];
             }
-            auto put = [&](int c, float value) { made[c][i] = value; };
-            put_footprint(changes[0], changes[1], bend_u, bend_v, put);
+            // What a move in the picture's plane, projected along the view, changes of the shares of corners.
+            cross(edge1, edge2, across);
+            cross(edge2, across, of_share1);
+            cross(across, edge1, of_share2);
+            const float area2 = dot(across, across) + 1.0e-30f, turned = dot(across, view);
+            const float facing = turned < 0.0f ? -1.0f : 1.0f, least = LEAST_FACING * wp::sqrt(area2);
+            const float per_facing = 1.0f / (facing * turned > least ? turned : facing * least);
+            const float slide1 = dot(view, of_share1) * per_facing, slide2 = dot(view, of_share2) * per_facing;
+            // How far along the view a unit of that plane lies, and the mesh.
+            const float per_unit = perspective ? dot(view, back) : 0.0f;
+            const float scale = (perspective ? per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
+            // The frame turns as a whole: with the normal, and about it with the tangent.
+            const float length2 = dot(blend, blend);
+            const bool blends = smooth && length2 > 1.0e-8f;
+            const float per_length = blends ? facing / wp::sqrt(length2) : 0.0f;
+            const float clamped = blends && per_length * dot(blend, view) < LEAST_COSINE ? 1.0f : 0.0f;
+            const float tilt = dot(tangent, n), tangent2_left = dot(tangent, tangent) - tilt * tilt;
+            const float per_tangent = tangent2_left > 1.0e-10f ? 1.0f / wp::sqrt(tangent2_left) : 0.0f;
+            const float t_view = dot(t, view), b_view = dot(b, view), n_view = dot(n, view);
+            const float t_normal1 = dot(t, normal1), t_normal2 = dot(t, normal2);
+            const float b_normal1 = dot(b, normal1), b_normal2 = dot(b, normal2);
+            const float b_tangent1 = dot(b, tangent1), b_tangent2 = dot(b, tangent2);
+            for (int axis = 0; axis < 2; ++axis) {
+                const float* const step = steps[axis];
+                const float along = dot(view, step), through = dot(across, step);
+                const float share1 = scale * (dot(of_share1, step) - slide1 * through);
+                const float share2 = scale * (dot(of_share2, step) - slide2 * through);
+                // What the view changes by, of each axis of the frame.
+                const float t_turn = -per_unit * (dot(t, step) - along * t_view);
+                const float b_turn = -per_unit * (dot(b, step) - along * b_view);
+                const float n_turn = -per_unit * (dot(n, step) - along * n_view);
+                float of_t = per_length * (share1 * t_normal1 + share2 * t_normal2);
+                float of_b = per_length * (share1 * b_normal1 + share2 * b_normal2);
+                // A normal that was turned to the viewer keeps its angle with the view.
+                const float of_cosine = clamped * (of_t * t_view + of_b * b_view + n_turn);
+                of_t -= of_cosine * t_view;
+                of_b -= of_cosine * b_view;
+                const float round = per_tangent * (share1 * b_tangent1 + share2 * b_tangent2 - tilt * of_b);
+                made[2 * axis][i] = round * seen[1][i] - of_t * seen[2][i] + t_turn;
+                made[2 * axis + 1][i] = -round * seen[0][i] - of_b * seen[2][i] + b_turn;
+            }
         }
         for (int i = 0; i < count; ++i)
-            for (int c = 0; c < 8; ++c) out[8LL * (from + i) + c] = made[c][i];
+            for (int c = 0; c < 4; ++c) out[4LL * (from + i) + c] = is_hit[from + i] != 0 ? made[c][i] : 0.0f;
     }
 """
 
 
-@wp.func_native(abreast(32) + PUT_FOOTPRINT + _SPREAD)
-def spread(
+@wp.func_native(filled(abreast(16) + _SPREAD, LEAST_COSINE=f"{float(LEAST_COSINE)}f", LEAST_FACING=f"{_LEAST_FACING}f"))
+def spread_run(
+    camera: Camera,
+    surface: SurfaceArrays,
+    pixels: Pixels,
     deflections: wp.array(dtype=wp.vec3d),
-    gains: wp.array(dtype=wp.float32),
-    hit: wp.array(dtype=wp.int32),
-    width: wp.int32,
-    height: wp.int32,
     deviation: wp.float32,
     begin: wp.int32,
     end: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):
-    """Footprints of pixels one after the other, in pictures of this size one after the other."""
+    """Footprints of rays one after the other."""

@@ -49,8 +49,7 @@ class Blending:
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
 
 
-# Sums of rows times the functions at w: the first of four entries, and the cubic through them. And, if told, sums of
-# rows times how much w differs there, times the slopes of the functions between the middle two of these entries.
+# Sums of rows times the functions at w: the first of four entries, and the cubic through them.
 _WEIGH = """
     auto find_w = [&](float w, int& entry, float& w0, float& w1, float& w2, float& w3) {
         const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
@@ -62,26 +61,19 @@ _WEIGH = """
         w2 = 0.5f * prior * t * beyond;
         w3 = (-1.0f / 6.0f) * prior * t * after;
     };
-    auto weigh = [&](const chunk* sum, const chunk* tilted, int entry, float w0, float w1, float w2, float w3) {
+    auto weigh = [&](const chunk* sum, int entry, float w0, float w1, float w2, float w3) {
         constexpr int EACH = CHUNKS / 3;
         const chunk* const entries = (const chunk*)table.functions.data + (long long)entry * EACH;
-        chunk colour[3] = {chunk{}, chunk{}, chunk{}}, more[3] = {chunk{}, chunk{}, chunk{}};
+        chunk colour[3] = {chunk{}, chunk{}, chunk{}};
         for (int k = 0; k < EACH; ++k) {
             const chunk at_w = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH]
                 + w3 * entries[k + 3 * EACH];
             for (int c = 0; c < 3; ++c) colour[c] += sum[c * EACH + k] * at_w;
-            if (!tilted) continue;
-            const chunk slope = ((const chunk*)table.slopes.data)[(entry + 1LL) * EACH + k];
-            for (int c = 0; c < 3; ++c) more[c] += tilted[c * EACH + k] * slope;
         }
         wp::vec_t<3, float> result;
         for (int c = 0; c < 3; ++c) {
-            float total = 0.0f, added = 0.0f;
-            for (int l = 0; l < SIZE; ++l) total += ((const float*)&colour[c])[l];
-            for (int l = 0; l < SIZE; ++l) added += ((const float*)&more[c])[l];
-            // In proportion to what is there, as slopes do not go on for ever.
-            const float most = 0.5f * (total < 0.0f ? -total : total);
-            result[c] = total + (added < -most ? -most : added < most ? added : most);
+            result[c] = 0.0f;
+            for (int l = 0; l < SIZE; ++l) result[c] += ((const float*)&colour[c])[l];
         }
         return result;
     };
@@ -228,7 +220,7 @@ _POINTS = """
                 row += stride;
             }
         }
-        const auto colour = weigh(sum, nullptr, entries[i], w0[i], w1[i], w2[i], w3[i]);
+        const auto colour = weigh(sum, entries[i], w0[i], w1[i], w2[i], w3[i]);
         float* const out = (float*)xyz_out.data + 3LL * (begin + i);
         // Projected colour curves have shallow negative lobes.
         for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour[c], 0.0f);
@@ -266,7 +258,7 @@ _MEANS = """
     const double* const given = (const double*)deflections.data + 3LL * begin;
     const float* const lights = (const float*)to_lights.data + 3LL * begin;
     const float* const factors = (const float*)gains.data + begin;
-    const float* const seen = (const float*)footprints.data + 8LL * begin;
+    const float* const seen = (const float*)footprints.data + 4LL * begin;
     const float* const taps = (const float*)blending.weights.data;
     const float* const splits = (const float*)blending.parts.data;
     const int* const lengths = (const int*)blending.lengths.data;
@@ -300,7 +292,6 @@ _MEANS = """
     float u[MOST], v[MOST], w[MOST], xx[MOST], xy[MOST], yy[MOST], size2[MOST], angle2[MOST], both[MOST];
     float ratio2[MOST], along_u[MOST], along_v[MOST], parts[MOST], w0[MOST], w1[MOST], w2[MOST], w3[MOST];
     float light_x[MOST], light_y[MOST], light_z[MOST], along_x[MOST], along_y[MOST], across_x[MOST], across_y[MOST];
-    float with_w_x[MOST], with_w_y[MOST], w_per_log[MOST];
     int entries_at_w[MOST];
     for (int i = 0; i < count; ++i) {
         u[i] = (float)given[3 * i];
@@ -309,18 +300,14 @@ _MEANS = """
         light_x[i] = SOURCE ? lights[3 * i] : 0.0f;
         light_y[i] = SOURCE ? lights[3 * i + 1] : 0.0f;
         light_z[i] = SOURCE ? lights[3 * i + 2] : 0.0f;
-        along_x[i] = with_footprints ? seen[8 * i] : 0.0f;
-        along_y[i] = with_footprints ? seen[8 * i + 1] : 0.0f;
-        across_x[i] = with_footprints ? seen[8 * i + 2] : 0.0f;
-        across_y[i] = with_footprints ? seen[8 * i + 3] : 0.0f;
-        u[i] += with_footprints ? seen[8 * i + 4] : 0.0f;
-        v[i] += with_footprints ? seen[8 * i + 5] : 0.0f;
-        with_w_x[i] = with_footprints ? seen[8 * i + 6] : 0.0f;
-        with_w_y[i] = with_footprints ? seen[8 * i + 7] : 0.0f;
+        along_x[i] = with_footprints ? seen[4 * i] : 0.0f;
+        along_y[i] = with_footprints ? seen[4 * i + 1] : 0.0f;
+        across_x[i] = with_footprints ? seen[4 * i + 2] : 0.0f;
+        across_y[i] = with_footprints ? seen[4 * i + 3] : 0.0f;
     }
     for (int i = wp::max(count, 0); i % ABREAST != 0; ++i)
         u[i] = v[i] = w[i] = light_x[i] = light_y[i] = light_z[i] = along_x[i] = along_y[i] = across_x[i]
-            = across_y[i] = with_w_x[i] = with_w_y[i] = 0.0f;
+            = across_y[i] = 0.0f;
     for (int from = 0; from < count; from += ABREAST) for (int i = from; i < from + ABREAST; ++i) {
         // A source's is Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
         const float source2 = SOURCE ? table.spread2 : 0.0f, t0 = light_x[i], t1 = light_y[i];
@@ -337,12 +324,10 @@ _MEANS = """
         along_v[i] = angle_v * per_whole;
         const float turns = whole * (1.0f / MOST_TURN);
         parts[i] = turns > 1.0f ? smaller(-wp::floor(-turns), (float)PARTS) : 1.0f;
-        w_per_log[i] = (x * with_w_x[i] + y * with_w_y[i]) / larger(ratio2[i], 1.0e-12f);
     }
 
-    // And times how far nodes lie from the middle.
-    chunk sum[CHUNKS], tilted[CHUNKS];
-    for (int l = 0; l < CHUNKS; ++l) sum[l] = tilted[l] = chunk{};
+    chunk sum[CHUNKS];
+    for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
     float whole = 0.0f;
     int pixel = 0, part = 0;
     for (;;) {
@@ -351,7 +336,7 @@ _MEANS = """
         int begins[MOST], ends[MOST], ratios[MOST], steps[MOST], aparts[MOST], counted[MOST];
         float shares[MOST], turns[MOST], places[MOST], deviations[MOST], skews[MOST], turn_of[MOST], aside2[MOST];
         float at_u[MOST], at_v[MOST], of_angle2[MOST], of_ratio2[MOST], of_both[MOST], spacings[MOST];
-        float half_ratio2[MOST], w_per_node[MOST];
+        float half_ratio2[MOST];
         while (filled < MOST && pixel < count) {
             const int i = pixel, all = (int)parts[i];
             const float gain = factors[i];
@@ -395,7 +380,6 @@ _MEANS = """
                 relate(at_u[filled], at_v[filled], part_xx, part_xy, part_yy, x, y, angle_u, angle_v,
                     of_angle2[filled], of_ratio2[filled], of_both[filled]);
             }
-            w_per_node[filled] = w_per_log[i];
             shares[filled] = share;
             pixels[filled++] = i;
             if (++part == all) {
@@ -410,7 +394,6 @@ _MEANS = """
             of_angle2[k] = of_angle2[k - 1];
             of_ratio2[k] = of_ratio2[k - 1];
             of_both[k] = of_both[k - 1];
-            w_per_node[k] = 0.0f;
         }
         for (int from = 0; from < filled; from += ABREAST) for (int k = from; k < from + ABREAST; ++k) {
             const float turn_share = smaller(WIDEST_ANGLE / wp::sqrt(larger(of_angle2[k], 1.0e-12f)), 1.0f);
@@ -427,7 +410,6 @@ _MEANS = """
             const float variance = r2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             turn_of[k] = b * per_log / variance;
             half_ratio2[k] = 0.5f * r2;
-            w_per_node[k] *= r2 * per_log / variance;
             aside2[k] = larger(a2 - turn_of[k] * b * per_log, 0.0f);
             deviations[k] = deviation;
             // A sixth of the third moment of ln |(u, v)| in deviations, of what goes along it: the lower half reaches
@@ -590,18 +572,16 @@ _MEANS = """
                         for (int l = 0; l < CHUNKS; ++l) of_rays[l] += taps[tap_at + j] * ((const chunk*)row)[l];
                         row += stride;
                     }
-                    const float tilt = weight * w_per_node[of] * (aways[s] + (float)(m * apart_of[s]));
                     for (int l = 0; l < CHUNKS; ++l) sum[l] += weight * of_rays[l];
-                    for (int l = 0; l < CHUNKS; ++l) tilted[l] += tilt * of_rays[l];
                     whole += weight;
                 }
                 if (firsts_of[s] + counts[s] * apart_of[s] < ends[of]) continue;
                 const int i = pixels[of];
-                const auto colour = weigh(sum, tilted, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
+                const auto colour = weigh(sum, entries_at_w[i], w0[i], w1[i], w2[i], w3[i]);
                 // Projected colour curves have shallow negative lobes.
                 const float share = wide ? shares[of] / larger(whole, 1.0e-6f) : shares[of];
                 for (int c = 0; c < 3; ++c) out[3 * i + c] += share * larger(colour[c], 0.0f);
-                for (int l = 0; l < CHUNKS; ++l) sum[l] = tilted[l] = chunk{};
+                for (int l = 0; l < CHUNKS; ++l) sum[l] = chunk{};
                 whole = 0.0f;
             }
         }
@@ -723,7 +703,6 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     class Colours:
         rows: wp.array(dtype=row_t)  # X, Y and Z: level after level, octave after octave, ray after ray, node by node
         functions: wp.array(dtype=functions_t)  # at equal steps in |w|
-        slopes: wp.array(dtype=functions_t)  # of these from one entry to the next, beyond that of w²
         least_w: wp.float32  # |w| of the first of them
         per_w: wp.float32  # entries per unit of |w|
         firsts: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of ray 0

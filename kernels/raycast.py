@@ -5,7 +5,7 @@ import warp as wp
 from warpdiff.kernels import spectral
 from warpdiff.kernels.coverage import cover_run
 from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import SPECIAL, Camera, Pixels, Sampling, SurfaceArrays, Tiles
+from warpdiff.kernels.scene import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, stand_abreast
 
 wp.set_module_options(spectral.OPTIONS)
@@ -99,7 +99,7 @@ def cover(
     camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,
-    tiles: Tiles,
+    cells: Cells,
     reach: wp.float64,
     first: wp.int32,
     run: wp.int32,
@@ -107,7 +107,7 @@ def cover(
     nearest_out: wp.array(dtype=wp.uint64),
     rows_out: wp.array(dtype=wp.int32),
 ):
-    """Which face each pixel's ray sees, or each of tiles: on the CPU alone.
+    """Which face each pixel's ray sees, or each cell's: on the CPU alone.
 
     A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
 
@@ -115,7 +115,7 @@ def cover(
         camera: The view.
         surface: The mesh.
         sampling: Where in the pixel a ray lies.
-        tiles: Pixels with tiles of rays; empty stands for one of each pixel.
+        cells: Pixels that are split; empty stands for one ray of each pixel.
         reach: How far from pixels' centres rays lie, at most, along an axis [pixels].
         first: The first thread's face.
         run: How many a thread takes.
@@ -124,7 +124,7 @@ def cover(
         rows_out: The least and the largest row that a face may be seen in, from those that are there on; or empty.
     """
     begin = first + wp.tid() * run
-    cover_run(camera, surface, sampling, tiles, reach, begin, begin + run, nearest_out, rows_out)
+    cover_run(camera, surface, sampling, cells, reach, begin, begin + run, nearest_out, rows_out)
 
 
 @wp.func

@@ -6,9 +6,8 @@ a nanometre as for one of a kilometre, wherever either lies.
 
 import warp as wp
 
-# What a pixel's filter does to (u, v): its change by one standard deviation along rows, and along columns, how far its
-# mean lies aside, and what its changes have in common with those of w.
-Footprint = wp.types.vector(length=8, dtype=wp.float32)
+# What a filter does to (u, v): its change by one standard deviation along rows, and along columns.
+Footprint = wp.types.vector(length=4, dtype=wp.float32)
 # Of a pixel that is yet to be taken by itself.
 SPECIAL = wp.constant(2)
 
@@ -27,25 +26,25 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Which of how many samples of every pixel; a single one lies in the pixel's centre. Or tiles of some pixels."""
+    """Which of how many samples of every pixel; a single one lies in the pixel's centre. Or cells of some pixels."""
 
     sample: wp.int32
     samples: wp.int32
     seed: wp.int32
-    tiles: wp.array(dtype=wp.int32)  # pixels met by a tile of rays each, one after the other, −1 by none; empty is off
-    places: wp.array(dtype=wp.vec2d)  # where these, or samples, lie, (right, down) of the centre [pixels]; or empty
+    tiles: wp.array(dtype=wp.int32)  # pixels whose cells these are, one after the other, −1 is none; empty is off
+    places: wp.array(
+        dtype=wp.vec2d
+    )  # where a pixel's cells, or samples, lie, (right, down) of the centre [pixels]; or empty
     offsets: wp.array(dtype=wp.vec2d)  # where this sample of each pixel lies; empty unless rays are found face by face
 
 
 @wp.struct
-class Tiles:
-    """Square grids of rays about the centres of some pixels: those of each of several kinds one after the other."""
+class Cells:
+    """Pixels that are split into as many cells each, and where their rays come."""
 
-    marks: wp.array(dtype=wp.uint64)  # which pixels have one: a bit each, rows begin with words of 64
-    first_rays: wp.array(dtype=wp.int32)  # of each pixel of the picture that has one; empty where none has
-    ends: wp.array(dtype=wp.int32)  # of each kind: the ray after its last one
-    across: wp.array(dtype=wp.int32)  # rays along a side
-    apart: wp.array(dtype=wp.float64)  # their distance [pixels]
+    marks: wp.array(dtype=wp.uint64)  # which pixels these are: a bit each, rows begin with words of 64
+    ranks: wp.array(dtype=wp.int32)  # of each pixel of the picture: its place among those that are split
+    across: wp.int32  # cells along a side of a pixel
 
 
 @wp.struct

@@ -25,6 +25,7 @@ IMAGE = wd.Image(
     mask=np.ones((3, 4), bool),
     lit=np.ones((3, 4), bool),
     coverage=np.ones((3, 4), np.float32),
+    error=np.zeros((3, 4), np.float32),
     plan=PLAN,
 )
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -93,6 +94,7 @@ SHARED = [
     ("shadows", "off", TypeError, "shadows must be True or False, got 'off'"),
     ("smooth", 2, TypeError, "smooth must be True or False, got 2"),
     ("footprint", "on", TypeError, "footprint must be True or False, got 'on'"),
+    ("refine", 1, TypeError, "refine must be True or False, got 1"),
     ("samples_per_pixel", 0, ValueError, "samples_per_pixel must be an integer >= 1, got 0"),
     ("samples_per_pixel", 4.0, TypeError, "samples_per_pixel must be an integer, got float"),
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import json
 
 import numpy as np
 import pytest
-import warp as wp
 
 import warpdiff as wd
 from warpdiff import cli
-from warpdiff.bench import inputs, mean_bounds, reference, suite
+from warpdiff.bench import inputs, reference, suite
 from warpdiff.bench.scenes import Directions, scenes
-from warpdiff.device import resolve_device
-from warpdiff.integration import Integrator
-from warpdiff.kernels.scene import Footprint
 
 
 def results(path, **figures):
@@ -111,31 +106,3 @@ def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
     floor = 1e-3 * np.percentile(image.xyz[image.lit][:, 1], 99.0)
     error = np.linalg.norm(ours - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
     assert np.max(error) < 2e-2
-
-
-def test_the_rows_that_are_summed_are_those_that_means_take():
-    device = resolve_device("cpu")
-    hf, window = wd.gratings.fingers(size_um=6.4, seed=1), wd.Coherence(sigma_um=3.25)
-    plan = dataclasses.replace(wd.plan(hf, coherence=window, tolerance=3e-2, method="low-rank/table"), footprint=True)
-    made = Integrator(hf, plan, plan.scope, device=device, threads=1)
-    deflections = wp.array([(0.5, 0.1, -1.8), (0.0, -0.6, -1.5), (0.5, 0.1, -1.8)], dtype=wp.vec3d, device=device)
-    to_lights = wp.full(3, wp.vec3f(0.0, 0.0, 1.0), dtype=wp.vec3f, device=device)
-    gains = wp.array([1.0, 1.0, 0.0], dtype=wp.float32, device=device)
-    sizes = np.array([1e-3, 0.1, 0.1])
-    footprints = wp.array(sizes[:, None] * [1, 0, 0, 1, 0, 0, 0, 0], dtype=Footprint, device=device)
-    xyz = wp.zeros(3, dtype=wp.vec3f, device=device)
-    step = made.steps(deflections, to_lights, gains, "D65", xyz, footprints)[0]
-    rows = mean_bounds.MeanBounds(step)
-    pixel, first, rays, _ = rows.entries.T
-    # Dark ones take none, and wide footprints take more than narrow ones.
-    assert set(pixel) == {0, 1}
-    assert rays[pixel == 1].sum() > rays[pixel == 0].sum() >= 9
-    table = step.inputs[0]
-    assert first.min() >= 0
-    assert np.all(first + (rays - 1) * table.nodes < len(table.rows))
-    rows.add()
-    # To find rows reads none of them.
-    table.rows.fill_(np.nan)
-    rows.find()
-    assert np.all(np.isfinite(rows.xyz.numpy()))
-    np.testing.assert_array_equal(rows.xyz.numpy().any(axis=1), [True, True, False])

@@ -178,6 +178,11 @@ def test_progress_bar_waits_a_second(monkeypatch, capsys):
     assert capsys.readouterr().err.endswith("\x1b[K")
 
 
+# Pictures of 18 pixels across.
+TINY = pytest.mark.filterwarnings("ignore:.*settle to tolerance")
+
+
+@TINY
 def test_demo_without_the_data(tmp_path, monkeypatch):
     empty = tmp_path / "data"
     empty.mkdir()
@@ -191,6 +196,7 @@ def test_demo_without_the_data(tmp_path, monkeypatch):
         demo.data_folder()
 
 
+@TINY
 def test_demo_with_the_data(tmp_path, fuze_path, scan_path):
     assert scan_path.is_file()
     written = demo.run(tmp_path, data=fuze_path.parent, scale=0.03)

@@ -13,31 +13,22 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff import kernels
-from warpdiff.kernels import directions, hierarchy, lookup, polar, raycast, shadows, spectral, steep
+from warpdiff.kernels import directions, hierarchy, lookup, polar, raycast, refinement, shadows, spectral, work_lists
 
 SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"coverage", "footprints", "native", "scene", "shading_frames", "tiles"}
+FUNCTIONS_ONLY = {"coverage", "footprints", "native", "scene", "shading_frames"}
 CPU_ONLY = {"in_turn"}
 KERNELS = {
     "hierarchy": {"cast"},
     "raycast": {"cover", "meet", "scatter", "stand"},
     "shadows": {"count", "fill", "hide", "project"},
-    "directions": {
-        "accumulate",
-        "classify",
-        "deflect_pixels",
-        "fan_out",
-        "gather",
-        "list_steep",
-        "pick",
-        "spread_pixels",
-        "sum_up",
-    },
+    "directions": {"deflect_pixels", "pick", "spread_pixels", "sum_up"},
+    "refinement": {"accumulate", "choose", "collect", "estimate", "share_out"},
     "spectral": {"integrate", "sample"},
-    "steep": {"find_floor", "go_on", "list_up", "take", "tally"},
+    "work_lists": {"count_up", "find_floor", "go_on", "list_up", "mark_around", "take", "tally"},
     "lookup": {"blur", "integrate", "interpolate"},
     "polar": {"gather", "project", "project_lines", "resample"},
 }
@@ -96,7 +87,9 @@ def test_every_kernel_module_is_compiled_here():
 
 
 @pytest.mark.parametrize("arch", SMS)
-@pytest.mark.parametrize("module", [hierarchy, raycast, directions, shadows, steep], ids=lambda each: each.__name__)
+@pytest.mark.parametrize(
+    "module", [hierarchy, raycast, directions, refinement, shadows, work_lists], ids=lambda each: each.__name__
+)
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 

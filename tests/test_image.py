@@ -15,6 +15,7 @@ from warpdiff import spectrum
 HEIGHT, WIDTH = 5, 7
 # Row 0 is background, row 1 is partly covered, the rest is full.
 COVERAGE = np.array([0.0, 0.25, 1.0, 1.0, 1.0], np.float32)[:, None] * np.ones((1, WIDTH), np.float32)
+ERROR = np.linspace(0.0, 0.1, COVERAGE.size, dtype=np.float32).reshape(COVERAGE.shape)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def image(plan, rng) -> wd.Image:
     rgb = rng.uniform(0.0, 2.0, (HEIGHT, WIDTH, 3))
     rgb[3, 3] = (-0.25, 0.5, 0.125)
     xyz = (spectrum.rgb_to_xyz(rgb) * COVERAGE[..., None]).astype(np.float32)
-    return wd.Image(xyz=xyz, mask=COVERAGE > 0.0, lit=COVERAGE > 0.0, coverage=COVERAGE, plan=plan)
+    return wd.Image(xyz=xyz, mask=COVERAGE > 0.0, lit=COVERAGE > 0.0, coverage=COVERAGE, error=ERROR, plan=plan)
 
 
 def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
@@ -53,12 +54,13 @@ def test_exr_is_exact(image, tmp_path):
     path = image.save(tmp_path / "a.exr")
     assert path == tmp_path / "a.exr"
     spec, pixels = read(path)
-    assert tuple(spec.channelnames) == ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z")
+    assert tuple(spec.channelnames) == ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
     assert spec.alpha_channel == 3
     assert pixels.dtype == np.float32
     np.testing.assert_array_equal(pixels[..., :3], image.rgb)
     np.testing.assert_array_equal(pixels[..., 3], image.coverage)
-    np.testing.assert_array_equal(pixels[..., 4:], image.xyz)
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz)
+    np.testing.assert_array_equal(pixels[..., 7], image.error)
     # Colours out of gamut keep their negative components.
     np.testing.assert_allclose(pixels[3, 3, :3], (-0.25, 0.5, 0.125), atol=1e-6)
 
@@ -66,7 +68,9 @@ def test_exr_is_exact(image, tmp_path):
 def test_exr_is_scaled_where_asked(image, tmp_path):
     pixels = read(image.save(str(tmp_path / "a.EXR"), exposure=0.5))[1]
     np.testing.assert_array_equal(pixels[..., :3], image.rgb * np.float32(0.5))
-    np.testing.assert_array_equal(pixels[..., 4:], image.xyz * np.float32(0.5))
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz * np.float32(0.5))
+    # Relative errors do not depend on the exposure.
+    np.testing.assert_array_equal(pixels[..., 7], image.error)
     np.testing.assert_array_equal(pixels[..., 3], image.coverage)
 
 
@@ -105,7 +109,9 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
 
     def exposure():
         xyz = np.repeat(luminance[..., None], 3, axis=2).astype(np.float32)
-        image = wd.Image(xyz=xyz, mask=mask, lit=mask & ~dark, coverage=mask.astype(np.float32), plan=plan)
+        image = wd.Image(
+            xyz=xyz, mask=mask, lit=mask & ~dark, coverage=mask.astype(np.float32), error=0.0 * luminance, plan=plan
+        )
         return image.auto_exposure
 
     lit = luminance[mask & ~dark]
@@ -125,7 +131,12 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
 def test_a_black_picture_is_saved_as_one(plan, tmp_path):
     nothing = np.zeros((2, 3), np.float32)
     image = wd.Image(
-        xyz=np.zeros((2, 3, 3), np.float32), mask=nothing > 0.0, lit=nothing > 0.0, coverage=nothing, plan=plan
+        xyz=np.zeros((2, 3, 3), np.float32),
+        mask=nothing > 0.0,
+        lit=nothing > 0.0,
+        coverage=nothing,
+        error=nothing,
+        plan=plan,
     )
     assert image.auto_exposure == 1.0
     for name in ("a.png", "a.exr"):
@@ -188,6 +199,7 @@ def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monke
 def test_a_rendered_picture_survives_its_file(tmp_path):
     image = wd.brdf_map(wd.gratings.sinusoidal(1.0, 0.1), [0.0, 0.0, 1.0], size=16)
     pixels = read(image.save(tmp_path / "map.exr"))[1]
-    np.testing.assert_array_equal(pixels[..., 4:], image.xyz)
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz)
+    np.testing.assert_array_equal(pixels[..., 7], image.error)
     np.testing.assert_array_equal(pixels[..., 3], image.mask)
     assert not pixels[~image.mask].any()

@@ -13,10 +13,10 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
-from warpdiff import meshes, supersample
+from warpdiff import meshes, refinement
 from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff.kernels import hierarchy, raycast
-from warpdiff.kernels.scene import Pixels, Sampling, Tiles
+from warpdiff.kernels.scene import Cells, Pixels, Sampling
 from warpdiff.scene import SceneArrays, camera, needs_shadow_rays
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
@@ -38,7 +38,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
         reach = raycast.MOST_OFFSET if samples > 1 else 0.0
         no_rows = wp.empty(0, dtype=wp.int32, device="cpu")
-        given = [axes, scene.bare, sampling, Tiles(), reach]
+        given = [axes, scene.bare, sampling, Cells(), reach]
         launches = [
             (raycast.scatter, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
             (raycast.cover, scene.face_count, given, [pixels.nearest, no_rows]),
@@ -269,70 +269,63 @@ def head_on(_request):
 
 
 @pytest.mark.parametrize("make", [plates, far_away, head_on])
+@pytest.mark.parametrize("level", refinement.LEVELS)
 @pytest.mark.parametrize("slices", [1, 7])
-def test_rays_of_tiles_are_found_face_by_face(make, slices, request):
+def test_cells_are_found_face_by_face(make, level, slices, request):
     mesh, view = make(request)
     surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
+    # Pixels anywhere, at the picture's border and beside the mesh, too, in any order.
     rng = np.random.default_rng(3)
-    # Pixels of two kinds anywhere, at the picture's border and beside the mesh, too; others fan out.
-    kind_of = rng.integers(0, 7, view.width * view.height)
-    batches, rays = [], 0
-    for kind in (supersample.KINDS[0], supersample.KINDS[1], supersample.KINDS[5]):
-        pixels = np.flatnonzero(kind_of == kind.index).astype(np.int32)
-        batches.append(supersample.Batch(kind, pixels, rays))
-        rays = batches[-1].end_ray
-    tiles = supersample.tiles_of(batches, view.width, view.height, wp.get_device("cpu"))
-    nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
+    cells = refinement.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))
+    count = len(chosen) * refinement.rays_at(level)
+    nearest = wp.full(count, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
     rows = wp.array([view.height, -1], dtype=wp.int32, device="cpu")
     camera = camera_of(view, surface)
     for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
-        inputs = [camera, scene.bare, Sampling(), tiles, 0.0, int(begin), int(end - begin)]
+        inputs = [camera, scene.bare, Sampling(), cells, 0.0, int(begin), int(end - begin)]
         wp.launch(raycast.cover, 1, inputs, [nearest, rows], device="cpu")
-    hits = 0
-    for batch in batches[1:]:
-        sampling = Sampling()
-        sampling.tiles = wp.array(batch.pixels, dtype=wp.int32, device="cpu")
-        sampling.places, _ = batch.kind.tile.on(wp.get_device("cpu"))
-        count = batch.end_ray - batch.first_ray
-        found = []
-        for kernel in (raycast.meet, hierarchy.cast):
-            pixels = pixels_for(count)
-            pixels.nearest = nearest[batch.first_ray : batch.end_ray]
-            # Some slices begin within a tile.
-            for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
-                inputs = [camera, scene.with_hierarchy(), sampling, pixels, int(begin), int(end - begin)]
-                wp.launch(kernel, 1, inputs, device="cpu")
-            found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
-        (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
-        np.testing.assert_array_equal(hit, face >= 0)
-        # Rays through an edge may take either face.
-        assert np.mean(face != face_by_rays) < 2e-3
-        same = (face == face_by_rays) & (face >= 0)
-        hits += np.count_nonzero(same)
-        np.testing.assert_allclose(place[same], place_by_rays[same], atol=1e-3)
-        np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
-    assert hits > 200
+    sampling = Sampling()
+    sampling.tiles = wp.array(chosen, dtype=wp.int32, device="cpu")
+    sampling.places = refinement.places_at(level, "cpu")
+    found = []
+    for kernel in (raycast.meet, hierarchy.cast):
+        pixels = pixels_for(count)
+        pixels.nearest = nearest
+        # Some slices begin within a pixel.
+        for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
+            inputs = [camera, scene.with_hierarchy(), sampling, pixels, int(begin), int(end - begin)]
+            wp.launch(kernel, 1, inputs, device="cpu")
+        found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
+    (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
+    np.testing.assert_array_equal(hit, face >= 0)
+    # Rays through an edge may take either face.
+    assert np.mean(face != face_by_rays) < 2e-3
+    same = (face == face_by_rays) & (face >= 0)
+    assert np.count_nonzero(same) > 200
+    np.testing.assert_allclose(place[same], place_by_rays[same], atol=1e-3)
+    np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
     seen = np.flatnonzero(cast(surface, view, scene=scene, covers=True)["hit"].reshape(view.height, -1).any(axis=1))
     assert rows.numpy()[0] <= seen[0]
     assert rows.numpy()[1] >= seen[-1]
     assert np.ptp(rows.numpy()) <= np.ptp(seen) + 5
 
 
-def test_tiles_that_pixels_beside_have_none_of_are_left_alone():
+def test_pixels_beside_those_that_are_split_are_left_alone():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
     # At the ends of words and rows.
     pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
-    batch = supersample.Batch(supersample.KINDS[1], pixels, 0)
-    tiles = supersample.tiles_of([batch], view.width, view.height, wp.get_device("cpu"))
-    nearest = wp.full(batch.end_ray + 500, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
-    inputs = [camera_of(view, surface), scene.bare, Sampling(), tiles, 0.0, 0, scene.face_count]
+    cells = refinement.grid_of(pixels, 2, view.width, view.height, wp.get_device("cpu"))
+    count = 16 * len(pixels)
+    nearest = wp.full(count + 500, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
+    inputs = [camera_of(view, surface), scene.bare, Sampling(), cells, 0.0, 0, scene.face_count]
     wp.launch(raycast.cover, 1, inputs, [nearest, wp.empty(0, dtype=wp.int32, device="cpu")], device="cpu")
     met = nearest.numpy() != int(raycast.UNSEEN)
-    assert np.all(met[: batch.end_ray])
-    assert not np.any(met[batch.end_ray :])
+    assert np.all(met[:count])
+    assert not np.any(met[count:])
 
 
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])

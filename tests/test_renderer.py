@@ -15,8 +15,8 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
-from warpdiff import meshes, renderer, supersample
-from warpdiff.kernels import steep
+from warpdiff import meshes, renderer, splitting
+from warpdiff.kernels import work_lists
 from warpdiff.launches import Step
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -101,11 +101,12 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         xyz = drawn.draw(lights, camera)
         expected = wd.shade(tube, fingers, lights, camera, plan=plans[name], **options)
         same(drawn.image(), expected)
-        assert drawn.image().plan.supersampled == expected.plan.supersampled
+        assert drawn.image().plan.split == expected.plan.split
         assert xyz.shape == (HEIGHT, WIDTH)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
+@pytest.mark.filterwarnings("ignore:.*settle to tolerance")
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", "source"])
 def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
     """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
@@ -156,19 +157,15 @@ def test_the_light_may_change_alone(tube, fingers, plans, name):
     same(drawn.image(), wd.shade(tube, fingers, turned(0.0)[:count], view(0.2), plan=plans[plan], **options))
 
 
-def test_rays_lie_as_the_plan_has_them(tube):
-    """Where no table keeps the tolerance, pixels show no means, and four rays are those of points."""
+def test_means_stay_where_no_table_takes_them(tube):
     hf = wd.gratings.blazed(2.5, 0.25)
-    options = {"tolerance": 3e-5, "coherence": SHORT, "samples_per_pixel": 4}
+    options = {"tolerance": 0.5, "coherence": SHORT}
     drawn = wd.Renderer(tube, hf, LIGHTS[0], view(size=(24, 18)), **options)
-    assert not drawn.plan.footprint
-    same(drawn.image(), wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), plan=drawn.plan, samples_per_pixel=4))
+    assert drawn.plan.footprint
+    same(drawn.image(), wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), plan=drawn.plan))
     by_itself = wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), **options)
-    assert not by_itself.plan.footprint
-    again = wd.shade(tube, hf, LIGHTS[0], view(size=(24, 18)), plan=by_itself.plan, samples_per_pixel=4)
-    # Their surveys were of other rays, and so their coefficients' range.
-    np.testing.assert_allclose(by_itself.xyz, again.xyz, rtol=1e-5, atol=1e-6 * again.xyz.max())
-    np.testing.assert_array_equal(by_itself.coverage, again.coverage)
+    assert by_itself.plan.footprint
+    np.testing.assert_allclose(by_itself.xyz, drawn.image().xyz, rtol=0.5, atol=2e-3 * by_itself.xyz.max())
 
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
@@ -178,15 +175,18 @@ def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, cou
         lights, camera = turned(angle)[:count], view(angle)
         drawn.draw(lights, camera)
         found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        np.testing.assert_array_equal(found.lit, expected.lit)
-        np.testing.assert_array_equal(found.coverage, expected.coverage)
-        # How bright a picture is, which steep pixels are told by, is known to 1 in 128.
-        differ = np.any(found.xyz != expected.xyz, axis=-1)
-        assert np.mean(differ[expected.lit]) <= (0.01 if drawn.plan.footprint else 0.0)
-        assert found.plan.supersampled == pytest.approx(expected.plan.supersampled, rel=0.05)
+        # How bright a picture is, by which pixels are told that are to be split, is known to 1 in 128; and rays through
+        # the hierarchy may miss a face at its very edge.
+        few = 0.01 if drawn.plan.footprint else 0.0
+        assert np.mean(found.lit != expected.lit) <= few
+        assert np.mean(found.coverage != expected.coverage) <= few
+        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
+        assert np.mean(differ[expected.lit] > 0.0) <= 5.0 * few
+        assert np.percentile(differ[expected.lit], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
+        assert found.plan.split == pytest.approx(expected.plan.split, rel=0.05)
     assert len(recorded) == 1
     if name == "footprints" and "samples_per_pixel" not in options:
-        assert found.plan.supersampled > 0.1
+        assert found.plan.split > 0.1
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 99, 100, 101, 5000])
@@ -197,10 +197,10 @@ def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
     lit[rng.permutation(len(lit))[:count]] = 0.5
     colours = wp.array(np.stack([luminance * 1e9, luminance, luminance], axis=1), dtype=wp.vec3f, device="cpu")
     gains = wp.array(lit, dtype=wp.float32, device="cpu")
-    tallies = wp.zeros(steep.GROUPS * (1 + steep.BINS), dtype=wp.int32, device="cpu")
+    tallies = wp.zeros(work_lists.GROUPS * (1 + work_lists.BINS), dtype=wp.int32, device="cpu")
     floor = wp.empty(1, dtype=wp.float32, device="cpu")
-    wp.launch(steep.tally, dim=1, inputs=[colours, gains, 1, 0, len(lit)], outputs=[tallies], device="cpu")
-    wp.launch(steep.find_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
+    wp.launch(work_lists.tally, dim=1, inputs=[colours, gains, 1, 0, len(lit)], outputs=[tallies], device="cpu")
+    wp.launch(work_lists.find_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[lit > 0.0])
     # As many are brighter as a hundredth of them, rounded down.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
@@ -215,10 +215,10 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
         return drawn.image()
 
     whole = picture()
-    monkeypatch.setattr(supersample, "_MOST_RAYS_ALONE", 900)
+    monkeypatch.setattr(splitting, "_MOST_RAYS", 900)
     parts = picture()
     same(parts, whole)
-    assert parts.plan.supersampled == whole.plan.supersampled
+    assert parts.plan.split == whole.plan.split
 
 
 def test_it_records_anew_where_other_launches_are_needed(fingers, plans, recorded):
@@ -242,12 +242,11 @@ def test_it_records_anew_where_other_launches_are_needed(fingers, plans, recorde
 
 
 @pytest.mark.usefixtures("recorded")
-def test_a_dark_picture_has_no_steep_pixels(tube, fingers, plans):
+def test_a_dark_picture_is_black(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1)
     drawn.draw(dataclasses.replace(LIGHTS[0], power=0.0))
     dark = drawn.image()
     assert not dark.xyz.any()
-    assert dark.plan.supersampled == 0.0
     drawn.draw(LIGHTS[0])
     same(drawn.image(), wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1).image())
 

@@ -4,23 +4,23 @@ import contextlib
 
 import pytest
 
-from warpdiff import rooms, supersample
+from warpdiff import refinement, rooms
 from warpdiff.device import resolve_device
 
 
 @pytest.fixture(autouse=True)
 def none_kept(monkeypatch):
-    monkeypatch.setattr(rooms, "_free", {False: [], True: []})
+    monkeypatch.setattr(rooms, "_free", {(one, other): [] for one in (False, True) for other in (False, True)})
 
 
-def shared(parts, *, leaves_out=False):
-    return rooms.shared_room(parts, leaves_out=leaves_out, device=resolve_device("cpu"))
+def shared(parts, *, leaves_out=False, coloured=False):
+    return rooms.shared_room(parts, leaves_out=leaves_out, coloured=coloured, device=resolve_device("cpu"))
 
 
 def test_a_room_is_found_again_where_it_is_large_enough():
     with shared(2) as first:
         assert first.parts == 2
-        assert len(first.room.colours) >= 2 * supersample.MOST_RAYS
+        assert len(first.room.colours) >= 2 * refinement.MOST_RAYS
     for parts in (1, 2):
         with shared(parts) as again:
             assert again is first
@@ -29,6 +29,9 @@ def test_a_room_is_found_again_where_it_is_large_enough():
     with shared(1, leaves_out=True) as other:
         assert other is not larger
         assert len(other.room.left_out) == len(other.room.colours)
+    with shared(1, coloured=True) as other:
+        assert other is not larger
+        assert len(other.room.seen.pixels.base_colour) == len(other.room.colours)
     with shared(3) as again:
         assert again is larger
 
@@ -37,7 +40,7 @@ def test_nobody_shares_a_room_and_few_are_kept():
     with contextlib.ExitStack() as stack:
         taken = [stack.enter_context(shared(1)) for _ in range(5)]
         assert len(set(map(id, taken))) == 5
-    assert len(rooms._free[False]) == 2
+    assert len(rooms._free[False, False]) == 2
 
 
 def test_a_room_where_something_failed_is_left():
@@ -47,4 +50,4 @@ def test_a_room_where_something_failed_is_left():
 
     with pytest.raises(MemoryError):
         fail()
-    assert not rooms._free[False]
+    assert not rooms._free[False, False]

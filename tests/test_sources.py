@@ -191,7 +191,7 @@ def test_footprints_widen_the_source(fingers, plan):
 
     for uv in ([0.5, 0.4], [-0.9, 0.1], [0.2, -0.7]):
         mean = np.einsum("ab,abc->c", share, colours((uv + offsets).reshape(-1, 2), None).reshape(24, 24, 3))
-        spread = wp.array([np.append(footprint, np.zeros(4))], dtype=Footprint, device=device)
+        spread = wp.array([footprint.ravel()], dtype=Footprint, device=device)
         found = colours(np.array([uv]), spread)[0]
         np.testing.assert_allclose(found, mean, rtol=3e-2, atol=1e-2 * mean.max())
 

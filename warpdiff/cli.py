@@ -150,6 +150,9 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
     render.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
     render.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
+    render.add_argument(
+        "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
+    )
     render.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
     render.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
     render.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
@@ -180,7 +183,7 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
     bench.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
     bench.add_argument(
-        "--filter", nargs="+", metavar="PART", help="some parts: previews pareto rays scaling stability validity"
+        "--filter", nargs="+", metavar="PART", help="some parts: previews pareto frames rays scaling stability validity"
     )
     bench.add_argument(
         "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
@@ -352,7 +355,7 @@ def _render(options: argparse.Namespace) -> None:
     lights = [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
     image = wd.shade(
         mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
-        samples_per_pixel=options.samples_per_pixel, **_shared(options),
+        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine, **_shared(options),
     )  # fmt: skip
     _report(image, options)
 

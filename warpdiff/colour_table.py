@@ -256,7 +256,6 @@ def _coloured(
     target = lookup.lookup(count, source.is_lines)
     table = target.Colours()
     table.functions = wp.array(how.functions, dtype=target.functions, device=device)
-    table.slopes = wp.array(_slopes(how), dtype=target.functions, device=device)
     table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
     table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
@@ -464,14 +463,6 @@ def _is_smooth(illuminant: str, per_log: float) -> bool:
     logs = np.log(np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1))
     left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
     return bool(left.max() < _LEFT_AT_ALIAS)
-
-
-def _slopes(how: Projection) -> NDArray[np.float32]:
-    """Slopes of the functions of w from each entry to the next, beyond those that functions as w² have."""
-    middles = 0.5 * (how.ws[1:] + how.ws[:-1])
-    means = 0.5 * (how.functions[1:] + how.functions[:-1])
-    result = np.diff(how.functions, axis=0) / np.diff(how.ws)[:, None] - 2.0 / middles[:, None] * means
-    return np.asarray(result, dtype=np.float32)
 
 
 def _kappas(reached: tables.Reached) -> tuple[float, float]:

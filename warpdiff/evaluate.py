@@ -12,7 +12,7 @@ from warpdiff import checks, direct, optics, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
-from warpdiff.image import Image
+from warpdiff.image import Image, relative_errors
 from warpdiff.integration import Integrator
 from warpdiff.launches import launch
 from warpdiff.planning import broadcast_directions, check_request, plan_for, warn_outside
@@ -215,7 +215,8 @@ def brdf_map(
     xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
     coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
     mask = coverage > 0.0
-    return Image(xyz=xyz, mask=mask, lit=mask, coverage=coverage, plan=call.plan)
+    error = relative_errors(call.plan.error * np.linalg.norm(xyz, axis=-1), xyz, mask)
+    return Image(xyz=xyz, mask=mask, lit=mask, coverage=coverage, error=error, plan=call.plan)
 
 
 def brdf(

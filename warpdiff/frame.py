@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import optics, spectrum, supersample
+from warpdiff import optics, refinement, spectrum, splitting
 from warpdiff.device import load
 from warpdiff.evaluate import direct_colour
-from warpdiff.image import Image
-from warpdiff.launches import Chain, Step, begin_in_turn, launch, launch_in_turn
-from warpdiff.rooms import Room, Seen, shared_room
+from warpdiff.image import Image, relative_errors
+from warpdiff.launches import Step, begin_in_turn, launch, launch_in_turn
+from warpdiff.rooms import Seen
 from warpdiff.scope import DirectionSample, Scope
 from warpdiff.shadows import grid_for, grid_pays, no_grid
 from warpdiff.survey import BLOCK, Survey
@@ -29,12 +29,18 @@ if TYPE_CHECKING:
     from warpdiff.integration import Integrator
     from warpdiff.light import DirectionalLight
     from warpdiff.plans import Plan
+    from warpdiff.rooms import Room
     from warpdiff.surface import Surface
     from warpdiff.view import View
     from warpdiff.work import Work
 
 _SEED = 0
-_SURVEYED = 4
+# Samples of a pixel that are surveyed; rays of means, whose cells see more than pixels' centres do, and of a pixel.
+_SURVEYED, _CELLS_SURVEYED, _MOST_SURVEYED = 4, 8192, 16
+# What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most.
+_OF_PLAN = 0.3
+# Shadow rays of a pixel and its cells, in the mean over a picture, about.
+_SHADOW_RAYS_OF_MEANS = 4
 # Of a slice: pixels whose rays are found, or whose colours are, and faces.
 _SLICE, _COLOURS, _FACES = 8192, 2048, 2048
 
@@ -61,7 +67,7 @@ class Frame:
         device: wp.Device,
         threads: int,
     ) -> None:
-        """A frame of so many samples a pixel, of which each shows a mean over its part of the pixel if ``means``.
+        """A frame of so many samples a pixel, or of means over pixels that are split into at least as many cells.
 
         If ``alone`` the device fills it from the view and the lights on without the host, so that its launches may be
         recorded; None is so on a GPU. Otherwise the host has a part, which is faster on the CPU.
@@ -69,13 +75,9 @@ class Frame:
         import warp as wp
 
         from warpdiff import scene
-        from warpdiff.kernels import raycast
 
-        self._samples = samples
-        places, self._weights, self._deviation = np.zeros((0, 2)), np.full(samples, 1.0 / samples), 0.0
-        if means:
-            places, self._weights, self._deviation = supersample.rays_of(samples)
-        self._places = wp.array(places, dtype=wp.vec2d, device=device)
+        # Means begin with one ray a pixel.
+        self._samples, self._least = 1 if means else samples, samples
         self._device = device
         self._threads = threads
         self._alone = not device.is_cpu if alone is None else alone
@@ -83,14 +85,13 @@ class Frame:
         self._scene = scene.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self._size = size = view.width * view.height
-        self._blurred = means and samples == 1
+        self._means = means
         # The pixels that may see anything, of whole blocks and with a row more on either side, once faces have told.
         self._among = range(size if self._alone else 0)
         self._rows = wp.empty(2, dtype=wp.int32, device=device)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
         self._nearest = wp.empty(0 if self._alone else size, dtype=wp.uint64, device=device)
-        # How far from pixels' centres rays lie, and where those of a sample do, if each pixel's lies elsewhere.
-        self._reach = 0.0 if samples == 1 else float(np.abs(places).max()) if means else raycast.MOST_OFFSET
+        # Where rays of a sample lie, if each pixel's lies elsewhere.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         # Faces that are yet finding their pixels.
         self._covering: Work | None = None
@@ -105,20 +106,21 @@ class Frame:
             for each, dtype in zip(zeros, dtypes, strict=True)
         ]
         self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
-        # One light's, where pictures are sums; footprints of samples; and what a table leaves out.
+        # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
-        self._spreads: list[wp.array] = []
+        self._errors: list[wp.array] = []
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
-        self._queue: supersample.Queue | None = None
+        self._queue: splitting.Queue | None = None
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
-        # Lit pixels of all lights, and those that took more rays.
-        self._lit, self._tiled = 0, 0
+        # Pixels of all lights that were split, and that this does not settle.
+        self._split = np.zeros(2)
 
     @property
-    def _options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, Any]:
+        """Where launches go."""
         return {"device": self._device, "threads": self._threads}
 
     def look(self, view: View) -> None:
@@ -126,7 +128,7 @@ class Frame:
         from warpdiff import scene
 
         self._end_covering()
-        self._view = view
+        self.view = view
         self._camera = scene.camera(view, self._surface, axes=self._axes)
         self._may_be_hidden = scene.needs_shadow_rays(self._surface, view)
         if not self._alone and self._samples == 1:
@@ -137,7 +139,7 @@ class Frame:
     def _seen(self) -> Seen:
         """What the pixels' own rays see."""
         coloured = self._surface.has_base_colour
-        return Seen.by(self._size, device=self._device, means=self._blurred, coloured=coloured)
+        return Seen.by(self._size, device=self._device, means=self._means, coloured=coloured)
 
     def _end_covering(self) -> None:
         """Wait for faces that are finding pixels of a view that is no longer looked at."""
@@ -204,27 +206,35 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
-        return len(self._to_lights), self._view.extent_y is None, self._casts_shadows, self._pigmented
+        return len(self._to_lights), self.view.extent_y is None, self.casts_shadows, self._pigmented
 
     def survey(self, hf: HeightField, window: Coherence, *, sampled: bool = True) -> tuple[Scope, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them unless they are of no use.
 
         That is a first pass over the rays, which cost a hundredth of the colours.
         """
-        scope, count = Scope(0.0, 0.0, 0.0, 0.0), 0
+        from warpdiff import scene
+
+        within, count = Scope(0.0, 0.0, 0.0, 0.0), 0
         seen = []
-        # A few rays a pixel see what all do.
-        surveyed = min(self._samples, _SURVEYED)
+        # A few rays a pixel see what all do, and of many pixels their own rays what cells do.
+        samples, surveyed = self._samples, min(self._samples, _SURVEYED)
+        if self._means:
+            pixels = max(scene.pixels_within(self._surface, self.view), 1)
+            samples = surveyed = min(-(-_CELLS_SURVEYED // pixels), _MOST_SURVEYED)
         for sample in range(surveyed):
             for which in range(len(self._to_lights)):
                 summary = Survey(hf, window, self._size, device=self._device)
-                self.deflect(sample, which, summary)
-                parts = len(self._to_lights) if sampled and sample == 0 else 0
+                # Means begin with the pixels' centres.
+                self.deflect(sample, which, summary, samples=1 if self._means and sample == 0 else samples)
+                parts = len(self._to_lights) * (surveyed if self._means else sample == 0) if sampled else 0
                 found, lit, some = summary.found(parts=parts, among=self._among)
-                scope = scope.joined(found)
+                within = within.joined(found)
                 count += lit
                 seen.append(some)
-        return scope, count * self._samples // surveyed, DirectionSample.joined(seen)
+        if surveyed > self._samples:
+            self.begin()
+        return within, count * self._samples // surveyed, DirectionSample.joined(seen)
 
     def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
         """Cast and deflect sample after sample, light after light.
@@ -244,25 +254,18 @@ class Frame:
         integrator: Integrator,
         illuminants: list[str],
         *,
-        footprint: bool,
         tolerance: float,
+        refine: bool = True,
         progress: Callable[[float], None] | None = None,
     ) -> None:
         """Add the diffraction colours of all samples and lights."""
-        if footprint and self._samples == 1:
-            self._integrate_means(integrator, illuminants, tolerance=tolerance, progress=progress)
+        if self._means:
+            self._integrate_means(integrator, illuminants, tolerance=tolerance, refine=refine, progress=progress)
             return
-        if footprint:
-            self._launch(self._cast(0, 1))
-            self._spreads = [
-                self.spread(which, self._spreads[which] if which < len(self._spreads) else None)
-                for which in range(len(self._to_lights))
-            ]
         left_out = self._room_for_what_is_left_out(integrator)
         for which, share in self._passes(progress):
             integrator.add(
-                *self._seen.directions, illuminants[which], self._sums[0],
-                footprints=self._spreads[which] if footprint else None, left_out=left_out, among=self._among,
+                *self._seen.directions, illuminants[which], self._sums[0], left_out=left_out, among=self._among,
                 progress=share,
             )  # fmt: skip
 
@@ -280,115 +283,101 @@ class Frame:
         illuminants: list[str],
         *,
         tolerance: float,
+        refine: bool,
         progress: Callable[[float], None] | None,
     ) -> None:
-        """The same of means over pixels, where that takes it over several rays in each."""
+        """Add means over pixels, which are split where one ray does not tell them."""
         import warp as wp
 
-        self._lit, self._tiled = 0, 0
-        left_out = self._room_for_what_is_left_out(integrator)
-        # A single light's without pigments are the picture.
-        are_picture = len(self._to_lights) == 1 and not self._pigmented
-        if not are_picture and not len(self._colours):
-            self._colours = wp.empty(self._size, dtype=wp.vec3f, device=self._device)
-        colours = self._sums[0] if are_picture else self._colours
-        for which, share in self._passes(progress):
-            if not are_picture:
-                colours.zero_()
-            illuminant, seen, width = illuminants[which], self._seen, self._view.width
-            steps = [self._spread(seen, width, self._view.height, self._deviation, seen.footprints)]
-            steps += integrator.steps(*seen.directions, illuminant, colours, seen.footprints, left_out)
-            options = {"slice_size": _COLOURS, "progress": share, **self._options}
-            if self._alone:
-                launch_in_turn(steps, self._among, **options)
-                self._work_off_tiles(integrator, which, illuminant, tolerance, colours)
-            else:
-                threads = max(min(self._threads, supersample.most_threads(len(self._among))), 1)
-                with shared_room(threads, leaves_out=integrator.leaves_out, device=self._device) as shared:
-                    with begin_in_turn(steps, self._among, **options):
-                        of_kinds = self._steps_of_tiles(integrator, which, illuminant, shared.room, colours)
-                        chains = [Chain(each) for each in of_kinds]
-                    lit, batches = supersample.batches(
-                        colours, seen.deflections, seen.gains, width, tolerance, among=self._among, **self._options
-                    )
-                    for group in supersample.groups(batches):
-                        shared.meet(group, chains, self._meet_tiles(group), threads=threads)
-                self._lit += lit
-                self._tiled += sum(len(batch.pixels) for batch in batches)
-            if not are_picture:
-                supersample.add(colours, self._sums[0], among=self._among, **self._options)
+        from warpdiff.kernels import refinement as kernels
 
-    def _meet_tiles(self, batches: Sequence[supersample.Batch]) -> NDArray[np.uint64]:
-        """What ``cover`` finds of the rays of batches, one after the other, but for those that fan out."""
+        self._split = np.zeros(2)
+        if not self._errors:
+            self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
+        left_out = self._room_for_what_is_left_out(integrator)
+        several, colours = len(self._to_lights) > 1, self._colours_of_one
+        errors = self._errors[several]
+        self._errors[0].zero_()
+        if several:
+            self._sums[0].zero_()
+        for which, share in self._passes(progress):
+            if several:
+                errors.zero_()
+            illuminant, seen = illuminants[which], self._seen
+            steps = [self._spread(seen, refinement.deviation_at(0, means=True))] if integrator.blurs else []
+            steps += integrator.steps(
+                *seen.directions, illuminant, colours, seen.footprints if integrator.blurs else None, left_out
+            )
+            launch_in_turn(steps, self._among, slice_size=_COLOURS, progress=share, **self.options)
+            light = splitting.Light(
+                self, integrator, which, illuminant, colours, errors, self._sums[1:], tolerance,
+                refinement.level_of(self._least, means=integrator.blurs), refine,
+            )  # fmt: skip
+            if self._alone:
+                self._queue = self._queue or splitting.Queue(light, self._size)
+                self._queue.work_off(light)
+            else:
+                self._split += splitting.split(light)
+            if several:
+                step = Step(kernels.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True)
+                self._launch([step])
+
+    @property
+    def _colours_of_one(self) -> wp.array:
+        """Where a light's colours come: of means under several lights by themselves, otherwise in the picture."""
+        import warp as wp
+
+        if not self._means or len(self._to_lights) == 1:
+            return self._sums[0]
+        if not len(self._colours):
+            self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
+        return self._colours
+
+    def meet_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
+        """What ``cover`` finds of the cells of so many pixels, one after the other."""
         import warp as wp
 
         from warpdiff.kernels import raycast
 
-        rays = batches[-1].end_ray
-        if not rays:
-            return np.zeros(0, dtype=np.uint64)
-        tiles = supersample.tiles_of(batches, self._view.width, self._view.height, self._device)
-        nearest = wp.full(rays, raycast.UNSEEN, dtype=wp.uint64, device=self._device)
-        inputs = [self._camera, self._scene.bare, self._sampling(0, 1), tiles, 0.0]
+        nearest = wp.full(pixels * cells.across**2, raycast.UNSEEN, dtype=wp.uint64, device=self._device)
+        inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
         launch(
             raycast.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES,
-            in_runs=True, **self._options,
+            in_runs=True, **self.options,
         )  # fmt: skip
         return np.asarray(nearest.numpy())
 
-    def _work_off_tiles(
-        self, integrator: Integrator, which: int, illuminant: str, tolerance: float, colours: wp.array
-    ) -> None:
-        """The same, where the device itself finds these pixels and goes on until it has met them all."""
-        lights = len(self._to_lights)
-        if self._queue is None or self._queue.lights != lights:
-            self._queue = supersample.Queue(self._size, lights, tolerance, **self._options)
-            self._room = Room.by(self._queue.most_rays, leaves_out=integrator.leaves_out, device=self._device)
-        self._queue.list_up(which, colours, self._seen.deflections, self._seen.gains, self._view.width)
-        steps = self._steps_of_tiles(integrator, which, illuminant, self._room, colours)
-        for kind in supersample.KINDS:
-            self._queue.work_off(which, kind, steps[kind.index], self._room.tiles[kind.rays], self._room.colours)
-
-    def _steps_of_tiles(
-        self, integrator: Integrator, which: int, illuminant: str, room: Room, colours: wp.array
-    ) -> list[list[Step]]:
-        """What sets the colours of pixels of each kind to the means over tiles of rays, which add to zeros."""
-        from warpdiff.kernels import directions
+    def steps_of_cells(
+        self, integrator: Integrator, which: int, illuminant: str, level: int, room: Room, *, shadows: bool
+    ) -> list[Step]:
+        """What adds the colours of cells under a light to zeros in a room."""
         from warpdiff.kernels.scene import Sampling
 
-        seen = room.seen
-        # What kinds share is one step for all of them, as it takes longer to make than to launch. The pigment of the
-        # pixel's own ray stays.
-        lit = {
-            shadows: self._deflect(which, seen, 1.0, self._no_sums, sample=0, shadows=shadows)
-            for shadows in (False, True)
-        }
-        look_up = integrator.steps(*seen.directions, illuminant, room.colours, seen.footprints, room.left_out)
-        result = []
-        of_rays: dict[int, tuple[Step, list[Step], Step, Step]] = {}
-        for kind in supersample.KINDS:
-            tile = kind.tile
-            if kind.rays not in of_rays:
-                sampling = Sampling()
-                sampling.tiles = room.tiles[kind.rays]
-                sampling.places, weights = tile.on(self._device)
-                counts = [self._view.width, tile.deviation, integrator.leaves_out]
-                of_rays[kind.rays] = (
-                    Step(
-                        directions.fan_out, [*self._seen.directions, sampling.tiles, sampling.places, *counts],
-                        [*seen.directions, seen.footprints, seen.pixels.hit], in_runs=True, block=kind.rays,
-                    ),
-                    self._steps_of_rays(sampling, seen.pixels),
-                    self._spread(seen, tile.across, tile.across, tile.deviation / tile.apart, seen.footprints),
-                    Step(
-                        directions.gather, [room.colours, seen.pixels.hit, sampling.tiles, weights], [colours],
-                        in_runs=True, block=kind.rays,
-                    ),
-                )  # fmt: skip
-            fan_out, meet, spread, gather = of_rays[kind.rays]
-            seen_by_rays = [fan_out] if kind.even else [*meet, *lit[kind.shadows], spread]
-            result.append([*seen_by_rays, *look_up, gather])
-        return result
+        seen, means = room.seen, integrator.blurs
+        sampling = Sampling()
+        sampling.tiles, sampling.places = room.tiles[level], refinement.places_at(level, self._device.alias)
+        steps = self._steps_of_rays(sampling, seen.pixels)
+        sums = [room.colours, *self._no_sums[1:]]
+        steps += self._deflect(which, seen, 1.0, sums, sample=0, shadows=shadows)
+        if means:
+            steps.append(self._spread(seen, refinement.deviation_at(level, means=True)))
+        footprints = seen.footprints if means else None
+        return [*steps, *integrator.steps(*seen.directions, illuminant, room.colours, footprints, room.left_out)]
+
+    @property
+    def pigmented(self) -> bool:
+        """Whether base colours count."""
+        return self._pigmented
+
+    @property
+    def may_see(self) -> range:
+        """The pixels that may see anything."""
+        return self._among
+
+    @property
+    def seen(self) -> Seen:
+        """What pixels' own rays see under the last light."""
+        return self._seen
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
@@ -406,18 +395,19 @@ class Frame:
 
     def _launch(self, steps: Sequence[Step]) -> None:
         """Launch what finds rays and directions over all pixels."""
-        launch_in_turn(steps, self._among, slice_size=_SLICE, **self._options)
+        launch_in_turn(steps, self._among, slice_size=_SLICE, **self.options)
 
     def _begin_to_cover(self, sampling: Any) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
         from warpdiff.kernels import raycast
-        from warpdiff.kernels.scene import Tiles
+        from warpdiff.kernels.scene import Cells
 
         self._nearest.fill_(raycast.UNSEEN)
-        self._rows.assign([self._view.height, -1])
-        inputs = [self._camera, self._scene.bare, sampling, Tiles(), self._reach]
+        self._rows.assign([self.view.height, -1])
+        reach = 0.0 if sampling.samples == 1 else raycast.MOST_OFFSET
+        inputs = [self._camera, self._scene.bare, sampling, Cells(), reach]
         cover = Step(raycast.cover, inputs, [self._nearest, self._rows], in_runs=True)
-        return begin_in_turn([cover], self._scene.face_count, slice_size=_FACES, **self._options)
+        return begin_in_turn([cover], self._scene.face_count, slice_size=_FACES, **self.options)
 
     def _keep_to(self, first_row: int, last_row: int) -> None:
         """Look at pixels of these rows alone from now on, and leave zeros elsewhere.
@@ -426,8 +416,8 @@ class Frame:
         """
         written = self._among
         if first_row <= last_row:
-            first = max(int(first_row) - 1, 0) * self._view.width // BLOCK
-            end = -(-(int(last_row) + 2) * self._view.width // BLOCK)
+            first = max(int(first_row) - 1, 0) * self.view.width // BLOCK
+            end = -(-(int(last_row) + 2) * self.view.width // BLOCK)
             self._among = range(first * BLOCK, min(end * BLOCK, self._size))
         else:
             self._among = range(0)
@@ -436,15 +426,6 @@ class Frame:
             values[written.start : min(written.stop, self._among.start)] = 0
             values[max(written.start, self._among.stop) : written.stop] = 0
 
-    def _prepare(self) -> None:
-        """Make what rays need, on this thread."""
-        from warpdiff import scene
-
-        self._seen.pixels.nearest = self._nearest
-        if self._casts_shadows and 0 not in self._grids:
-            rays = self._samples * scene.pixels_within(self._surface, self._view)
-            self._grids[0] = self._grid_for(0, rays, device=self._device, threads=1)
-
     def _cast(self, sample: int, samples: int) -> list[Step]:
         """What sends one ray through every pixel."""
         self.begin()
@@ -452,7 +433,7 @@ class Frame:
         if not self._alone:
             covering, self._covering = self._covering or self._begin_to_cover(sampling), None
             with covering:
-                self._prepare()
+                self._seen.pixels.nearest = self._nearest
             self._keep_to(*self._rows.numpy())
         return self._steps_of_rays(sampling, self._seen.pixels)
 
@@ -465,14 +446,12 @@ class Frame:
 
         sampling = Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
-        if samples > 1 and len(self._places):
-            sampling.places = self._places
-        elif samples > 1 and not self._alone:
+        if samples > 1 and not self._alone:
             if not len(self._offsets):
                 self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self._device)
             inputs = [sample, samples, _SEED]
             launch(
-                raycast.scatter, self._size, inputs, [self._offsets], slice_size=_SLICE, in_runs=True, **self._options
+                raycast.scatter, self._size, inputs, [self._offsets], slice_size=_SLICE, in_runs=True, **self.options
             )
             sampling.offsets = self._offsets
         return sampling
@@ -489,15 +468,20 @@ class Frame:
         ]
 
     @property
-    def _casts_shadows(self) -> bool:
+    def casts_shadows(self) -> bool:
         """Whether the mesh may hide the lights."""
         return self._shadows and self._may_be_hidden
+
+    @property
+    def _rays_each(self) -> int:
+        """How many shadow rays a pixel takes, about."""
+        return _SHADOW_RAYS_OF_MEANS if self._means else self._samples
 
     def _grid_of(self, which: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
         if which not in self._grids:
-            rays = 0 if self._alone else self._samples * int(np.count_nonzero(self._hits()))
-            self._grids[which] = self._grid_for(which, rays, **self._options)
+            rays = 0 if self._alone else self._rays_each * int(np.count_nonzero(self._hits()))
+            self._grids[which] = self._grid_for(which, rays, **self.options)
         return self._grids[which]
 
     def _grid_for(self, which: int, rays: int, **options: Any) -> Any:
@@ -505,19 +489,20 @@ class Frame:
             return no_grid(self._scene, few=not self._alone)
         return grid_for(self._surface, self._scene, self._to_lights[which], **options)
 
-    def deflect(self, sample: int, which: int, summary: Survey | None = None) -> None:
+    def deflect(self, sample: int, which: int, summary: Survey | None = None, *, samples: int | None = None) -> None:
         """Compute the deflections and gains of a sample under one light, add its pigment, and sum up, if that is asked.
 
         Rays are cast first, if they are another sample's.
         """
         steps: list[Step] = []
         if self._now[0] != sample:
-            steps = self._cast(sample, self._samples)
-            if self._casts_shadows and which not in self._grids:
+            steps = self._cast(sample, samples or self._samples)
+            if self.casts_shadows and which not in self._grids:
                 # Whether a grid is worth it, those that meet the mesh tell.
                 self._launch(steps)
                 steps = []
-        steps += self._deflect(which, self._seen, float(self._weights[sample]), self._sums, sample=sample)
+        sums = [self._colours_of_one, *self._sums[1:]]
+        steps += self._deflect(which, self._seen, 1.0 / (samples or self._samples), sums, sample=sample)
         if summary is not None:
             steps.append(summary.step(*self._seen.directions))
         self._launch(steps)
@@ -529,11 +514,13 @@ class Frame:
         from warpdiff.kernels import directions
         from warpdiff.kernels.shadows import hide
 
-        shadows = shadows and self._casts_shadows
+        shadows = shadows and self.casts_shadows
         hidden = seen.hidden if shadows else self._none_hidden
         # What is covered counts once.
         counted, begins = weight if which == 0 else 0.0, which == 0 and sample == 0
-        inputs = [seen.pixels, self._lights, which, self._reflection, weight, counted, begins, hidden]
+        # Of means each light's colours are found by themselves.
+        resets = begins or self._means
+        inputs = [seen.pixels, self._lights, which, self._reflection, weight, counted, begins, resets, hidden]
         steps = [Step(directions.deflect_pixels, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
             inputs = [self._grid_of(which), self._lights.to_lights, which, seen.pixels]
@@ -556,46 +543,38 @@ class Frame:
         found[seen] = all_values[seen]
         return found
 
-    def spread(self, which: int, result: wp.array | None = None) -> wp.array:
-        """What each pixel's filter, or a sample's share of it, does to (u, v), under one light."""
-        import warp as wp
-
-        from warpdiff.kernels.scene import Footprint
-
-        if result is None:
-            result = wp.zeros(self._size, dtype=Footprint, device=self._device)
-        self._now = self._now[0], None
-        steps = self._deflect(which, self._seen, 1.0, self._no_sums, sample=0, shadows=False)
-        self._launch(steps)
-        # A pixel's neighbours lie in other slices.
-        self._launch([self._spread(self._seen, self._view.width, self._view.height, self._deviation, result)])
-        return result
-
-    @staticmethod
-    def _spread(seen: Seen, width: int, height: int, deviation: float, result: wp.array) -> Step:
-        """What filters do to (u, v), once it is known."""
+    def _spread(self, seen: Seen, deviation: float) -> Step:
+        """What filters of a deviation [pixels] do to (u, v)."""
         from warpdiff.kernels import directions
 
-        inputs = [seen.deflections, seen.gains, seen.pixels.hit, width, height, deviation]
-        return Step(directions.spread_pixels, inputs, [result], in_runs=True)
+        inputs = [self._camera, self._scene.bare, seen.pixels, seen.deflections, deviation]
+        return Step(directions.spread_pixels, inputs, [seen.footprints], in_runs=True)
 
     @property
     def xyz(self) -> wp.array:
         """The colours, (height, width), where they are."""
-        return self._sums[0].reshape((self._view.height, self._view.width))
+        return self._sums[0].reshape((self.view.height, self.view.width))
 
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
-        shape = (self._view.height, self._view.width)
+        shape = (self.view.height, self.view.width)
         xyz, coverage, lit = (sums.numpy() for sums in self._sums)
         coverage = coverage.astype(np.float32).reshape(shape)
-        lit_pixels, tiled = (self._lit, self._tiled) if self._queue is None else self._queue.counts
+        # That of a table, or of sums over wavelengths, is in proportion to the colour.
+        errors = (_OF_PLAN if self._means else 1.0) * plan.error * np.linalg.norm(xyz, axis=1)
+        if self._errors:
+            errors += self._errors[0].numpy()
+        error = relative_errors(errors, xyz, lit) * lit
+        told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
+        found = self._split if self._queue is None else np.array(self._queue.counts)
+        split, unsettled = found / float(max(int(np.count_nonzero(coverage)) * len(self._to_lights), 1))
         return Image(
             xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
             lit=lit.reshape(shape),
             coverage=coverage,
-            plan=replace(plan, supersampled=tiled / max(lit_pixels, 1)),
+            error=error.reshape(shape),
+            plan=replace(plan, split=float(split), unsettled=float(unsettled), errors=(told[0], told[1])),
         )
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from warpdiff.plans import Plan
 
+# f: errors of what is darker are relative to so much of Y*.
+FLOOR = 1e-3
 _FORMATS = (".exr", ".png")
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
@@ -33,6 +35,8 @@ class Image:
         mask: Whether anything was hit, shape (height, width).
         lit: Whether it was hit and an unshadowed light stands above its horizon, shape (height, width).
         coverage: Share of the pixel's samples that hit something, 0 to 1, float32; alpha in files.
+        error: Estimated error of each pixel, ‖ΔXYZ‖ over max(‖XYZ‖, 1e-3 · Y*) as ``tolerance`` has it, shape (height,
+            width), float32; 0 where nothing is lit.
         plan: What was computed and why.
     """
 
@@ -40,6 +44,7 @@ class Image:
     mask: NDArray[np.bool_]
     lit: NDArray[np.bool_]
     coverage: NDArray[np.float32]
+    error: NDArray[np.float32]
     plan: Plan
 
     @property
@@ -65,7 +70,8 @@ class Image:
 
         Args:
             path: ``.exr`` holds linear float32 channels R, G, B, A and XYZ.X, XYZ.Y, XYZ.Z, unscaled unless
-                ``exposure`` is given, multiplied by alpha. ``.png`` is sRGB with alpha, not multiplied.
+                ``exposure`` is given, multiplied by alpha, and error.Y, which is :attr:`error`. ``.png`` is sRGB with
+                alpha, not multiplied.
             exposure: Linear factor; None is 1 for EXR and :attr:`auto_exposure` for PNG.
             bits: 8 or 16, for PNG.
 
@@ -90,8 +96,9 @@ class Image:
         height, width = self.mask.shape
         alpha = self.coverage[..., None]
         if suffix == ".exr":
-            channels: tuple[str, ...] = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z")
-            pixels = np.concatenate([exposure * self.rgb, alpha, exposure * self.xyz], axis=2, dtype=np.float32)
+            channels: tuple[str, ...] = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
+            layers = [exposure * self.rgb, alpha, exposure * self.xyz, self.error[..., None]]
+            pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
             spec.attribute("oiio:ColorSpace", "lin_rec709")
@@ -113,6 +120,20 @@ class Image:
 
         _replace(target, spec, np.ascontiguousarray(pixels))
         return target
+
+
+def relative_errors(
+    errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32], lit: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Errors ‖ΔXYZ‖, of any shape, over max(‖XYZ‖, f · Y*), of XYZ (…, 3); Y* is that of what is lit."""
+    luminance = np.sort(xyz[..., 1][lit])
+    white = 0.0
+    if len(luminance):
+        total = np.cumsum(luminance, dtype=np.float64)
+        median = luminance[min(np.searchsorted(total, 0.5 * total[-1]), len(total) - 1)]
+        white = max(float(luminance[math.ceil(0.99 * len(luminance)) - 1]), float(median))
+    floor = max(FLOOR * white, float(np.finfo(np.float32).tiny))
+    return np.asarray(errors / np.maximum(np.linalg.norm(xyz, axis=-1), floor), dtype=np.float32)
 
 
 def check_target(path: Any, name: str = "path") -> Path:

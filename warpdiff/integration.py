@@ -73,6 +73,11 @@ class Integrator:
         """Whether a table leaves out some directions, as those of a source do."""
         return bool(self._plan.nodes) and self._plan.coherence.kind == "source"
 
+    @property
+    def blurs(self) -> bool:
+        """Whether a table takes means over footprints."""
+        return self._plan.blurs
+
     def steps(
         self,
         deflections: wp.array,

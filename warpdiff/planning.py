@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, trial, validity
+from warpdiff import aliasing, checks, optics, polar, refinement, search, spectrum, tables, trial, validity
 from warpdiff.coefficients import holds_powers
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
@@ -243,7 +243,8 @@ def plan_for(
 ) -> Plan:
     """The plan for all directions of a scope, searched for on a sample of them.
 
-    The directions are ``count`` in number; a table, which takes time to make, is for many, and for footprints. With
+    The directions are ``count`` in number, or of means over pixels some of them; a table, which takes time to make, is
+    for many, and for the footprints of what adds as powers. With
     ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
     """
     tolerance = check_tolerance(tolerance)
@@ -258,7 +259,10 @@ def plan_for(
     _warn_of_aliasing(scope, pitch, tables.radius(ample) if between else 0.0)
     if method == "direct":
         return ample
-    most_making = math.inf if integration == "table" or footprint else 0.0
+    blurs = footprint and coherence.adds_powers and method == "auto"
+    if footprint and not blurs:
+        count *= refinement.rays_at(refinement.LEAST_OF_POINTS)
+    most_making = math.inf if integration == "table" or blurs else 0.0
     if method == "auto" and colour and not most_making:
         most_making = _most_making(hf, ample, count)
     # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
@@ -282,7 +286,7 @@ def plan_for(
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
     if is_searched:
         found = _by_trial(
-            found, hf, scope, sample, method=method, integration=integration, footprint=footprint,
+            found, hf, scope, sample, method=method, integration=integration, footprint=blurs,
             most_making=most_making, cut_short=cut_short, illuminants=illuminants,
             wavelengths_nm=wavelengths_nm, device=device, threads=threads,
         )  # fmt: skip
@@ -292,7 +296,7 @@ def plan_for(
         # The series that all bases are made from, and judged by, ends too soon.
         found = replace(found, terms=ample.terms, truncation=max(found.truncation, ample.truncation))
     _check_error(hf, found, strict=strict)
-    return found
+    return replace(found, footprint=footprint)
 
 
 def _by_trial(
@@ -388,7 +392,9 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         rays_per_width=0.0,
         functions=0,
         footprint=False,
-        supersampled=0.0,
+        split=0.0,
+        unsettled=0.0,
+        errors=(0.0, 0.0),
         max_uv=scope.max_uv,
         max_lateral=scope.max_lateral,
         min_w=scope.min_w,

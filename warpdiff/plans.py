@@ -51,9 +51,12 @@ class Plan:
         rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
         functions: Functions of w that all colours of the table share, a multiple of 4; 0 takes as many as the tolerance
             asks for.
-        footprint: Whether the table has levels, from which a pixel's mean over its range of (u, v) is taken.
-        supersampled: Of a picture, the share of its lit pixels that took more rays, as the predicted error of their
-            footprint exceeds the tolerance.
+        footprint: Whether pixels show means over their range of (u, v), which are taken from levels of the table where
+            there is one and powers add, and otherwise from many points.
+        split: Of a picture, the share of the pixels that see the mesh that were split into cells.
+        unsettled: The share of those that the most cells do not settle: their last levels differ by more than the
+            tolerance.
+        errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
         min_w: Smallest |w| of these.
@@ -88,7 +91,9 @@ class Plan:
     rays_per_width: float
     functions: int
     footprint: bool
-    supersampled: float
+    split: float
+    unsettled: float
+    errors: tuple[float, float]
     max_uv: float
     max_lateral: float
     min_w: float
@@ -119,8 +124,6 @@ class Plan:
                 f"functions must be a multiple of {FUNCTIONS} up to {MOST_FUNCTIONS}, or 0, got {self.functions}"
             )
         checks.flag(self.footprint, "footprint")
-        if self.footprint and not self.nodes:
-            raise ValueError("footprint=True takes a table: give nodes, or method='low-rank/table'")
         check_method(f"{self.method}/table" if self.nodes else self.method, self.coherence)
         check_tolerance(self.tolerance)
         if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
@@ -142,6 +145,11 @@ class Plan:
     def error(self) -> float:
         """Predicted error of the call: all sources but aliasing."""
         return self.truncation + self.neighbourhood + self.quadrature + self.rounding
+
+    @property
+    def blurs(self) -> bool:
+        """Whether a pixel's mean is taken from levels of the table."""
+        return self.footprint and self.nodes > 0 and self.coherence.adds_powers
 
     @property
     def microseconds(self) -> float:
@@ -175,11 +183,9 @@ class Plan:
             parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
         if self.nodes:
             rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
-            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.footprint else ""
+            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.blurs else ""
             shared = f" and {self.functions} functions of w" if self.functions else ""
             parts.append(f"a polar table of {rays}{shared}{pixels} integrates to {self.quadrature:.1e}")
-            if self.supersampled:
-                parts.append(f"{100.0 * self.supersampled:.2g} % of the lit pixels, too steep for that, took more rays")
         elif self.wavelengths:
             spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
             asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
@@ -187,9 +193,15 @@ class Plan:
             aside = f" ({', '.join(asides)})" if asides else ""
             spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
             parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
+        if self.split:
+            parts.append(f"{100.0 * self.split:.2g} % of the pixels were split into cells")
+            if self.unsettled:
+                parts.append(f"which does not settle {100.0 * self.unsettled:.2g} %")
         parts.append(f"float32 rounds by {self.rounding:.1e}")
         text = "; ".join(parts)
         text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
+        if any(self.errors):
+            text += " Estimated errors of the lit pixels: median {:.1e}, 99th percentile {:.1e}.".format(*self.errors)
         text += f" Some {self.multiply_adds:.2g} multiply-adds a direction, {self.microseconds:.2g} µs of a core"
         return text + (f", after {self.table_seconds:.2g} s for the table" if self.nodes else "") + f". {self._scalar}"
 

@@ -186,7 +186,7 @@ class Layout:
 
 def has_levels(plan: Plan) -> bool:
     """Whether look-ups of a plan's table are blurred."""
-    return plan.footprint or plan.coherence.kind == "source"
+    return plan.blurs or plan.coherence.kind == "source"
 
 
 def near(coherence: Coherence) -> float:

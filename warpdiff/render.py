@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, optics, search, spectrum
+from warpdiff import checks, optics, refinement, search, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
+from warpdiff.errors import WarpdiffWarning
 from warpdiff.evaluate import check_call, check_plan
 from warpdiff.frame import Frame, load_kernels
 from warpdiff.integration import Integrator
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import FEWEST_SEARCHED, plan_for, warn_outside
-from warpdiff.plans import AUTOMATIC, Plan, check_method
+from warpdiff.plans import AUTOMATIC, Plan
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
@@ -49,6 +51,7 @@ def shade(
     tangents: ArrayLike | None = None,
     footprint: bool | None = None,
     samples_per_pixel: int = 1,
+    refine: bool = True,
     plan: Plan | None = None,
     strict: bool = True,
     device: Any = None,
@@ -77,14 +80,14 @@ def shade(
         smooth: Whether vertex normals are interpolated; otherwise facets are seen.
         tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
             the texture coordinates.
-        footprint: Whether a pixel shows the mean over the range of (u, v) that it sees, a Gaussian that lies where the
-            gain, w and the bend of (u, v) put it, rather than the colour in its centre: no aliasing, no speckle of
-            orders that fall between pixels. None is on for an averaged window and for a source where a table keeps the
-            tolerance, and off otherwise. Where the picture is so steep, and (u, v) so uneven, that this will not do, 9
-            or 25 rays of a pixel have footprints of their own.
-        samples_per_pixel: Rays a pixel under a Gaussian filter (0.5 pixel, cut at 1.5); 1 is its centre. With
-            footprints, 4, 9, 16 and 25 lie on a grid, where means over parts of a pixel add up best, and others on a
-            spiral.
+        footprint: Whether a pixel shows the mean over what its filter sees, a Gaussian (0.5 pixel, cut at 1.5), rather
+            than the colour in its centre: no aliasing, no speckle of orders that fall between pixels. The mean is taken
+            from a table with levels where there is one, otherwise from many points. None is on for an averaged window
+            and for a source, and off for others and for ``"direct"``.
+        samples_per_pixel: Rays a pixel; 1 is its centre. Without footprints they are points under the same filter. With
+            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, 64 or 256.
+        refine: Whether pixels whose parts differ by more than the tolerance allows are split, again and again, up to
+            256 cells. Otherwise a picture with footprints promises nothing: ``image.error`` estimates what it errs by.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
@@ -102,7 +105,7 @@ def shade(
     wanted = Wanted.checked(
         hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
         pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
-        plan=plan, strict=strict, device=device, threads=threads,
+        refine=refine, plan=plan, strict=strict, device=device, threads=threads,
     )  # fmt: skip
     load_kernels(wanted.device)
     if plan is None:
@@ -116,18 +119,19 @@ def shade(
         warn_outside(found, hf, scope)
     else:
         found = wanted.plan_for(hf, scope, sample, count)
-    if found.footprint != wanted.footprint:
-        # No table keeps the tolerance: rays of a pixel then lie as those of points do.
-        wanted = replace(wanted, footprint=found.footprint)
-        picture = wanted.frame(surface, view)
-        wanted.light_up(picture, hf, wanted.lights)
     names = [each.illuminant for each in wanted.lights]
     if found.method == "direct":
         picture.sum_directly(hf, found, names, progress=progress)
     else:
         integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
-        picture.integrate(integrator, names, footprint=found.footprint, tolerance=found.tolerance, progress=progress)
-    return picture.image(found)
+        picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+    image = picture.image(found)
+    warn_unsettled(image.plan)
+    return image
+
+
+# Shares of the pixels that may err by more than the tolerance.
+MOST_UNSETTLED = 0.03
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,7 @@ class Wanted:
         smooth: Whether vertex normals are interpolated.
         footprint: Whether pixels show means over what they see.
         samples: Rays a pixel.
+        refine: Whether pixels are split until they keep the tolerance.
         plan: An explicit one.
         strict: Whether a tolerance that cannot be met is an error.
         device: The Warp device.
@@ -163,6 +168,7 @@ class Wanted:
     smooth: bool
     footprint: bool
     samples: int
+    refine: bool
     plan: Plan | None
     strict: bool
     device: wp.Device
@@ -185,6 +191,7 @@ class Wanted:
         smooth: Any,
         footprint: Any,
         samples_per_pixel: Any,
+        refine: Any,
         plan: Any,
         strict: Any,
         device: Any,
@@ -208,6 +215,7 @@ class Wanted:
         blurred = _takes_footprints(footprint, method, window, plan)
         return cls(
             lights, tolerance, method, window, normal, masking, pigment, shadows, smooth, blurred, samples,
+            checks.flag(refine, "refine"),
             plan if plan is None or plan.footprint == blurred else replace(plan, footprint=blurred), strict,
             resolve_device(device),
             resolve_threads(threads),
@@ -254,16 +262,22 @@ def _takes_footprints(footprint: bool | None, method: str, window: Coherence, pl
     """Whether pixels show means over what they see."""
     if footprint is not None:
         checks.flag(footprint, "footprint")
-    if plan is not None:
-        return plan.footprint if footprint is None else footprint
-    tabled = method == "auto" or method.endswith("/table")
-    if footprint is None:
-        return tabled and window.adds_powers
-    if footprint and not tabled:
-        raise ValueError(f"footprint=True takes a table: use method='auto' or 'low-rank/table', got method={method!r}")
-    if footprint:
-        check_method("low-rank/table" if method == "auto" else method, window)
-    return footprint
+    if footprint and (method if plan is None else plan.method) == "direct":
+        raise ValueError("footprint=True is not for method='direct', which sums single directions: use another method")
+    if footprint is not None:
+        return bool(footprint)
+    return plan.footprint if plan is not None else window.adds_powers and method != "direct"
+
+
+def warn_unsettled(plan: Plan) -> None:
+    """Warn of a picture that does not keep its tolerance."""
+    if plan.unsettled > MOST_UNSETTLED:
+        warnings.warn(
+            f"{100.0 * plan.unsettled:.2g} % of the pixels see more than {4**refinement.MOST_LEVEL} cells of each "
+            f"settle to tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
+            WarpdiffWarning,
+            stacklevel=3,
+        )
 
 
 def check_lights(light: Any) -> list[DirectionalLight]:

@@ -9,7 +9,7 @@ from warpdiff import checks
 from warpdiff.frame import load_kernels
 from warpdiff.integration import Integrator
 from warpdiff.planning import directions_of, warn_outside
-from warpdiff.render import Wanted, check_lights
+from warpdiff.render import Wanted, check_lights, warn_unsettled
 from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
@@ -60,6 +60,7 @@ class Renderer:
         tangents: ArrayLike | None = None,
         footprint: bool | None = None,
         samples_per_pixel: int = 1,
+        refine: bool = True,
         plan: Plan | None = None,
         strict: bool = True,
         device: Any = None,
@@ -73,7 +74,7 @@ class Renderer:
         wanted = Wanted.checked(
             hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
             pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
-            plan=plan, strict=strict, device=device, threads=threads,
+            refine=refine, plan=plan, strict=strict, device=device, threads=threads,
         )  # fmt: skip
         if (method if plan is None else plan.method) == "direct":
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
@@ -87,9 +88,7 @@ class Renderer:
         self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
         self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
         self._recorded = records(wanted.device)
-        # Where no table keeps the tolerance, pixels show no means.
-        planned = replace(wanted, footprint=self.plan.footprint)
-        self._frame = planned.frame(surface, view, alone=self._recorded or None)
+        self._frame = wanted.frame(surface, view, alone=self._recorded or None)
         # A picture's launches as they were recorded, and what they depend on.
         self._graph: Any = None
         self._graph_is_for: tuple[Any, ...] = ()
@@ -132,6 +131,7 @@ class Renderer:
     def image(self) -> Image:
         """The last picture, with what it covers, on the host, where no later one changes it."""
         image = self._frame.image(self.plan)
+        warn_unsettled(image.plan)
         if not self._wanted.device.is_cpu:
             return image
         return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
@@ -139,7 +139,7 @@ class Renderer:
     def _launch(self) -> None:
         """Launch what a picture takes."""
         names = [each.illuminant for each in self._lights]
-        self._frame.integrate(self._integrator, names, footprint=self.plan.footprint, tolerance=self.plan.tolerance)
+        self._frame.integrate(self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine)
 
     def _replay(self) -> None:
         """Launch it as it was recorded, where the same launches will do."""

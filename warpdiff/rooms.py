@@ -1,4 +1,4 @@
-"""Arrays for what rays see: of a picture's pixels, and of tiles, which threads take parts of again and again."""
+"""Arrays for what rays see: of a picture's pixels, and of cells, which threads take parts of again and again."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from warpdiff import supersample
+from warpdiff import refinement
 from warpdiff.work import side_by_side
 
 if TYPE_CHECKING:
@@ -58,13 +58,13 @@ class Seen:
 
 @dataclass(frozen=True)
 class Room:
-    """Arrays for rays of tiles.
+    """Arrays for the rays of cells.
 
     Attributes:
         seen: What they see.
         colours: Theirs.
         left_out: What a table leaves out of them.
-        tiles: By the number of a tile's rays, the pixels that have the tiles.
+        tiles: By level, the pixels whose cells these are.
     """
 
     seen: Seen
@@ -73,15 +73,17 @@ class Room:
     tiles: dict[int, wp.array]
 
     @classmethod
-    def by(cls, rays: int, *, leaves_out: bool, device: wp.Device) -> Room:
-        """Room for so many rays."""
+    def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Room:
+        """Room for so many rays, with base colours if ``coloured``."""
         import warp as wp
 
         left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
-        of_tiles = {kind.rays for kind in supersample.KINDS}
-        tiles = {each: wp.empty(rays // each, dtype=wp.int32, device=device) for each in of_tiles}
-        return cls(Seen.by(rays, device=device, means=True), colours, left_out, tiles)
+        tiles = {
+            level: wp.empty(rays // refinement.rays_at(level), dtype=wp.int32, device=device)
+            for level in refinement.LEVELS
+        }
+        return cls(Seen.by(rays, device=device, means=True, coloured=coloured), colours, left_out, tiles)
 
 
 class SharedRoom:
@@ -92,76 +94,81 @@ class SharedRoom:
         parts: How many there are.
     """
 
-    def __init__(self, parts: int, *, leaves_out: bool, device: wp.Device) -> None:
+    def __init__(self, parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> None:
         """So many parts."""
         import warp as wp
 
         from warpdiff.kernels.lookup import RUN
 
         self.parts, self._run = parts, RUN
-        # Whole tiles of any kind, and whole runs of look-ups.
-        whole = math.lcm(*(kind.rays for kind in supersample.KINDS), RUN)
-        self._size = -(-supersample.MOST_RAYS // whole) * whole
+        # Whole pixels of any level, and whole runs of look-ups.
+        whole = math.lcm(refinement.rays_at(refinement.MOST_LEVEL), RUN)
+        self._size = -(-refinement.MOST_RAYS // whole) * whole
         rays = parts * self._size
-        self.room = Room.by(rays, leaves_out=leaves_out, device=device)
+        self.room = Room.by(rays, leaves_out=leaves_out, coloured=coloured, device=device)
         self.room.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
         self._nearest = self.room.seen.pixels.nearest.numpy()
-        self._tiles = {of_tile: tiles.numpy() for of_tile, tiles in self.room.tiles.items()}
+        self._tiles = {level: tiles.numpy() for level, tiles in self.room.tiles.items()}
         self._colours, self._gains = self.room.colours.numpy(), self.room.seen.gains.numpy()
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]
 
     def meet(
         self,
-        batches: Sequence[supersample.Batch],
-        chains: Sequence[Chain],
+        level: int,
+        pixels: NDArray[np.int32],
+        chains: Sequence[tuple[Chain, range]],
         nearest: NDArray[np.uint64],
         *,
         threads: int,
     ) -> None:
-        """Launch the chain of each kind over the tiles of batches, of whose rays ``nearest`` tells the faces.
+        """Launch chains over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
 
-        It adds colours to zeros, on so many threads, for each of which there is a part.
+        Each is for a range of the pixels; it adds colours to zeros, on so many threads, for each of which there is a
+        part.
         """
-        parts = [(batch, part) for batch in batches for part in batch.parts(threads)]
+        rays = refinement.rays_at(level)
+        slices = [
+            (chain, range(among.start + part.start, among.start + part.stop))
+            for chain, among in chains
+            for part in refinement.slices(len(among), level, threads)
+        ]
         # The largest first, so that threads finish together.
-        parts.sort(key=lambda each: -len(each[1]) * each[0].kind.rays)
+        slices.sort(key=lambda each: -len(each[1]))
 
-        def work(each: tuple[supersample.Batch, range]) -> None:
-            batch, part = each
-            kind, pixels = batch.kind, batch.pixels[part.start : part.stop]
+        def work(each: tuple[Chain, range]) -> None:
+            chain, part = each
             first = self._free.pop()
-            end = first + len(pixels) * kind.rays
-            tile = first // kind.rays
-            self._tiles[kind.rays][tile : tile + len(pixels)] = pixels
-            if not kind.even:
-                ray = batch.first_ray + part.start * kind.rays
-                self._nearest[first:end] = nearest[ray : ray + end - first]
+            end = first + len(part) * rays
+            self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
+            self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
             self._colours[first:end] = 0.0
             # Look-ups take whole runs.
             self._gains[end : -(-end // self._run) * self._run] = 0.0
-            chains[kind.index].launch(range(first, end))
+            chain.launch(range(first, end))
             self._free.append(first)
 
-        side_by_side(work, parts, threads=threads)
+        side_by_side(work, slices, threads=threads)
 
 
-# Those that no picture is in, with and without arrays for what is left out, and how many are kept: to make one takes as
-# long as to look up thousands of pixels.
-_free: dict[bool, list[SharedRoom]] = {False: [], True: []}
+# Those that no picture is in, with and without arrays for what is left out and for base colours, and how many are kept:
+# to make one takes as long as to look up thousands of pixels.
+_free: dict[tuple[bool, bool], list[SharedRoom]] = {
+    (leaves_out, coloured): [] for leaves_out in (False, True) for coloured in (False, True)
+}
 _MOST_FREE = 2
 
 
 @contextlib.contextmanager
-def shared_room(parts: int, *, leaves_out: bool, device: wp.Device) -> Iterator[SharedRoom]:
+def shared_room(parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Iterator[SharedRoom]:
     """A room of so many parts or more that nobody else is in."""
-    free = _free[leaves_out]
+    free = _free[leaves_out, coloured]
     try:
         room = free.pop()
     except IndexError:
         room = None
     if room is None or room.parts < parts:
-        room = SharedRoom(parts, leaves_out=leaves_out, device=device)
+        room = SharedRoom(parts, leaves_out=leaves_out, coloured=coloured, device=device)
     yield room
     free.append(room)
     del free[_MOST_FREE:]

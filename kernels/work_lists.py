@@ -1,8 +1,8 @@
-"""Lists of steep pixels, made and worked off where the picture is: no host has a part in it."""
+"""Lists of pixels to be split, made and worked off where the picture is: no host has a part in it."""
 
 import warp as wp
 
-from warpdiff import supersample
+from warpdiff import refinement
 from warpdiff.kernels import spectral
 from warpdiff.kernels.native import take_number
 
@@ -13,9 +13,9 @@ wp.set_module_options(spectral.OPTIONS)
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
-FLOOR = wp.constant(wp.float32(supersample.FLOOR))
-EXCEEDED_BY = wp.constant(wp.float32(supersample.EXCEEDED_BY))
-TINY = wp.constant(wp.float32(supersample.TINY))
+FLOOR = wp.constant(wp.float32(refinement.FLOOR))
+EXCEEDED_BY = wp.constant(wp.float32(refinement.EXCEEDED_BY))
+TINY = wp.constant(wp.float32(refinement.TINY))
 
 
 @wp.kernel
@@ -65,34 +65,64 @@ def find_floor(
 
 
 @wp.kernel
-def list_up(
+def count_up(
     # In:
-    classes: wp.array(dtype=wp.uint8),
+    marks: wp.array(dtype=wp.uint8),
     first: wp.int32,
     run: wp.int32,
     # Out:
-    lists_out: wp.array2d(dtype=wp.int32),
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """The pixels of each class of ``classify`` from 2 on, in whatever order: colours do not depend on those beside.
-
-    Their numbers are counted, and at the end that of all which are lit.
-    """
+    """Add how many pixels are marked."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        kind = wp.int32(classes[i]) - 2
-        if kind >= 0:
-            lists_out[kind, take_number(counts_out, kind)] = i
-        if kind >= -1:
-            take_number(counts_out, lists_out.shape[0])
+        if marks[i] != wp.uint8(0):
+            take_number(counts_out, 0)
+
+
+@wp.kernel
+def mark_around(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    width: wp.int32,
+    height: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    marks_out: wp.array(dtype=wp.uint8),
+):
+    """Mark the pixels that are marked and those around them."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        column = i % width
+        row = i // width
+        mark = wp.uint8(0)
+        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+                mark = wp.max(mark, marks[y * width + x])
+        marks_out[i] = mark
+
+
+@wp.kernel
+def list_up(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    pixels_out: wp.array(dtype=wp.int32),
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """The pixels that are marked, in whatever order: none depends on those beside it."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if marks[i] != wp.uint8(0):
+            pixels_out[take_number(counts_out, 0)] = i
 
 
 @wp.kernel
 def take(
     # In:
-    lists: wp.array2d(dtype=wp.int32),
+    pixels: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
     taken: wp.array(dtype=wp.int32),
-    kind: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -100,24 +130,23 @@ def take(
 ):
     """The next pixels of a list, and −1 where there are no more."""
     for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        place = taken[kind] + k
+        place = taken[0] + k
         pixels_out[k] = -1
-        if place < counts[kind]:
-            pixels_out[k] = lists[kind, place]
+        if place < counts[0]:
+            pixels_out[k] = pixels[place]
 
 
 @wp.kernel
 def go_on(
     # In:
     counts: wp.array(dtype=wp.int32),
-    kind: wp.int32,
     count: wp.int32,
     # Out:
     taken_out: wp.array(dtype=wp.int32),
     left_out: wp.array(dtype=wp.int32),
 ):
     """Count those that were taken, and tell whether any are left."""
-    taken_out[kind] += count
+    taken_out[0] += count
     left_out[0] = wp.int32(0)
-    if taken_out[kind] < counts[kind]:
+    if taken_out[0] < counts[0]:
         left_out[0] = wp.int32(1)

@@ -1,0 +1,188 @@
+"""Refinement: where the parts of a pixel differ from the whole, they are split again, until they agree.
+
+A pixel begins as one ray whose filter is the pixel's. Level n splits pixels into squares of 2ⁿ × 2ⁿ cells, each a ray
+with a filter of its own, and a pixel is a weighted sum over its own cells and those of the eight pixels around it. So a
+cell serves nine pixels, and a level is complete in itself: how far it differs from the one before is measured, and
+tells what it errs by.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.work import slices_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import warp as wp
+    from numpy.typing import NDArray
+
+# The pixel's filter, a Gaussian: its deviation, and where it is cut, along each axis [pixels].
+DEVIATION, CUT = 0.5, 1.5
+# What of it lies in each of three pixels in a row.
+_MIDDLE = math.erf(0.5 / (DEVIATION * math.sqrt(2.0))) / math.erf(CUT / (DEVIATION * math.sqrt(2.0)))
+THIRDS = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
+# The finest level: 256 cells a pixel, of which a filter reaches some 2,300.
+MOST_LEVEL = 4
+LEVELS = range(1, MOST_LEVEL + 1)
+# Deviation of a cell's filter over the cells' distance: half of it leaves ripples of 1.4 % between cells.
+_OVERLAP = 0.5
+# Where a pixel is covered in part, it is split to this level at least, to a sixteenth of its width across.
+RIM_LEVEL = 2
+# Points, which have no filters, begin at this level: nothing else tells how much they differ.
+LEAST_OF_POINTS = 2
+# What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
+# where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
+# change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
+# itself, relative to |(u, v)|. Of others: over the difference of their last two levels. See docs/decisions.md.
+SMOOTH, PER_UNEVEN, PER_WIDE, OF_DIFFERENCE = 0.01, 0.5, 0.5, 1.2
+# That difference is taken to be at least so much of what the nine pixels' cells change by, as if these did not depend
+# on each other.
+OF_CHANGES = 0.33
+# Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
+OF_UNSETTLED = 3.0
+# Of an error that is too large, what the cells of one of nine pixels take part in it by, that they are split again.
+OF_PARTS = 0.2
+# What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
+FLOOR, EXCEEDED_BY = 1e-3, 0.01
+TINY = float(np.finfo(np.float32).tiny)
+_GLIMPSE = 16_384
+# Rays at a time: worth what comes before their launches, and bounded by their memory.
+_LEAST_RAYS, MOST_RAYS = 8192, 32_768
+# Rays whose faces are found together, eight bytes each.
+_MOST_FOUND = 1 << 24
+
+
+def rays_at(level: int) -> int:
+    """Cells of a pixel at a level."""
+    return 1 << 2 * level
+
+
+def level_of(samples: int, *, means: bool) -> int:
+    """The least level of at least so many rays a pixel."""
+    least = 0 if means else LEAST_OF_POINTS
+    return min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL)
+
+
+def deviation_at(level: int, *, means: bool) -> float:
+    """Deviation of the filter of a ray [pixels]: the pixel's, or a cell's; points have none."""
+    if not means:
+        return 0.0
+    # Cut, a Gaussian is narrower: by a hundredth.
+    return _OVERLAP / 2**level if level else _cut_deviation()
+
+
+def _cut_deviation() -> float:
+    end = CUT / DEVIATION
+    beyond = math.sqrt(2.0 / math.pi) * end * math.exp(-0.5 * end * end) / math.erf(end / math.sqrt(2.0))
+    return DEVIATION * math.sqrt(1.0 - beyond)
+
+
+@functools.cache
+def places_at(level: int, device: str) -> wp.array:
+    """Where the cells of a pixel lie, (right, down) of its centre [pixels], on the device of a name."""
+    import warp as wp
+
+    across = 2**level
+    places = (np.arange(across) + 0.5) / across - 0.5
+    down, right = np.meshgrid(places, places, indexing="ij")
+    return wp.array(np.column_stack([right.ravel(), down.ravel()]), dtype=wp.vec2d, device=device)
+
+
+@functools.cache
+def weights_at(level: int, means: bool, device: str) -> wp.array:
+    """Weights along one axis of the cells of three pixels in a row, for the one in the middle; their sum is 1.
+
+    Together with the cells' own filters they are the pixel's.
+    """
+    import warp as wp
+
+    return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
+
+
+def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
+    """The same as an array of NumPy's."""
+    across = 2**level
+    away = (np.arange(3 * across) + 0.5) / across - 1.5
+    variance = DEVIATION**2 - deviation_at(level, means=means) ** 2
+    weights = np.exp(-0.5 * away**2 / variance)
+    return np.asarray(weights / weights.sum())
+
+
+@functools.cache
+def per_thirds_on(means: bool, device: str) -> wp.array:
+    """By level, from 0 on, what the filter has in each of three pixels in a row over what weights have there, (n, 3).
+
+    On the device of a name.
+    """
+    import warp as wp
+
+    per_thirds = [np.array(THIRDS) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS]
+    # There are no weights of pixels that are not split.
+    return wp.array([np.ones(3), *per_thirds], dtype=wp.float32, device=device)
+
+
+def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
+    """Pixels in parts whose cells take no more memory than there is to be."""
+    size = _MOST_FOUND // rays_at(level)
+    for first in range(0, len(pixels), size):
+        yield pixels[first : first + size]
+
+
+def slices(count: int, level: int, threads: int) -> Iterator[range]:
+    """Ranges of so many pixels whose cells are met at a time."""
+    rays = rays_at(level)
+    return slices_of(count, least=-(-_LEAST_RAYS // rays), most=MOST_RAYS // rays, threads=threads)
+
+
+def most_threads(pixels: int) -> int:
+    """How many threads the cells of so many pixels are worth, at most."""
+    return -(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS)
+
+
+def around(pixels: NDArray[np.int32], width: int, height: int) -> NDArray[np.bool_]:
+    """Pixels and the eight around each, as a mask of the picture, (height, width)."""
+    wide = np.zeros((height + 2, width + 2), dtype=np.bool_)
+    wide[pixels // width + 1, pixels % width + 1] = True
+    rows = wide[:-2] | wide[1:-1] | wide[2:]
+    return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
+
+
+def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> Any:
+    """The struct ``Cells`` of the kernels for pixels of a picture of this size, one after the other."""
+    import warp as wp
+
+    from warpdiff.kernels import scene
+
+    # Rows begin with words of their own.
+    marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
+    marks[pixels // width, pixels % width] = True
+    ranks = np.empty(width * height, dtype=np.int32)
+    ranks[pixels] = np.arange(len(pixels), dtype=np.int32)
+    result = scene.Cells()
+    words = np.packbits(marks, bitorder="little").view(np.uint64)
+    result.marks = wp.array(words, dtype=wp.uint64, device=device, copy=False)
+    result.ranks = wp.array(ranks, dtype=wp.int32, device=device, copy=False)
+    result.across = 2**level
+    return result
+
+
+def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
+    """What errors are relative to at least: how bright a picture is, a part of it tells."""
+    apart = glimpse(len(gains))
+    some = slice(-(-among.start // apart) * apart, among.stop, apart)
+    bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
+    if not len(bright):
+        return TINY
+    rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
+    return max(FLOOR * float(np.partition(bright, rank)[rank]), TINY)
+
+
+def glimpse(pixels: int) -> int:
+    """How far those are apart that tell how bright a picture is: an odd step does not stay in some columns."""
+    return pixels // _GLIMPSE | 1
