@@ -1,10 +1,11 @@
 """Measurements of speed and accuracy, and what they are measured against.
 
 - ``suite``: ``warpdiff bench``. Its parts, each with ``measure``, ``numbers`` and ``chart``: ``previews``, ``pareto``,
-  ``rays``, ``scaling``, ``stability``, ``validity``; what these share: ``scenes``, ``timing``, ``errors``, ``figures``,
-  ``inputs``; the programs beside ours: ``peers``
-- to run by themselves, ``python bench/NAME.py``: ``frame``, ``published``, ``tolerance_sweep``, ``tight_plans``,
-  ``plan_cost``, ``picture_error``, ``cold_start``; ``thesis``, the published evaluation, with its ``variants``
+  ``frames``, ``rays``, ``scaling``, ``stability``, ``validity``; what these share: ``scenes``, ``timing``, ``errors``,
+  ``figures``, ``inputs``; the programs beside ours: ``peers``
+- to run by themselves, ``python bench/NAME.py``: ``crops``, pictures against their truth, ``published``,
+  ``tolerance_sweep``, ``tight_plans``, ``plan_cost``, ``picture_error``, ``cold_start``; ``thesis``, the published
+  evaluation, with its ``variants``
 - references, which share no code with the kernels and serve the tests, too: ``reference`` (float64), ``brute_force``
   (rays), ``numpy_methods``
 - ``configurations``, random calls, and ``judge``, which judges calls on directions that no plan has read

@@ -22,7 +22,7 @@ import warpdiff as wd
 from warpdiff.device import resolve_device, resolve_threads
 
 # Modules with measure(setting), numbers(found) and chart(found, folder), in the order of the report.
-PARTS = ("previews", "pareto", "rays", "scaling", "stability", "validity")
+PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
 PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab", "meent",
