@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpdiff import refinement
+from warpdiff import image, refinement
 from warpdiff.kernels import spectral
 from warpdiff.kernels.native import take_number
 
@@ -13,7 +13,7 @@ wp.set_module_options(spectral.OPTIONS)
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
-FLOOR = wp.constant(wp.float32(refinement.FLOOR))
+FLOOR = wp.constant(wp.float32(image.FLOOR))
 EXCEEDED_BY = wp.constant(wp.float32(refinement.EXCEEDED_BY))
 TINY = wp.constant(wp.float32(refinement.TINY))
 

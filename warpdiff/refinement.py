@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.image import FLOOR
 from warpdiff.work import slices_of
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ OF_UNSETTLED = 3.0
 # Of an error that is too large, what the cells of one of nine pixels take part in it by, that they are split again.
 OF_PARTS = 0.2
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
-FLOOR, EXCEEDED_BY = 1e-3, 0.01
+EXCEEDED_BY = 0.01
 TINY = float(np.finfo(np.float32).tiny)
 _GLIMPSE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
