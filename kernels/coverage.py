@@ -37,12 +37,8 @@ _COVER = """
     auto smaller = [](double a, double b) { return a < b ? a : b; };
     auto larger = [](double a, double b) { return a > b ? a : b; };
 
-    // Where rays lie about the centre of a pixel: one of a sample, or those of its cells.
-    double right_of = 0.5, below_of = 0.5, most = reach;
-    if (!of_cells && sampling.places.shape[0] > 0) {
-        right_of += ((const double*)sampling.places.data)[2 * sampling.sample];
-        below_of += ((const double*)sampling.places.data)[2 * sampling.sample + 1];
-    }
+    // Where cells lie about the centre of a pixel.
+    double most = reach;
     float aside[MOST_RAYS] = {}, below[MOST_RAYS] = {};
     const int across = cells.across, size = across * across;
     const double reach_of_cells = 0.5 - 0.5 / across;
@@ -127,8 +123,8 @@ _COVER = """
                         const int ray = row * width + column;
                         const double* const offset = offsets + 2LL * ray;
                         double inside[3];
-                        find(column + right_of + (scattered ? offset[0] : 0.0),
-                            row + below_of + (scattered ? offset[1] : 0.0), inside);
+                        find(column + 0.5 + (scattered ? offset[0] : 0.0),
+                            row + 0.5 + (scattered ? offset[1] : 0.0), inside);
                         if (inside[0] >= 0.0 && inside[1] >= 0.0 && inside[2] >= 0.0)
                             keep(inside[0], inside[1], inside[2], ray);
                     }

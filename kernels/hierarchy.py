@@ -32,8 +32,6 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pi
         if pixel < 0:
             return
         offset = sampling.places[ray % rays]
-    elif rays > 0:
-        offset = sampling.places[sampling.sample]
 
     # In float64 up to where it comes near the mesh: the eye may be thousands of radii away.
     one = wp.float64(1.0)

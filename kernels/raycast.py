@@ -168,8 +168,6 @@ _MEET = """
     const bool orthographic = camera.orthographic, of_tiles = sampling.tiles.shape[0] > 0;
     const bool scattered = sampling.offsets.shape[0] > 0;
     const int width = camera.width, of_tile = of_tiles ? (int)sampling.places.shape[0] : 1;
-    // Of a sample, all pixels' rays lie alike, or each somewhere else.
-    const double* const alike = !of_tiles && sampling.places.shape[0] > 0 ? places + 2 * sampling.sample : nullptr;
     const double per_width = 2.0 * axes[12] / width, per_height = 2.0 * axes[13] / camera.height;
     // Rays that meet a face, and where they are in the picture.
     int rays[ABREAST], met[ABREAST], number = 0;
@@ -235,7 +233,7 @@ _MEET = """
             if (nearest[at] == UNSEEN) continue;
             rays[number] = at;
             met[number] = (int)(unsigned int)nearest[at];
-            const double* const place = of_tiles ? places + 2 * (at % of_tile) : scattered ? offsets + 2 * at : alike;
+            const double* const place = of_tiles ? places + 2 * (at % of_tile) : scattered ? offsets + 2 * at : nullptr;
             right[number] = column + (of_tiles ? 0 : k) + 0.5 + (place ? place[0] : 0.0);
             down[number] = row + 0.5 + (place ? place[1] : 0.0);
             if (++number == ABREAST) meet();

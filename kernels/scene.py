@@ -32,9 +32,7 @@ class Sampling:
     samples: wp.int32
     seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels whose cells these are, one after the other, −1 is none; empty is off
-    places: wp.array(
-        dtype=wp.vec2d
-    )  # where a pixel's cells, or samples, lie, (right, down) of the centre [pixels]; or empty
+    places: wp.array(dtype=wp.vec2d)  # where a pixel's cells lie, (right, down) of the centre [pixels]; or empty
     offsets: wp.array(dtype=wp.vec2d)  # where this sample of each pixel lies; empty unless rays are found face by face
 
 

@@ -15,7 +15,7 @@ GROUPS = wp.constant(512)
 BINS = wp.constant(64)
 FLOOR = wp.constant(wp.float32(image.FLOOR))
 EXCEEDED_BY = wp.constant(wp.float32(refinement.EXCEEDED_BY))
-TINY = wp.constant(wp.float32(refinement.TINY))
+TINY = wp.constant(wp.float32(image.TINY))
 
 
 @wp.kernel

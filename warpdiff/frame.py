@@ -87,7 +87,7 @@ class Frame:
         self._size = size = view.width * view.height
         self._means = means
         # The pixels that may see anything, of whole blocks and with a row more on either side, once faces have told.
-        self._among = range(size if self._alone else 0)
+        self.may_see = range(size if self._alone else 0)
         self._rows = wp.empty(2, dtype=wp.int32, device=device)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
         self._nearest = wp.empty(0 if self._alone else size, dtype=wp.uint64, device=device)
@@ -136,8 +136,8 @@ class Frame:
         self.begin()
 
     @functools.cached_property
-    def _seen(self) -> Seen:
-        """What the pixels' own rays see."""
+    def seen(self) -> Seen:
+        """What the pixels' own rays see under the last light."""
         coloured = self._surface.has_base_colour
         return Seen.by(self._size, device=self._device, means=self._means, coloured=coloured)
 
@@ -178,7 +178,7 @@ class Frame:
 
         from warpdiff.kernels import directions
 
-        self._pigmented = pigment > 0.0 and self._surface.has_base_colour
+        self.pigmented = pigment > 0.0 and self._surface.has_base_colour
         grid_um = np.arange(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
         solid_angle = optics.pigment_solid_angle(grid_um, window, area_um2)
         whites = [
@@ -190,7 +190,7 @@ class Frame:
             for name, dtype in (("to_lights", wp.vec3d), ("strengths", wp.vec2d), ("white_rgb", wp.vec3d)):
                 setattr(self._lights, name, wp.empty(len(lights), dtype=dtype, device=self._device))
             self._lights.rgb_to_xyz = wp.mat33d(*spectrum.RGB_TO_XYZ.ravel())
-        of_pigment = pigment / normal if self._pigmented else 0.0
+        of_pigment = pigment / normal if self.pigmented else 0.0
         self._lights.to_lights.assign(np.array([each.to_light for each in lights]))
         self._lights.strengths.assign(np.array([(each.power, of_pigment) for each in lights]))
         self._lights.white_rgb.assign(np.array(whites))
@@ -206,7 +206,7 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
-        return len(self._to_lights), self.view.extent_y is None, self.casts_shadows, self._pigmented
+        return len(self._to_lights), self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def survey(self, hf: HeightField, window: Coherence, *, sampled: bool = True) -> tuple[Scope, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them unless they are of no use.
@@ -228,7 +228,7 @@ class Frame:
                 # Means begin with the pixels' centres.
                 self.deflect(sample, which, summary, samples=1 if self._means and sample == 0 else samples)
                 parts = len(self._to_lights) * (surveyed if self._means else sample == 0) if sampled else 0
-                found, lit, some = summary.found(parts=parts, among=self._among)
+                found, lit, some = summary.found(parts=parts, among=self.may_see)
                 within = within.joined(found)
                 count += lit
                 seen.append(some)
@@ -265,7 +265,7 @@ class Frame:
         left_out = self._room_for_what_is_left_out(integrator)
         for which, share in self._passes(progress):
             integrator.add(
-                *self._seen.directions, illuminants[which], self._sums[0], left_out=left_out, among=self._among,
+                *self.seen.directions, illuminants[which], self._sums[0], left_out=left_out, among=self.may_see,
                 progress=share,
             )  # fmt: skip
 
@@ -303,12 +303,12 @@ class Frame:
         for which, share in self._passes(progress):
             if several:
                 errors.zero_()
-            illuminant, seen = illuminants[which], self._seen
+            illuminant, seen = illuminants[which], self.seen
             steps = [self._spread(seen, refinement.deviation_at(0, means=True))] if integrator.blurs else []
             steps += integrator.steps(
                 *seen.directions, illuminant, colours, seen.footprints if integrator.blurs else None, left_out
             )
-            launch_in_turn(steps, self._among, slice_size=_COLOURS, progress=share, **self.options)
+            launch_in_turn(steps, self.may_see, slice_size=_COLOURS, progress=share, **self.options)
             light = splitting.Light(
                 self, integrator, which, illuminant, colours, errors, self._sums[1:], tolerance,
                 refinement.level_of(self._least, means=integrator.blurs), refine,
@@ -364,21 +364,6 @@ class Frame:
         footprints = seen.footprints if means else None
         return [*steps, *integrator.steps(*seen.directions, illuminant, room.colours, footprints, room.left_out)]
 
-    @property
-    def pigmented(self) -> bool:
-        """Whether base colours count."""
-        return self._pigmented
-
-    @property
-    def may_see(self) -> range:
-        """The pixels that may see anything."""
-        return self._among
-
-    @property
-    def seen(self) -> Seen:
-        """What pixels' own rays see under the last light."""
-        return self._seen
-
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
     ) -> None:
@@ -395,7 +380,7 @@ class Frame:
 
     def _launch(self, steps: Sequence[Step]) -> None:
         """Launch what finds rays and directions over all pixels."""
-        launch_in_turn(steps, self._among, slice_size=_SLICE, **self.options)
+        launch_in_turn(steps, self.may_see, slice_size=_SLICE, **self.options)
 
     def _begin_to_cover(self, sampling: Any) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
@@ -414,17 +399,17 @@ class Frame:
 
         They are the same for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
         """
-        written = self._among
+        written = self.may_see
         if first_row <= last_row:
             first = max(int(first_row) - 1, 0) * self.view.width // BLOCK
             end = -(-(int(last_row) + 2) * self.view.width // BLOCK)
-            self._among = range(first * BLOCK, min(end * BLOCK, self._size))
+            self.may_see = range(first * BLOCK, min(end * BLOCK, self._size))
         else:
-            self._among = range(0)
+            self.may_see = range(0)
         for sums in self._sums:
             values = sums.numpy()
-            values[written.start : min(written.stop, self._among.start)] = 0
-            values[max(written.start, self._among.stop) : written.stop] = 0
+            values[written.start : min(written.stop, self.may_see.start)] = 0
+            values[max(written.start, self.may_see.stop) : written.stop] = 0
 
     def _cast(self, sample: int, samples: int) -> list[Step]:
         """What sends one ray through every pixel."""
@@ -433,9 +418,9 @@ class Frame:
         if not self._alone:
             covering, self._covering = self._covering or self._begin_to_cover(sampling), None
             with covering:
-                self._seen.pixels.nearest = self._nearest
+                self.seen.pixels.nearest = self._nearest
             self._keep_to(*self._rows.numpy())
-        return self._steps_of_rays(sampling, self._seen.pixels)
+        return self._steps_of_rays(sampling, self.seen.pixels)
 
     def _sampling(self, sample: int, samples: int) -> Any:
         """Where a sample of every pixel lies."""
@@ -502,9 +487,9 @@ class Frame:
                 self._launch(steps)
                 steps = []
         sums = [self._colours_of_one, *self._sums[1:]]
-        steps += self._deflect(which, self._seen, 1.0 / (samples or self._samples), sums, sample=sample)
+        steps += self._deflect(which, self.seen, 1.0 / (samples or self._samples), sums, sample=sample)
         if summary is not None:
-            steps.append(summary.step(*self._seen.directions))
+            steps.append(summary.step(*self.seen.directions))
         self._launch(steps)
         self._now = sample, which
 
@@ -529,16 +514,16 @@ class Frame:
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
-        deflections, to_lights, gains = (self._looked_at(each) for each in self._seen.directions)
+        deflections, to_lights, gains = (self._looked_at(each) for each in self.seen.directions)
         return deflections, to_lights, gains
 
     def _hits(self) -> NDArray[np.int32]:
         """Which pixels' rays have met the mesh."""
-        return self._looked_at(self._seen.pixels.hit)
+        return self._looked_at(self.seen.pixels.hit)
 
     def _looked_at(self, values: wp.array) -> NDArray[Any]:
         """What is found of all pixels; zero for those that are not looked at."""
-        all_values, seen = values.numpy(), slice(self._among.start, self._among.stop)
+        all_values, seen = values.numpy(), slice(self.may_see.start, self.may_see.stop)
         found: NDArray[Any] = np.zeros_like(all_values)
         found[seen] = all_values[seen]
         return found

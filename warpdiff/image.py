@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # f: errors of what is darker are relative to so much of Y*.
 FLOOR = 1e-3
+# And never to nothing.
+TINY = float(np.finfo(np.float32).tiny)
 _FORMATS = (".exr", ".png")
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
@@ -132,7 +134,7 @@ def relative_errors(
         total = np.cumsum(luminance, dtype=np.float64)
         median = luminance[min(np.searchsorted(total, 0.5 * total[-1]), len(total) - 1)]
         white = max(float(luminance[math.ceil(0.99 * len(luminance)) - 1]), float(median))
-    floor = max(FLOOR * white, float(np.finfo(np.float32).tiny))
+    floor = max(FLOOR * white, TINY)
     return np.asarray(errors / np.maximum(np.linalg.norm(xyz, axis=-1), floor), dtype=np.float32)
 
 

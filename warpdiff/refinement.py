@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.image import FLOOR
+from warpdiff.image import FLOOR, TINY
 from warpdiff.work import slices_of
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ MOST_LEVEL = 4
 LEVELS = range(1, MOST_LEVEL + 1)
 # Deviation of a cell's filter over the cells' distance: half of it leaves ripples of 1.4 % between cells.
 _OVERLAP = 0.5
-# Where a pixel is covered in part, it is split to this level at least, to a sixteenth of its width across.
+# Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
 RIM_LEVEL = 2
 # Points, which have no filters, begin at this level: nothing else tells how much they differ.
 LEAST_OF_POINTS = 2
@@ -51,7 +51,6 @@ OF_UNSETTLED = 3.0
 OF_PARTS = 0.2
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
 EXCEEDED_BY = 0.01
-TINY = float(np.finfo(np.float32).tiny)
 _GLIMPSE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
@@ -107,7 +106,7 @@ def weights_at(level: int, means: bool, device: str) -> wp.array:
 
 
 def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
-    """The same as an array of NumPy's."""
+    """Weights of cells along one axis, (3 · 2ⁿ,): see :func:`weights_at`."""
     across = 2**level
     away = (np.arange(3 * across) + 0.5) / across - 1.5
     variance = DEVIATION**2 - deviation_at(level, means=means) ** 2

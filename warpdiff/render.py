@@ -261,11 +261,11 @@ class Wanted:
 def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
     """Whether pixels show means over what they see."""
     if footprint is not None:
-        checks.flag(footprint, "footprint")
+        footprint = checks.flag(footprint, "footprint")
     if footprint and (method if plan is None else plan.method) == "direct":
         raise ValueError("footprint=True is not for method='direct', which sums single directions: use another method")
     if footprint is not None:
-        return bool(footprint)
+        return footprint
     return plan.footprint if plan is not None else window.adds_powers and method != "direct"
 
 

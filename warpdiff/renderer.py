@@ -161,7 +161,7 @@ class Renderer:
 
 
 def records(device: wp.Device) -> bool:
-    """Whether a device can record and replay a picture, whose loops end when no steep pixel is left."""
+    """Whether a device can record and replay a picture, whose loops end when no pixel is left to be split."""
     import warp as wp
 
     return bool(device.is_cuda and wp.is_conditional_graph_supported())

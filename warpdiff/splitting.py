@@ -30,7 +30,7 @@ _MOST_RAYS = 1 << 20
 
 @dataclass(frozen=True)
 class Light:
-    """A picture under one light, by one ray a pixel, whose pixels are split.
+    """A picture under one light, by one ray a pixel, whose pixels are to be split.
 
     Attributes:
         frame: What rays meet.
@@ -135,7 +135,6 @@ def split(light: Light) -> tuple[int, int]:
 
     frame = light.frame
     among, options, view = frame.may_see, frame.options, frame.view
-    light.errors.zero_()
     if not among:
         return 0, 0
     device, size = options["device"], view.width * view.height
@@ -188,18 +187,19 @@ def split(light: Light) -> tuple[int, int]:
                 part = part[is_wanted[part] != 0]
                 step = light.collect(level, given, array(part), floor, wanted)
                 launch_in_turn([step], len(part), slice_size=_SLICE, **options)
+                if level == refinement.MOST_LEVEL:
+                    unsettled += int(np.count_nonzero(is_wanted[part]))
+                    break
                 step = light.choose(level, given, array(tiles), floor, wanted, array(is_chosen, wp.uint8))
                 launch_in_turn([step], len(tiles), slice_size=_SLICE, **options)
                 tiles = tiles[is_chosen[tiles] != 0]
                 if not len(tiles):
                     break
-            else:
-                unsettled += int(np.count_nonzero(is_wanted[part]))
     return len(pixels), unsettled
 
 
 class Queue:
-    """The same by a device that lists the pixels to be split, and works the lists off, without the host."""
+    """Lists of pixels to be split, which the device that finds them works off without the host."""
 
     def __init__(self, light: Light, pixels: int) -> None:
         """Room for a picture under lights like this one."""
@@ -254,7 +254,9 @@ class Queue:
         for level in refinement.LEVELS:
             self._meet(level, light.share_out(level, self._room, self._given, shadows=True))
             self._launch_step(light.collect(level, self._given, self._of_all, self._floor, self._wanted))
-            self._launch_step(light.choose(level, self._given, self._of_all, self._floor, self._wanted, self._chosen))
+            if level < refinement.MOST_LEVEL:
+                chosen = light.choose(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
+                self._launch_step(chosen)
         self._launch(work_lists.count_up, [self._wanted], [self._found[1:]])
 
     def _find_floor(self, colours: wp.array, gains: wp.array) -> None:

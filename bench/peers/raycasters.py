@@ -167,7 +167,7 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
     def found() -> Found:
         hit = frame._hits() == 1
         # Where nothing is met, normals are whatever was there.
-        return Found(hit, np.where(hit[:, None], frame._seen.pixels.normal.numpy(), 0.0).astype(np.float64))
+        return Found(hit, np.where(hit[:, None], frame.seen.pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster("all of a pixel", trace, found)
 
