@@ -68,7 +68,7 @@ def run(
 
     Args:
         folder: Where to.
-        quick: Under two minutes, with few points.
+        quick: Some two minutes, with few points.
         parts: Which of ``PARTS``; None is all.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Threads on the CPU; None is one a core.
