@@ -147,11 +147,12 @@ def crop(name: str, mesh: Any, hf: wd.HeightField, distance: float, rng: np.rand
 
 def truth(given: Crop, tolerance: float) -> Truth:
     """The truth of a crop."""
-    found, few = (_filtered(given, tolerance, points) for points in (POINTS, FEWER))
+    found, few = (filtered(given, tolerance, points) for points in (POINTS, FEWER))
     return found._replace(settled=np.linalg.norm(found.xyz - few.xyz, axis=2))
 
 
-def _filtered(given: Crop, tolerance: float, points: int) -> Truth:
+def filtered(given: Crop, tolerance: float, points: int) -> Truth:
+    """A crop by so many points along a side of a pixel."""
     view = dataclasses.replace(given.view, width=given.view.width * points, height=given.view.height * points)
     image = wd.shade(
         given.mesh, given.hf, given.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,

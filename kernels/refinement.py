@@ -8,7 +8,6 @@ from warpdiff.kernels.native import abreast, filled
 
 wp.set_module_options(spectral.OPTIONS)
 
-RIM_LEVEL = wp.constant(refinement.RIM_LEVEL)
 THIRDS = wp.constant(wp.vec3f(*refinement.THIRDS))
 
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
@@ -313,6 +312,7 @@ def collect(
     bound: wp.float32,
     level: wp.int32,
     goes_on: wp.bool,
+    rim_level: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -333,6 +333,7 @@ def collect(
         bound: As ``estimate`` has it.
         level: The last one.
         goes_on: Whether all of them are split again.
+        rim_level: To which those that are covered in part are split at least.
         first: The first thread's place among ``pixels``.
         run: How many a thread takes.
         colours_out: Colours before, and now, times coverage.
@@ -391,7 +392,7 @@ def collect(
         errors_out[pixel] = error
         coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
         lit_out[pixel] = lit_out[pixel] or wp.length_sq(colour) > wp.float32(0.0)
-        rim = level < RIM_LEVEL and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
+        rim = level < rim_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
         if not goes_on and not rim and not error > bound * wp.max(wp.length(colour), floor[0]):
             wanted_out[pixel] = wp.uint8(0)
 
@@ -410,6 +411,7 @@ def choose(
     bound: wp.float32,
     level: wp.int32,
     goes_on: wp.bool,
+    rim_level: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -429,6 +431,7 @@ def choose(
         bound: As ``estimate`` has it.
         level: The last one.
         goes_on: Whether all of them are.
+        rim_level: As ``collect`` has it.
         first: The first thread's place among ``tiles``.
         run: How many a thread takes.
         chosen_out: By pixel of the picture, whether it was and is.
@@ -459,7 +462,7 @@ def choose(
                             * wp.max(wp.length(colours[there]), floor[0])
                         )
                         covered = coverage[there]
-                        rim = level < RIM_LEVEL and covered > wp.float64(0.0) and covered < wp.float64(1.0 - 1.0e-4)
+                        rim = level < rim_level and covered > wp.float64(0.0) and covered < wp.float64(1.0 - 1.0e-4)
                         if goes_on or rim or error > least:
                             chosen = wp.uint8(1)
         chosen_out[pixel] = chosen

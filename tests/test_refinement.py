@@ -140,6 +140,26 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     assert set(np.unique(alone.coverage)) == {0.0, 1.0}
 
 
+def test_unrefined_pixels_have_the_cells_that_were_asked_for(fingers, table):
+    """At silhouettes as elsewhere."""
+    mesh, camera = BODIES["tube"](), view()
+    image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
+    twice = dataclasses.replace(camera, width=2 * camera.width, height=2 * camera.height)
+    hit = wd.shade(mesh, fingers, LIGHT, twice, plan=dataclasses.replace(table, footprint=False)).mask
+
+    def filtered(size):
+        weights, result = refinement.weights_of(1, means=True), np.zeros((size, 2 * size + 4))
+        for pixel in range(size):
+            result[pixel, 2 * pixel : 2 * pixel + 6] = weights
+        within = result[:, 2:-2]
+        return within / within.sum(axis=1, keepdims=True)
+
+    expected = filtered(camera.height) @ hit.astype(float) @ filtered(camera.width).T
+    assert np.count_nonzero((expected > 0.01) & (expected < 0.99)) > 15
+    # What cells meet in the corner of a pixel that is beside none whose centre meets the mesh is left out.
+    np.testing.assert_allclose(image.coverage, expected, atol=1e-3)
+
+
 def test_where_no_table_takes_means_points_do(fingers):
     """By whatever method, under any coherence: a mean is never left out without a word."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)

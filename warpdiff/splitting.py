@@ -65,6 +65,10 @@ class Light:
     def _bound(self) -> float:
         return self.tolerance if self.refine else np.inf
 
+    def _goes_on(self, level: int) -> tuple[bool, int]:
+        """Whether all pixels are split beyond a level, and to which the rims are."""
+        return level < self.least, refinement.RIM_LEVEL if self.refine else 0
+
     def estimate(self, floor: wp.array, wanted: wp.array) -> Step:
         """Which pixels are to be split."""
         from warpdiff.kernels import refinement as kernels
@@ -96,7 +100,7 @@ class Light:
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
         bound = self._bound * (refinement.OF_UNSETTLED if level == refinement.MOST_LEVEL else 1.0)
-        inputs = [given, pixels, view.width, view.height, floor, bound, level, level < self.least]
+        inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
         return Step(kernels.collect, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True)
 
     def choose(
@@ -108,7 +112,7 @@ class Light:
         view = self.frame.view
         inputs = [
             given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor, self._bound, level,
-            level < self.least,
+            *self._goes_on(level),
         ]  # fmt: skip
         return Step(kernels.choose, inputs, [chosen], in_runs=True)
 
