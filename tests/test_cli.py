@@ -125,6 +125,21 @@ def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["brdf", "blazed", "-o", "map.png"], ["render", "tube", "blazed", "-o", "tube.exr"], ["demo"], ["bench"]],
+)
+def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
+    # Matplotlib is asked for earlier still.
+    monkeypatch.setattr("warpdiff.cli.importlib.util.find_spec", lambda _name: True)
+    monkeypatch.chdir(tmp_path)
+    # Nothing is denied to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr("warpdiff.device.load", lambda *_: pytest.fail("kernels are loaded"))
+    assert cli.main(arguments) == 2
+    assert "may not be written to; name another one" in capsys.readouterr().err
+
+
 def test_unknown_options_are_2():
     for arguments in ([], ["paint"], ["info"], ["info", "blazed", "--colour", "red"]):
         with pytest.raises(SystemExit) as stopped:

@@ -40,6 +40,8 @@ _BODIES: dict[str, Callable[[], Any]] = {
     "disc": wd.meshes.disc,
     "snake": wd.meshes.snake,
 }
+# What the file system says of a path that was given; a full disk is another matter.
+_BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
 
 
@@ -80,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             print("\nwarpdiff: interrupted", file=sys.stderr)
             return 130
-        except (ValueError, TypeError, FileNotFoundError) as error:
+        except (ValueError, TypeError, *_BAD_PATHS) as error:
             if options.debug:
                 traceback.print_exc()
             print(f"warpdiff {options.command}: {error}", file=sys.stderr)
