@@ -1,6 +1,6 @@
 """The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info`` and ``bench``.
 
-Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted.
+Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
 
 from __future__ import annotations

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+_unfinished: set[Path] = set()
 
 
 @contextlib.contextmanager
@@ -23,7 +24,8 @@ def replacing(target: Path, *, suffix: str = "", durable: bool = True) -> Iterat
         suffix: How the temporary name ends.
         durable: Whether to wait until the disk holds the new file before the old one goes.
     """
-    temporary = target.with_name(f".warpdiff-{secrets.token_hex(8)}{suffix}")
+    temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
+    _unfinished.add(temporary)
     try:
         # The system applies the process's umask, which no thread can read without changing it.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -35,6 +37,14 @@ def replacing(target: Path, *, suffix: str = "", durable: bool = True) -> Iterat
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+        _unfinished.discard(temporary)
+
+
+def discard_unfinished() -> None:
+    """Delete what this process has not finished writing: for when it ends without leaving its contexts."""
+    for temporary in tuple(_unfinished):
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def check_folder(folder: Path, name: str) -> None:
