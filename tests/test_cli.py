@@ -10,7 +10,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 import pytest
 
-from warpdiff import cli, demo
+from warpdiff import cli, demo, disk
 
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
 
@@ -162,8 +162,62 @@ def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     assert cli.main(arguments) == 130
 
 
+def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setattr(disk, "_LEAST_SECONDS", 0.0)
+
+    def shown(*options):
+        assert cli.main(["cache", *options]) == 0
+        return capsys.readouterr().out
+
+    assert f"{tmp_path / 'kept'}: 0 files, 0.0 MiB" in shown()
+    for index in range(4):
+        disk.kept_on_disk(index, np.zeros(1), lambda: {"rows": np.zeros(2**17)})
+    (tmp_path / "kept" / "mine.npz").touch()
+    assert "4 files, 4.0 MiB" in shown()
+    assert "2 files, 2.0 MiB" in shown("--trim-mib", "2.5")
+    assert "0 files, 0.0 MiB" in shown("--clear")
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["mine.npz"]
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    assert "nothing is kept" in shown()
+    assert cli.main(["cache", "--trim-mib", "-1"]) == 2
+
+
+def run_without(code, folder, *, cache=None):
+    """Run code where Warp has no folder for kernels, or a given one."""
+    gone = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH", "WARPDIFF_CACHE_DIR")
+    environment = {name: value for name, value in os.environ.items() if name not in gone}
+    environment |= {"TMPDIR": str(folder), "PYTHONIOENCODING": "utf-8"} | ({"WARP_CACHE_PATH": cache} if cache else {})
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+INFO = "sys.argv[1:] = ['info', 'lamellar']; sys.exit(__main__.main())"
+
+
+def test_a_user_without_a_home_is_served(tmp_path):
+    done = run_without(
+        "import pwd, sys; from warpdiff import __main__\n"
+        "def getpwuid(_): raise KeyError\n"
+        f"pwd.getpwuid = getpwuid; {INFO}", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "the user has no home folder" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
+    (tmp_path / "file").touch()
+    done = run_without(f"import sys; from warpdiff import __main__; {INFO}", tmp_path, cache=str(tmp_path / "file"))
+    assert done.returncode == 1
+    assert "Warp cannot keep compiled kernels" in done.stderr
+    assert "WARP_CACHE_PATH" in done.stderr
+    assert "device must" not in done.stderr
+
+
 def test_help_teaches(capsys):
-    for command in ("demo", "render", "brdf", "info"):
+    for command in ("demo", "render", "brdf", "info", "cache"):
         with pytest.raises(SystemExit) as stopped:
             cli.main([command, "--help"])
         assert stopped.value.code == 0

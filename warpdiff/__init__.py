@@ -19,7 +19,7 @@ The map of the package, in the order in which data flows:
 - ``evaluate``: the reflectance at arrays of directions; ``direct``: the same by a sum that approximates nothing
 - ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``files``: whole or not there; ``disk``: coefficients kept for the next process;
-  ``cli``, ``demo``: the command line; ``interruption``: signals that end it
+  ``cli``, ``demo``: the command line; ``interruption``, ``streams``: signals that end it, and where it writes
 - ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
 - ``checks``, ``errors``: validation of arguments; the warning category
 """

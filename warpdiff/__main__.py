@@ -16,8 +16,10 @@ def main() -> int:
         # There is nothing to tidy up yet.
         signal.signal(each, lambda number, _frame: os._exit(128 + number))
     # What is imported before signals are met is little, for it takes time.
+    from warpdiff import streams
     from warpdiff.interruption import Interruption
 
+    streams.prepare()
     interruption = Interruption(signals)
     try:
         from warpdiff import cli
@@ -25,8 +27,12 @@ def main() -> int:
         code = cli.main()
     except KeyboardInterrupt:
         code = 130
-    finally:
-        interruption.finish()
+    except SystemExit as stop:
+        # Of help, or of options that are wrong.
+        code = int(stop.code or 0)
+    if not streams.flush():
+        code = code or 1
+    interruption.finish()
     return code
 
 

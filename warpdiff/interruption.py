@@ -56,9 +56,6 @@ class Interruption:
         """The command has returned: end as interrupted if it was, and at once by a signal from now on."""
         self._returned = True
         if self._code is not None:
-            for stream in (sys.stdout, sys.stderr):
-                with contextlib.suppress(Exception):
-                    stream.flush()
             self._leave(self._code)
 
     def _meet(self, number: int, _frame: Any) -> None:
