@@ -183,24 +183,22 @@ def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
     assert cli.main(["cache", "--trim-mib", "-1"]) == 2
 
 
-def run_without(code, folder, *, cache=None):
-    """Run code where Warp has no folder for kernels, or a given one."""
-    gone = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH", "WARPDIFF_CACHE_DIR")
-    environment = {name: value for name, value in os.environ.items() if name not in gone}
-    environment |= {"TMPDIR": str(folder), "PYTHONIOENCODING": "utf-8"} | ({"WARP_CACHE_PATH": cache} if cache else {})
+def run_without_home(code, folder, **environment):
+    """Run code where a user has no folder."""
+    names = {
+        key: value for key, value in os.environ.items() if key not in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
+    }
     return subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-
-
-INFO = "sys.argv[1:] = ['info', 'lamellar']; sys.exit(__main__.main())"
+        [sys.executable, "-c", code], cwd=folder, env=names | {"TMPDIR": str(folder)} | environment,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
 
 
 def test_a_user_without_a_home_is_served(tmp_path):
-    done = run_without(
-        "import pwd, sys; from warpdiff import __main__\n"
-        "def getpwuid(_): raise KeyError\n"
-        f"pwd.getpwuid = getpwuid; {INFO}", tmp_path,
+    done = run_without_home(
+        "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
+        "from warpdiff.device import resolve_device; resolve_device(None); import warp\n"
+        "from pathlib import Path; assert Path(warp.config.kernel_cache_dir).is_absolute()", tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "the user has no home folder" in done.stderr
@@ -209,7 +207,8 @@ def test_a_user_without_a_home_is_served(tmp_path):
 
 def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
     (tmp_path / "file").touch()
-    done = run_without(f"import sys; from warpdiff import __main__; {INFO}", tmp_path, cache=str(tmp_path / "file"))
+    code = "import sys; from warpdiff import cli; sys.exit(cli.main(['info', 'lamellar']))"
+    done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
     assert done.returncode == 1
     assert "Warp cannot keep compiled kernels" in done.stderr
     assert "WARP_CACHE_PATH" in done.stderr
