@@ -30,10 +30,7 @@ def main() -> int:
     except SystemExit as stop:
         # Of help, or of options that are wrong.
         code = int(stop.code or 0)
-    if not streams.flush():
-        code = code or 1
-    interruption.finish()
-    return code
+    return interruption.finish(code)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from warpdiff import files
+from warpdiff import files, streams
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,11 +52,14 @@ class Interruption:
         for each in signals:
             signal.signal(each, self._meet)
 
-    def finish(self) -> None:
-        """The command has returned: end as interrupted if it was, and at once by a signal from now on."""
+    def finish(self, code: int) -> int:
+        """Flush what the command has written and return its code, or end as interrupted if it was."""
+        # From now on a signal ends the process at once.
         self._returned = True
+        whole = streams.flush()
         if self._code is not None:
             self._leave(self._code)
+        return code if whole else code or 1
 
     def _meet(self, number: int, _frame: Any) -> None:
         """Run by the main thread, between two of its instructions."""
