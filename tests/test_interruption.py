@@ -103,6 +103,26 @@ def test_a_signal_that_was_ignored_stays_so(tmp_path):
     assert process.returncode == 3
 
 
+def test_an_interruption_of_a_finalizer_is_one_and_says_nothing(tmp_path):
+    code = "import signal, sys, time; from warpdiff import __main__, cli\nclass Last:\n"
+    code += "    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
+    code += "cli.main = lambda: Last() and time.sleep(60.0)\nsys.exit(__main__.main())"
+    with begun(["-c", code], tmp_path) as process:
+        error = process.communicate(timeout=60)[1]
+    assert (process.returncode, error) == (143, "")
+
+
+def test_a_signal_after_all_is_done_changes_nothing(tmp_path):
+    # Module globals go after what is registered for the end.
+    code = "import signal, sys\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\n"
+    code += "late = Late(); from warpdiff import __main__; sys.argv[1:] = ['cache']; sys.exit(__main__.main())"
+    with begun(["-c", code], tmp_path) as process:
+        out, error = process.communicate(timeout=60)
+    assert process.returncode == 0, error
+    assert "0 files" in out
+    assert not left_behind(tmp_path)
+
+
 def test_the_library_meets_no_signals(tmp_path):
     code = "import signal; before = list(map(signal.getsignal, (2, 15, 1))); from warpdiff import *\n"
     code += "reflectance(HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1], method='direct')\n"

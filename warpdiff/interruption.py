@@ -5,6 +5,7 @@ The library itself handles no signals.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import shutil
@@ -41,6 +42,9 @@ class Interruption:
         self._returned = False
         self._leaving = threading.RLock()
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
+        # What is registered first runs last.
+        atexit.register(self._ignore)
         # What others write for a while, as compilers do, goes with the process; those that it starts inherit this.
         with contextlib.suppress(OSError):
             self._temporary = tempfile.TemporaryDirectory(prefix="warpdiff-", ignore_cleanup_errors=True)
@@ -61,6 +65,11 @@ class Interruption:
             self._leave(self._code)
         return code if whole else code or 1
 
+    def _ignore(self) -> None:
+        """All is written and tidied up: the command's own code stands while Python takes itself down."""
+        for each in self._signals:
+            signal.signal(each, signal.SIG_IGN)
+
     def _meet(self, number: int, _frame: Any) -> None:
         """Run by the main thread, between two of its instructions."""
         if self._returned:
@@ -68,6 +77,11 @@ class Interruption:
         if self._code is None:
             self._code = 128 + number
             raise KeyboardInterrupt
+
+    def _swallowed(self, told: Any) -> None:
+        """Python swallows what is raised in a finalizer, and says so at length; the watching thread does without."""
+        if not issubclass(told.exc_type, KeyboardInterrupt):
+            self._unraisable(told)
 
     def _watch(self) -> None:
         """Run by a thread of its own, which must import nothing: the main thread may hold the lock for that."""
