@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 HIDE = "import sys; sys.modules['matplotlib'] = None; "
-IMPORT = HIDE + "import warpdiff"
+IMPORT = HIDE + "from warpdiff import *"
 PICTURE = HIDE + (
     "import warpdiff as wd; from pathlib import Path; "
     "hf = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2); "
@@ -75,7 +75,7 @@ def main() -> None:
             cache = Path(folder)
             for name, code in (
                 ("Python alone", "pass"),
-                ("import warpdiff", IMPORT),
+                ("from warpdiff import *", IMPORT),
                 ("first picture, no kernel compiled", PICTURE),
                 ("first picture, kernels compiled before", PICTURE),
             ):

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.files import replacing
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
@@ -37,9 +39,8 @@ def save(figure: Any, folder: Path, name: str) -> Path:
     """Write a figure as PNG and SVG, each under another name until it is whole; returns the PNG."""
     folder.mkdir(parents=True, exist_ok=True)
     for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 110})):
-        unfinished = folder / f".{name}{suffix}"
-        figure.savefig(unfinished, format=suffix[1:], **options)
-        unfinished.rename(folder / f"{name}{suffix}")
+        with replacing(folder / f"{name}{suffix}") as unfinished:
+            figure.savefig(unfinished, format=suffix[1:], **options)
     pyplot().close(figure)
     return folder / f"{name}.png"
 

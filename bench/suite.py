@@ -20,6 +20,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.device import resolve_device, resolve_threads
+from warpdiff.files import check_folder, replacing
 
 # Modules with measure(setting), numbers(found) and chart(found, folder), in the order of the report.
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
@@ -87,6 +88,7 @@ def run(
     setting = Setting(quick, device, resolve_threads(threads), data, 3 if quick else 5)
     results: dict[str, Any] = {"machine": machine(setting), "seconds": {}, "figures": {}, "findings": {}}
     folder.mkdir(parents=True, exist_ok=True)
+    check_folder(folder, "output")
     for name in PARTS:
         if parts and name not in parts:
             continue
@@ -149,19 +151,16 @@ def commit() -> str:
 
 def write(path: Path, text: str) -> None:
     """Write a file under another name until it is whole."""
-    unfinished = path.with_name(f".{path.name}")
-    unfinished.write_text(text, encoding="utf-8")
-    unfinished.rename(path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
     """One figure a line."""
-    unfinished = path.with_name(f".{path.name}")
-    with unfinished.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("figure", "value", "least", "most", "unit"))
         writer.writerows((name, *each) for name, each in numbers.items())
-    unfinished.rename(path)
 
 
 def report(results: dict[str, Any]) -> str:

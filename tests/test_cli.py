@@ -10,7 +10,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 import pytest
 
-from warpdiff import cli, demo
+from warpdiff import cli, demo, disk
 
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
 
@@ -125,6 +125,21 @@ def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["brdf", "blazed", "-o", "map.png"], ["render", "tube", "blazed", "-o", "tube.exr"], ["demo"], ["bench"]],
+)
+def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
+    # Matplotlib is asked for earlier still.
+    monkeypatch.setattr("warpdiff.cli.importlib.util.find_spec", lambda _name: True)
+    monkeypatch.chdir(tmp_path)
+    # Nothing is denied to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr("warpdiff.device.load", lambda *_: pytest.fail("kernels are loaded"))
+    assert cli.main(arguments) == 2
+    assert "may not be written to; name another one" in capsys.readouterr().err
+
+
 def test_unknown_options_are_2():
     for arguments in ([], ["paint"], ["info"], ["info", "blazed", "--colour", "red"]):
         with pytest.raises(SystemExit) as stopped:
@@ -147,8 +162,61 @@ def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     assert cli.main(arguments) == 130
 
 
+def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setattr(disk, "_LEAST_SECONDS", 0.0)
+
+    def shown(*options):
+        assert cli.main(["cache", *options]) == 0
+        return capsys.readouterr().out
+
+    assert f"{tmp_path / 'kept'}: 0 files, 0.0 MiB" in shown()
+    for index in range(4):
+        disk.kept_on_disk(index, np.zeros(1), lambda: {"rows": np.zeros(2**17)})
+    (tmp_path / "kept" / "mine.npz").touch()
+    assert "4 files, 4.0 MiB" in shown()
+    assert "2 files, 2.0 MiB" in shown("--trim-mib", "2.5")
+    assert "0 files, 0.0 MiB" in shown("--clear")
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["mine.npz"]
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    assert "nothing is kept" in shown()
+    assert cli.main(["cache", "--trim-mib", "-1"]) == 2
+
+
+def run_without_home(code, folder, **environment):
+    """Run code where a user has no folder."""
+    names = {
+        key: value for key, value in os.environ.items() if key not in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
+    }
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=names | {"TMPDIR": str(folder)} | environment,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_a_user_without_a_home_is_served(tmp_path):
+    done = run_without_home(
+        "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
+        "from warpdiff.device import resolve_device; resolve_device(None); import warp\n"
+        "from pathlib import Path; assert Path(warp.config.kernel_cache_dir).is_absolute()", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "the user has no home folder" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
+    (tmp_path / "file").touch()
+    code = "import sys; from warpdiff import cli; sys.exit(cli.main(['info', 'lamellar']))"
+    done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
+    assert done.returncode == 1
+    assert "Warp cannot keep compiled kernels" in done.stderr
+    assert "WARP_CACHE_PATH" in done.stderr
+    assert "device must" not in done.stderr
+
+
 def test_help_teaches(capsys):
-    for command in ("demo", "render", "brdf", "info"):
+    for command in ("demo", "render", "brdf", "info", "cache"):
         with pytest.raises(SystemExit) as stopped:
             cli.main([command, "--help"])
         assert stopped.value.code == 0

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -47,20 +52,102 @@ def test_another_question_has_another_answer(folder, key, heights):
     assert len(list(folder.iterdir())) == 2
 
 
-@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 no archive", None])
-def test_a_damaged_file_is_made_anew(folder, damage):
+def archive(**arrays):
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def damaged(whole, rng):
+    """Mutations of a file: other contents, cut off, bytes changed."""
+    sound = archive(rows=np.ones((2, 3), np.float32), step=0.25)
+    yield from (b"", b"PK\x03\x04 no archive", bytes(4096), sound)
+    yield archive(rows=np.ones((2, 3), np.float32))
+    yield archive(rows=np.ones((3, 2), np.float64), step=0.25)
+    yield archive(rows=np.full((2, 3), np.nan, np.float32), step=np.inf)
+    for at in range(8, 40, 2):
+        # The version of the archive, the flag of encryption, the compression, in either of the headers.
+        for header in (b"PK\x03\x04", b"PK\x01\x02"):
+            for start in (0, whole.index(b"PK")):
+                content = bytearray(whole[start:])
+                content[content.index(header) + at - 4] ^= 0x41
+                yield bytes(content)
+    yield from (whole[:size] for size in range(0, len(whole), 29))
+    for _ in range(200):
+        content = bytearray(whole)
+        content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
+        yield bytes(content)
+
+
+def test_a_damaged_file_is_made_anew(folder, rng):
     disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
     path = next(folder.iterdir())
-    path.write_bytes(path.read_bytes()[:-40] if damage is None else damage)
+    whole = path.read_bytes()
+    disk.kept_on_disk("other", HEIGHTS, counted(2.0)[1])
+    other = next(each for each in folder.iterdir() if each != path)
+    for content in (*damaged(whole, rng), other.read_bytes()):
+        path.write_bytes(content)
+        calls, make = counted(1.0)
+        for _ in range(2):
+            found = disk.kept_on_disk("key", HEIGHTS, make)
+            np.testing.assert_array_equal(found["rows"], np.ones((2, 3), np.float32))
+            assert found["step"] == 0.25
+        # Once, and then it is whole again.
+        assert len(calls) == 1
+        assert path.read_bytes() == whole
+
+
+def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
+    disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
+    path = next(folder.iterdir())
+    path.unlink()
+    path.mkdir()
+    assert disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
+
+
+def test_what_killed_processes_leave_is_swept_once_it_is_old(folder):
+    disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
+    kill = "import os, signal; from pathlib import Path; from warpdiff.files import replacing\n"
+    kill += f"with replacing(Path({str(folder)!r}, 'a'), suffix='.part'): os.kill(os.getpid(), signal.SIGKILL)"
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", kill], check=False)
+    (folder / "mine.part").touch()
+    old, young = (each for each in folder.iterdir() if each.name.startswith(".warpdiff"))
+    for each in (old, folder / "mine.part"):
+        os.utime(each, (1e9, 1e9))
+    disk.kept_on_disk("other", HEIGHTS, counted(1.0)[1])
+    assert not old.exists()
+    # Another process may be writing it; and what is not ours is not looked at.
+    assert young.exists()
+    assert (folder / "mine.part").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_folder_that_can_only_be_read_is_of_use(monkeypatch):
+    disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
+
+    def denied(*_args):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "utime", denied)
     calls, make = counted(1.0)
-    assert disk.kept_on_disk("key", HEIGHTS, make)["rows"][0, 0] == 1.0
-    assert len(calls) == 1
+    disk.kept_on_disk("key", HEIGHTS, make)
+    assert not calls
+
+
+def test_a_user_without_a_home_keeps_nothing(monkeypatch):
+    def none():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("WARPDIFF_CACHE_DIR")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(disk.Path, "home", none)
+    monkeypatch.setattr(disk, "_LEAST_SECONDS", 0.0)
+    assert disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
 
 
 def test_the_oldest_go_where_it_is_full(folder, monkeypatch):
-    import os
-
-    monkeypatch.setattr(disk, "_MOST_BYTES", 1600)
+    monkeypatch.setattr(disk, "MOST_BYTES", 1600)
     for index in range(5):
         disk.kept_on_disk(index, HEIGHTS, counted(float(index))[1])
         for age, path in enumerate(sorted(folder.iterdir(), key=lambda each: each.stat().st_mtime, reverse=True)):
@@ -97,5 +184,8 @@ def test_pictures_are_the_same_with_it(folder):
     grating = wd.gratings.fingers(size_um=6.4, seed=3)
     first = wd.reflectance(grating, lights, views)
     assert list(folder.iterdir())
-    again = wd.HeightField(grating.heights_um, grating.pitch_um)
-    np.testing.assert_array_equal(first, wd.reflectance(again, lights, views))
+    for content in (None, archive(rows=np.ones(3)), b""):
+        for path in folder.iterdir():
+            path.write_bytes(path.read_bytes() if content is None else content)
+        again = wd.HeightField(grating.heights_um, grating.pitch_um)
+        np.testing.assert_array_equal(first, wd.reflectance(again, lights, views))

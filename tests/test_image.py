@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import stat
+import subprocess
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
@@ -194,6 +197,73 @@ def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monke
         with pytest.raises(OSError, match=rf"cannot write .*{name}" + ("" if at == "create" else ": no space left")):
             image.save(tmp_path / name)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "precious"}
+
+
+@pytest.fixture
+def size_limit():
+    """Sets the largest size of a file, beyond which writing fails as on a full disk."""
+    resource = pytest.importorskip("resource", reason="limits of a file's size are POSIX")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # Python ignores SIGXFSZ, so that writes fail instead.
+    yield lambda most: resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def cannot_save(image, folder, name, *, said="cannot write", **options):
+    """Check that saving says so, over an old file or none, and leaves nothing else behind."""
+    for old in ({}, {name: b"precious"}):
+        for each, content in old.items():
+            (folder / each).write_bytes(content)
+        with pytest.raises(OSError, match=said):
+            image.save(folder / name, **options)
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == old
+
+
+@pytest.mark.parametrize(("name", "bits"), [("a.exr", 8), ("a.png", 8), ("a.png", 16)])
+def test_a_file_cut_off_anywhere_is_no_success(image, name, bits, tmp_path, size_limit, capfd):
+    size = image.save(tmp_path / name, bits=bits).stat().st_size
+    for most in {*range(8, size, 97), *range(size - 14, size)}:
+        (tmp_path / name).unlink()
+        size_limit(most)
+        cannot_save(image, tmp_path, name, bits=bits)
+    size_limit(size)
+    image.save(tmp_path / name, bits=bits)
+    assert not capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_a_file_system_that_allocates_late_is_heard(image, name, tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    cannot_save(image, tmp_path, name, said="No space left")
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_a_full_disk_is_said(plan, rng, name, tmp_path):
+    shape = (64, 64)
+    xyz = rng.random((*shape, 3), dtype=np.float32)
+    whole = np.ones(shape, np.float32)
+    image = wd.Image(xyz=xyz, mask=whole > 0, lit=whole > 0, coverage=whole, error=whole, plan=plan)
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8k", "tmpfs", str(tmp_path)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a small file system cannot be mounted here; that takes root")
+    try:
+        cannot_save(image, tmp_path, name)
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)  # noqa: S607 (as mount was found)
+
+
+def test_the_umask_is_left_alone(image, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "umask", lambda _mask: pytest.fail("another thread's files would get this umask"))
+    image.save(tmp_path / "a.png")
+
+
+def test_a_folder_is_no_picture(image, tmp_path):
+    (tmp_path / "a.png").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"path: .*a\.png is a folder; name a file"):
+        image.save(tmp_path / "a.png")
 
 
 def test_a_rendered_picture_survives_its_file(tmp_path):

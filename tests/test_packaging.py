@@ -131,7 +131,7 @@ def check_wheel(wheel: Path) -> None:
     assert {name for name in names if not name.startswith(info)} - bench == expected
     assert f"{info}/licenses/LICENSE" in names
     scripts = zipfile.ZipFile(wheel).read(f"{info}/entry_points.txt").decode()
-    assert "warpdiff = warpdiff.cli:main" in scripts
+    assert "warpdiff = warpdiff.__main__:main" in scripts
 
 
 def test_wheel(tree, tmp_path):
@@ -188,6 +188,8 @@ def test_kernels_are_never_imported_by_their_folder():
 
 def test_a_plain_import_is_light():
     code = "import sys, warpdiff; print(*sys.modules)"
+    assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
+    code = "import sys; from warpdiff import *; print(*sys.modules)"
     loaded = set(run([sys.executable, "-c", code], ROOT).split())
     assert "warpdiff.render" in loaded
     assert not loaded & {"warp", "trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}

@@ -18,28 +18,31 @@ The map of the package, in the order in which data flows:
   ``survey``, ``shadows``: what they launch, over which arrays; ``refinement``, ``splitting``: pixels into cells
 - ``evaluate``: the reflectance at arrays of directions; ``direct``: the same by a sum that approximates nothing
 - ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
-- ``image``: the picture and its files; ``cli``, ``demo``: the command line
+- ``image``: the picture and its files; ``files``: whole or not there; ``disk``: coefficients kept for the next process;
+  ``cli``, ``demo``: the command line; ``interruption``, ``streams``: signals that end it, and where it writes
 - ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
 - ``checks``, ``errors``: validation of arguments; the warning category
 """
 
-from importlib.metadata import version
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from warpdiff import gratings, meshes
-from warpdiff.coherence import Coherence
-from warpdiff.errors import WarpdiffWarning
-from warpdiff.evaluate import brdf, brdf_map, reflectance, spectral_reflectance
-from warpdiff.heightfield import HeightField
-from warpdiff.image import Image
-from warpdiff.light import DirectionalLight
-from warpdiff.orders import OrderEfficiencies, order_efficiencies
-from warpdiff.planning import plan
-from warpdiff.plans import Plan
-from warpdiff.render import shade
-from warpdiff.renderer import Renderer
-from warpdiff.view import View
+if TYPE_CHECKING:
+    from warpdiff import gratings, meshes
+    from warpdiff.coherence import Coherence
+    from warpdiff.errors import WarpdiffWarning
+    from warpdiff.evaluate import brdf, brdf_map, reflectance, spectral_reflectance
+    from warpdiff.heightfield import HeightField
+    from warpdiff.image import Image
+    from warpdiff.light import DirectionalLight
+    from warpdiff.orders import OrderEfficiencies, order_efficiencies
+    from warpdiff.planning import plan
+    from warpdiff.plans import Plan
+    from warpdiff.render import shade
+    from warpdiff.renderer import Renderer
+    from warpdiff.view import View
 
-__version__ = version("warpdiff")
+    __version__: str
 
 __all__ = [
     "Coherence",
@@ -61,3 +64,37 @@ __all__ = [
     "shade",
     "spectral_reflectance",
 ]
+
+_MODULES = {
+    "coherence": ("Coherence",),
+    "errors": ("WarpdiffWarning",),
+    "evaluate": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
+    "heightfield": ("HeightField",),
+    "image": ("Image",),
+    "light": ("DirectionalLight",),
+    "orders": ("OrderEfficiencies", "order_efficiencies"),
+    "planning": ("plan",),
+    "plans": ("Plan",),
+    "render": ("shade",),
+    "renderer": ("Renderer",),
+    "view": ("View",),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name once it is asked for: the command line meets signals before anything slow is imported."""
+    if name in _MODULE_OF:
+        value = getattr(import_module(f"warpdiff.{_MODULE_OF[name]}"), name)
+    elif name in ("gratings", "meshes"):
+        value = import_module(f"warpdiff.{name}")
+    elif name == "__version__":
+        value = import_module("importlib.metadata").version("warpdiff")
+    else:
+        raise AttributeError(f"module 'warpdiff' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,7 +1,37 @@
-"""``python -m warpdiff``."""
+"""``warpdiff`` and ``python -m warpdiff``."""
 
+import os
+import signal
 import sys
 
-from warpdiff.cli import main
+# Windows has no SIGHUP.
+_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
-sys.exit(main())
+
+def main() -> int:
+    """Run the command line as a process of its own; returns the exit code."""
+    # What was started to ignore one, as nohup does, goes on.
+    signals = [each for each in _SIGNALS if signal.getsignal(each) is not signal.SIG_IGN]
+    for each in signals:
+        # There is nothing to tidy up yet.
+        signal.signal(each, lambda number, _frame: os._exit(128 + number))
+    # What is imported before signals are met is little, for it takes time.
+    from warpdiff import streams
+    from warpdiff.interruption import Interruption
+
+    streams.prepare()
+    interruption = Interruption(signals)
+    try:
+        from warpdiff import cli
+
+        code = cli.main()
+    except KeyboardInterrupt:
+        code = 130
+    except SystemExit as stop:
+        # Of help, or of options that are wrong.
+        code = int(stop.code or 0)
+    return interruption.finish(code)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,11 +1,12 @@
-"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info`` and ``bench``.
+"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``bench`` and ``cache``.
 
-Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted.
+Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import inspect
 import math
@@ -40,6 +41,8 @@ _BODIES: dict[str, Callable[[], Any]] = {
     "disc": wd.meshes.disc,
     "snake": wd.meshes.snake,
 }
+# What the file system says of a path that was given; a full disk is another matter.
+_BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
 
 
@@ -78,23 +81,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             options.run(options)
         except KeyboardInterrupt:
-            print("\nwarpdiff: interrupted", file=sys.stderr)
+            _tell("\nwarpdiff: interrupted")
             return 130
-        except (ValueError, TypeError, FileNotFoundError) as error:
+        except BrokenPipeError:
+            # Whoever read the output has had enough.
+            return 1
+        except (ValueError, TypeError, *_BAD_PATHS) as error:
             if options.debug:
                 traceback.print_exc()
-            print(f"warpdiff {options.command}: {error}", file=sys.stderr)
+            _tell(f"warpdiff {options.command}: {error}")
             return 2
         except Exception as error:
             if options.debug:
                 traceback.print_exc()
-            print(f"warpdiff {options.command}: failed: {type(error).__name__}: {error}", file=sys.stderr)
+            _tell(f"warpdiff {options.command}: failed: {type(error).__name__}: {error}")
             return 1
     return 0
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"warpdiff: warning: {message}", file=sys.stderr)
+    _tell(f"warpdiff: warning: {message}")
+
+
+def _tell(line: str) -> None:
+    """Say something on standard error, if anyone listens."""
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -196,6 +208,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar=("OLD", "NEW"),
         help="which figures of two results.json moved by more than their noise",
     )
+
+    cache = _add(
+        commands, common, "cache", _cache, "show, trim or clear what is kept on disk of height fields",
+        "warpdiff cache\n  warpdiff cache --trim-mib 200\n  warpdiff cache --clear",
+    )  # fmt: skip
+    less = cache.add_mutually_exclusive_group()
+    less.add_argument("--trim-mib", type=float, metavar="MIB", help="keep so much at most, of what was used last")
+    less.add_argument("--clear", action="store_true", help="delete all of it")
     return parser
 
 
@@ -409,3 +429,22 @@ def _info(options: argparse.Namespace) -> None:
     hf = _height_field(options)
     print(hf.summary())
     print(f"\nFor the whole hemisphere: {wd.plan(hf, tolerance=options.tolerance, strict=False)}")
+
+
+def _cache(options: argparse.Namespace) -> None:
+    from warpdiff import disk
+
+    if options.trim_mib is not None:
+        checks.number(options.trim_mib, "--trim-mib", least=0.0)
+    folder = disk.cache_folder()
+    if folder is None:
+        print("nothing is kept: WARPDIFF_CACHE_DIR is empty, or the user has no home folder")
+        return
+    if options.clear:
+        disk.clear(folder)
+    elif options.trim_mib is not None:
+        disk.trim(folder, round(options.trim_mib * 2**20))
+    kept = disk.entries(folder)
+    used = f", last used on {time.strftime('%Y-%m-%d', time.localtime(kept[0].used))}" if kept else ""
+    total = sum(each.size for each in kept)
+    print(f"{folder}: {len(kept)} files, {total / 2**20:.1f} MiB of at most {disk.MOST_BYTES / 2**20:.0f} MiB{used}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpdiff import checks, gratings, meshes
+from warpdiff import checks, files, gratings, meshes
 from warpdiff.evaluate import brdf_map
 from warpdiff.heightfield import HeightField
 from warpdiff.light import DirectionalLight
@@ -174,6 +174,7 @@ def run(
     checks.positive(scale, "scale")
     inputs = data_folder(data)
     folder.mkdir(parents=True, exist_ok=True)
+    files.check_folder(folder, "output")
     if inputs is None or not (inputs / SCAN).is_file():
         say(f"{SCAN} not found: synthetic gratings only; --data or WARPDIFF_DATA names the folder with the scan")
     written = []

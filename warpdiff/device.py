@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import functools
 import os
+import tempfile
 import threading
+import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import checks
+from warpdiff.errors import WarpdiffWarning
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,6 +30,13 @@ def resolve_device(device: Any) -> wp.Device:
     # Unless told otherwise before it starts, Warp prints a banner, a line a module, and that there is no CUDA driver.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
+    if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
+        # In a name such as "~" Warp would find a folder to be made in the present one.
+        wp.config.kernel_cache_dir = _own_folder().name
+    try:
+        wp.init()
+    except OSError as error:
+        raise _unkept(error) from error
     try:
         return wp.get_device("cpu" if device is None else device)
     except Exception as error:
@@ -55,7 +65,7 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
         for kernel in in_order:
             if kernel.module not in _loading:
                 # What launches on the CPU take is the module for blocks of one.
-                _loading[kernel.module] = _loaders().submit(kernel.module.load, device, 1)
+                _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in in_order]
 
 
@@ -68,3 +78,30 @@ def load_now(kernels: Sequence[Any], device: wp.Device) -> None:
 @functools.cache
 def _loaders() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=_LOADERS, thread_name_prefix="warpdiff-load")
+
+
+def _load(module: Any, device: wp.Device) -> None:
+    try:
+        module.load(device, 1)
+    except OSError as error:
+        raise _unkept(error) from error
+
+
+def _unkept(error: OSError) -> OSError:
+    return OSError(f"Warp cannot keep compiled kernels: {error}; name a folder for them in WARP_CACHE_PATH")
+
+
+def _has_cache_folder() -> bool:
+    return bool(os.environ.get("XDG_CACHE_HOME")) or os.path.expanduser("~") != "~"  # noqa: PTH111 (as Warp does)
+
+
+@functools.cache
+def _own_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder for compiled kernels that goes with the process."""
+    warnings.warn(
+        "the user has no home folder: kernels are compiled anew by each process; name a folder for them in "
+        "WARP_CACHE_PATH",
+        WarpdiffWarning,
+        stacklevel=2,
+    )
+    return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")

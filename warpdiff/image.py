@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, spectrum
+from warpdiff import checks, files, spectrum
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +22,8 @@ FLOOR = 1e-3
 # And never to nothing.
 TINY = float(np.finfo(np.float32).tiny)
 _FORMATS = (".exr", ".png")
+# The last chunk of a PNG file: its length, name and checksum. Readers do without it.
+_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
 
@@ -82,7 +83,7 @@ class Image:
 
         Raises:
             ValueError: Another suffix, a bad exposure or number of bits.
-            OSError: The file cannot be written.
+            OSError: The file cannot be written; one that was there before is untouched.
         """
         import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
@@ -120,7 +121,7 @@ class Image:
         spec.attribute("ImageDescription", str(self.plan))
         spec.attribute("warpdiff:exposure", float(exposure))
 
-        _replace(target, spec, np.ascontiguousarray(pixels))
+        _write(target, spec, np.ascontiguousarray(pixels))
         return target
 
 
@@ -145,30 +146,44 @@ def check_target(path: Any, name: str = "path") -> Path:
     target = Path(path)
     if target.suffix.lower() not in _FORMATS:
         raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"{name}: the folder {target.parent} does not exist; create it first")
+    files.check_folder(target.parent, name)
+    if target.is_dir():
+        raise IsADirectoryError(f"{name}: {target} is a folder; name a file")
     return target
 
 
-def _replace(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
-    """Write a file beside ``target`` and put it in its place once it is complete."""
+def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
+    """Write a file, and make sure of it: the PNG writer reports success on a full disk, the EXR writer at times."""
     import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
     # The temporary name ends in the same suffix, which is how the writer of the format is found.
-    handle, temporary = tempfile.mkstemp(suffix=target.suffix.lower(), prefix=f".{target.stem}-", dir=target.parent)
-    os.close(handle)
-    try:
-        output = oiio.ImageOutput.create(temporary)
-        if output is None or not output.open(temporary, spec):
+    with files.replacing(target, suffix=target.suffix.lower()) as temporary:
+        output = oiio.ImageOutput.create(str(temporary))
+        if output is None or not output.open(str(temporary), spec):
             reason = oiio.geterror() if output is None else output.geterror()
             raise OSError(f"cannot write {target}: {reason}")
         written = output.write_image(pixels)
         if not (output.close() and written):
             raise OSError(f"cannot write {target}: {output.geterror()}")
-        # mkstemp makes a private file; a picture gets the permissions of any new file.
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(temporary).chmod(0o666 & ~mask)
-        Path(temporary).replace(target)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+        if not _holds(temporary, pixels):
+            raise OSError(f"cannot write {target}: what was written is not what is in the file; the disk may be full")
+
+
+def _holds(path: Path, pixels: NDArray[Any]) -> bool:
+    """Whether a file is whole and holds these pixels."""
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - len(_PNG_END), 0))
+        if path.suffix == ".png" and file.read() != _PNG_END:
+            return False
+    straight = oiio.ImageSpec()
+    straight.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), straight)
+    if source is None:
+        # Or it is printed when the process ends.
+        oiio.geterror()
+        return False
+    found = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
+    source.close()
+    return found is not None and found.dtype == pixels.dtype and found.tobytes() == pixels.tobytes()
