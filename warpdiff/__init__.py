@@ -20,6 +20,7 @@ The map of the package, in the order in which data flows:
 - ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
 - ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
+- ``forks``: what a fork of the process waits for
 - ``checks``, ``errors``: validation of arguments; the warning category
 """
 

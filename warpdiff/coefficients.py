@@ -12,13 +12,13 @@ are amplitudes. The other two are made from the last, for the range of κ that a
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff import forks
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
 from warpdiff.fourier import series_coefficients
 
@@ -92,7 +92,7 @@ class Coefficients:
             - before * t * after / 6.0 * basis[entry + 3]
         )
 
-    @functools.cached_property
+    @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The few dozen largest coefficients at a |κ| in the middle of the range: places, flattened, and powers."""
         high = self.kappa_low + self.step * (len(self.basis) - 3)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, forks
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -111,7 +110,7 @@ class View:
         """The camera's origin and axes, in float64, not to be written to."""
         return self._frame
 
-    @functools.cached_property
+    @forks.cached_property
     def _frame(self) -> ViewFrame:
         origin = np.array(self.eye)
         with np.errstate(over="ignore"):
