@@ -123,6 +123,7 @@ def series_terms(hf: HeightField, kappas: tuple[float, float]) -> int:
     return series.term_count(argument, _SERIES_TOLERANCE)
 
 
+@np.errstate(under="ignore")
 def of_series(
     hf: HeightField,
     method: str,
@@ -154,6 +155,7 @@ def of_series(
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
 
 
+@np.errstate(under="ignore")
 def fitted(
     hf: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:

@@ -424,6 +424,7 @@ def _blends(
     return weights.astype(np.float32), lengths
 
 
+@np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
     """Weights of the spline's coefficients under a Gaussian, which is cut off where they end."""
     # So far out that the widest does not come round, as transforms do.

@@ -539,6 +539,7 @@ class Frame:
         """The colours, (height, width), where they are."""
         return self._sums[0].reshape((self.view.height, self.view.width))
 
+    @np.errstate(under="ignore")
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
         shape = (self.view.height, self.view.width)

@@ -168,11 +168,13 @@ class HeightField:
         return self._height_range_um
 
     @forks.cached_property
+    @np.errstate(under="ignore")
     def rms_um(self) -> float:
         """Standard deviation of the heights [µm]."""
         return float(np.std(self._heights_um))
 
     @property
+    @np.errstate(under="ignore")
     def rms_slope(self) -> float:
         """Root mean square of the slope between neighbouring samples, without those across the edges."""
         total = 0.0
@@ -182,6 +184,7 @@ class HeightField:
         return math.sqrt(total)
 
     @forks.cached_property
+    @np.errstate(under="ignore")
     def mean_slope(self) -> float:
         """Mean absolute slope between neighbouring samples of the periodic field, across the edges as well."""
         # An axis of one sample has no neighbour but itself.
@@ -431,6 +434,7 @@ class HeightField:
             scalar_error=validity.error_bound(self.rms_um, self.mean_slope),
         )
 
+    @np.errstate(under="ignore")
     def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:
         """Convolve ``values`` (ny, nx) with a Gaussian, taking zero outside of the field."""
         # Padding by four spreads keeps the convolution from wrapping around.

@@ -50,11 +50,13 @@ class Image:
     plan: Plan
 
     @property
+    @np.errstate(under="ignore")
     def rgb(self) -> NDArray[np.float32]:
         """Linear sRGB, shape (height, width, 3), float32; colours out of gamut have negative components."""
         return spectrum.xyz_to_rgb(self.xyz).astype(np.float32)
 
     @property
+    @np.errstate(under="ignore")
     def auto_exposure(self) -> float:
         """The factor that maps the lit pixels' mean luminance to a half; 1 for a black picture.
 
@@ -67,6 +69,7 @@ class Image:
         mean = float(np.mean(kept if kept.size else luminance)) if luminance.size else 0.0
         return 0.5 / mean if mean > 0.0 else 1.0
 
+    @np.errstate(under="ignore")
     def save(self, path: str | os.PathLike[str], *, exposure: float | None = None, bits: int = 8) -> Path:
         """Write the picture; an existing file is replaced only once the new one is complete.
 
