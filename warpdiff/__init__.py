@@ -21,7 +21,7 @@ The map of the package, in the order in which data flows:
 - ``image``: the picture and its files; ``cli``, ``demo``: the command line
 - ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
 - ``forks``: what a fork of the process waits for
-- ``checks``, ``errors``: validation of arguments; the warning category
+- ``checks``, ``memory``, ``errors``: validation of arguments; whether there is room; the warning category
 """
 
 from importlib.metadata import version

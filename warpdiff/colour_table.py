@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import lines, spectrum, tables
+from warpdiff import lines, memory, spectrum, tables
 from warpdiff.device import load
 from warpdiff.launches import launch
-from warpdiff.polar import LOG_RED, MIDDLE_UM, Layout, has_levels, near
+from warpdiff.polar import LOG_RED, MIDDLE_UM, Layout, has_levels, megabytes, near
 from warpdiff.projection import Projection, Terms, projection, spline
 from warpdiff.recent import found_again
 
@@ -118,6 +118,10 @@ def table_for(
     if found is None:
         found = held.get(sharp)
         if found is None:
+            memory.require(
+                1e6 * megabytes(plan), f"a table of nodes={plan.nodes} and rays_per_width={plan.rays_per_width}",
+                "take a larger tolerance, or a plan with {share} of the nodes",
+            )  # fmt: skip
             _load_kernels(source, how, plan, device)
             rows = spectra.get(source.key)
             if rows is None:
