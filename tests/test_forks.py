@@ -65,6 +65,19 @@ def test_a_child_draws_what_its_parent_draws():
     np.testing.assert_array_equal(picture(), expected)
 
 
+def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
+    colours = np.random.default_rng(0).random((64, 64, 3)).astype(np.float32)
+    seen, error = np.ones((64, 64), dtype=np.bool_), np.zeros((64, 64), dtype=np.float32)
+    plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
+    image = wd.Image(xyz=colours, mask=seen, lit=seen, coverage=seen.astype(np.float32), error=error, plan=plan)
+    for suffix in (".exr", ".png"):
+        parents, childs = tmp_path / f"parent{suffix}", tmp_path / f"child{suffix}"
+        for _ in range(2):
+            image.save(parents)
+            assert in_child(lambda path=childs: image.save(path)) == 0
+        assert childs.stat().st_size == parents.stat().st_size
+
+
 def test_a_child_may_be_the_first_to_draw():
     """Without any kernel loaded, and in turn forked."""
     code = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, spectrum
+from warpdiff import checks, forks, spectrum
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -175,3 +176,24 @@ def _replace(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
         Path(temporary).replace(target)
     finally:
         Path(temporary).unlink(missing_ok=True)
+
+
+# How many threads of OpenEXR there were before a fork.
+_exr_threads: list[int] = []
+
+
+def _stop_exr_threads() -> None:
+    """End the threads of OpenEXR, which a child would wait for for ever."""
+    oiio = sys.modules.get("OpenImageIO")
+    if oiio is not None:
+        _exr_threads.append(oiio.get_int_attribute("exr_threads"))
+        oiio.attribute("exr_threads", -1)
+
+
+def _restart_exr_threads() -> None:
+    while _exr_threads:
+        sys.modules["OpenImageIO"].attribute("exr_threads", _exr_threads.pop())
+
+
+# A child does without.
+forks.at_fork(before=_stop_exr_threads, in_parent=_restart_exr_threads, in_child=_exr_threads.clear)
