@@ -172,7 +172,7 @@ SINGLE = [
     (lambda _: wd.Coherence("centred", centre_um=3.0), ValueError, r"centre_um must be a pair \(y, x\) in µm"),
     (lambda _: wd.Coherence("centred", centre_um=(0, math.nan)), ValueError, "centre_um must be finite"),
     (lambda _: wd.DirectionalLight((0, 0, 0)), ValueError, "to_light must not contain zero vectors"),
-    (lambda _: wd.DirectionalLight(UP, power=-1), ValueError, "power must be a finite number >= 0, got -1"),
+    (lambda _: wd.DirectionalLight(UP, power=-1), ValueError, r"power must be a finite number >= 0 <= 1e\+12, got -1"),
     (lambda _: wd.View(UP, UP), ValueError, "eye and target must be two different points"),
     (lambda _: wd.View(UP, (0, 0, 0), width=0), ValueError, "width must be an integer >= 1, got 0"),
     (lambda _: wd.View(UP, (0, 0, 0), height=-480), ValueError, "height must be an integer >= 1, got -480"),

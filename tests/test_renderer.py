@@ -6,6 +6,8 @@ Warp records and replays launches on the CPU, too, so that this needs no GPU.
 from __future__ import annotations
 
 import dataclasses
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -280,3 +282,27 @@ def test_bad_input_is_refused(tube, fingers, plans):
         drawn.draw(wd.DirectionalLight((0.0, 0.0, 1.0), illuminant="nothing"))
     drawn.draw()
     same(drawn.image(), before)
+
+
+@pytest.mark.filterwarnings("ignore:.*settle to tolerance")
+def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans):
+    views = [[view(angle + k / 50.0, size=(24, 18)) for k in range(3)] for angle in (0.0, 1.0)]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], views[0][0], plan=plans["footprints"], threads=2)
+    first = drawn.image()
+    expected = [[drawn.draw(view=each).numpy().copy() for each in one] for one in views]
+    together = threading.Barrier(2)
+
+    def draw(index):
+        same(drawn.image(), first)
+        together.wait(60.0)
+        wrong = 0
+        for k in range(150):
+            xyz = drawn.draw(view=views[index][k % 3])
+            wrong += not np.array_equal(drawn.image().xyz, expected[index][k % 3])
+            wrong += not np.array_equal(xyz.numpy(), expected[index][k % 3])
+        return wrong
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(draw, range(2))) == [0, 0]
+    # Nor did they change this thread's.
+    np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

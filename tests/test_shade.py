@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -458,3 +460,45 @@ def test_kernels_are_guessed_right_before_rays_are_cast(snake, light, options, l
     assert len(guessed) == 2 + look_ups
     assert searched <= guessed
     assert guessed <= searched.union(*tabled), "compiled and never used"
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_progress_may_render_or_fail(threads):
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))
+    camera = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), width=160, height=120)
+    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
+    expected = wd.shade(mesh, hf, light, camera, plan=plan, threads=threads).xyz
+    nested = []
+
+    def render(_):
+        nested.append(wd.shade(mesh, hf, light, camera, plan=plan, threads=threads).xyz)
+
+    def fail(_):
+        raise ZeroDivisionError
+
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            wd.shade(mesh, hf, light, camera, plan=plan, threads=threads, progress=fail)
+        found = wd.shade(mesh, hf, light, camera, plan=plan, threads=threads, progress=render).xyz
+        np.testing.assert_array_equal(found, expected)
+    assert len(nested) > 1
+    for each in nested:
+        np.testing.assert_array_equal(each, expected)
+
+
+def test_threads_that_render_at_once_draw_the_same():
+    hf = wd.gratings.fingers(size_um=6.4, seed=2)
+    mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))
+    together = threading.Barrier(8)
+
+    def render(index, wait=True):
+        camera = wd.View((0.1 * index, 1.6, 3.1), (0.0, 0.0, 0.0), width=40, height=30)
+        if wait:
+            together.wait(60.0)
+        return wd.shade(mesh, hf, light, camera, coherence=wd.Coherence(sigma_um=3.25), tolerance=0.2).xyz
+
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(render, range(8)))
+    for index, each in enumerate(found):
+        np.testing.assert_array_equal(each, render(index, wait=False))

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from warpdiff.work import Work, side_by_side
+from warpdiff.work import Work, cores, side_by_side
 
 THREADS = (1, 2, 5)
 
@@ -66,3 +66,59 @@ def test_an_error_ends_work(threads):
     abandoned = Work(work, range(2, 1000), threads=threads)
     abandoned.abandon()
     assert len(done) < 40
+
+
+def test_work_within_work_needs_no_free_thread():
+    """All threads that stay may wait for the one that begins more work."""
+    done = []
+
+    def work(_):
+        side_by_side(done.append, range(5), threads=cores() + 1)
+
+    ended = threading.Thread(target=lambda: side_by_side(work, range(20), threads=cores() + 1), daemon=True)
+    ended.start()
+    ended.join(60.0)
+    assert not ended.is_alive()
+    assert sorted(done) == sorted(20 * list(range(5)))
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_progress_is_told_by_one_at_a_time_which_may_work_itself(threads):
+    told, nested = [], []
+
+    def tell(done):
+        side_by_side(nested.append, range(4), threads=threads)
+        told.append(done)
+
+    Work(lambda _: None, range(8), threads=threads, progress=tell, joins=True).finish()
+    assert told == [(k + 1) / 8 for k in range(8)]
+    assert sorted(nested) == sorted(8 * list(range(4)))
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_progress_that_fails_ends_work(threads):
+    done = []
+
+    def fail(_):
+        raise KeyError("of progress")
+
+    def work(item):
+        time.sleep(0.01)
+        done.append(item)
+
+    with pytest.raises(KeyError, match="of progress"):
+        Work(work, range(1000), threads=threads, progress=fail, joins=True).finish()
+    assert len(done) < 20
+    side_by_side(done.append, [-1], threads=threads)
+    assert done[-1] == -1
+
+
+def test_threads_do_not_pile_up():
+    """Whatever numbers of them were asked for."""
+    before = threading.active_count()
+    for threads in range(1, 40):
+        side_by_side(lambda _: time.sleep(1e-4), range(threads), threads=threads)
+    most = time.monotonic() + 10.0
+    while threading.active_count() > before + cores() and time.monotonic() < most:
+        time.sleep(0.01)
+    assert threading.active_count() <= before + cores()

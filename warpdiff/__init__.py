@@ -21,7 +21,8 @@ The map of the package, in the order in which data flows:
 - ``image``: the picture and its files; ``files``: whole or not there; ``disk``: coefficients kept for the next process;
   ``cli``, ``demo``: the command line; ``interruption``, ``streams``: signals that end it, and where it writes
 - ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
-- ``checks``, ``errors``: validation of arguments; the warning category
+- ``forks``: what a fork of the process waits for
+- ``checks``, ``memory``, ``errors``: validation of arguments; whether there is room; the warning category
 """
 
 from importlib import import_module

@@ -44,6 +44,7 @@ def folded_power(hf: HeightField, frequency: float) -> float:
     return float(min(1.0, power[at_limit].mean() / power[at_edge].mean()))
 
 
+@np.errstate(under="ignore")
 def _spectrum(hf: HeightField) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [1/µm] and powers of the coefficients of a part of the height field, flat arrays."""
     if hf not in _cache:

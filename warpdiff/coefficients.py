@@ -12,13 +12,13 @@ are amplitudes. The other two are made from the last, for the range of κ that a
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff import forks
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
 from warpdiff.fourier import series_coefficients
 
@@ -92,7 +92,7 @@ class Coefficients:
             - before * t * after / 6.0 * basis[entry + 3]
         )
 
-    @functools.cached_property
+    @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The few dozen largest coefficients at a |κ| in the middle of the range: places, flattened, and powers."""
         high = self.kappa_low + self.step * (len(self.basis) - 3)
@@ -123,6 +123,7 @@ def series_terms(hf: HeightField, kappas: tuple[float, float]) -> int:
     return series.term_count(argument, _SERIES_TOLERANCE)
 
 
+@np.errstate(under="ignore")
 def of_series(
     hf: HeightField,
     method: str,
@@ -154,6 +155,7 @@ def of_series(
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
 
 
+@np.errstate(under="ignore")
 def fitted(
     hf: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import lines, spectrum, tables
+from warpdiff import lines, memory, spectrum, tables
 from warpdiff.device import load
 from warpdiff.launches import launch
-from warpdiff.polar import LOG_RED, MIDDLE_UM, Layout, has_levels, near
+from warpdiff.polar import LOG_RED, MIDDLE_UM, Layout, has_levels, megabytes, near
 from warpdiff.projection import Projection, Terms, projection, spline
 from warpdiff.recent import found_again
 
@@ -113,26 +113,38 @@ def table_for(
     source, how = _prepared(hf, plan, scope, illuminant, device=device, threads=threads)
     wanted, sharp = (*source.key, illuminant, has_levels(plan)), (*source.key, illuminant, False)
     options: dict[str, Any] = {"device": device, "threads": threads}
-    if wanted not in held and sharp not in held:
-        _load_kernels(source, how, plan, device)
-        if source.key not in spectra:
-            # The last one serves other illuminants.
-            spectra.clear()
-            spectra[source.key] = (
-                lines.of_table(source.base.arguments, source.layout.highest)
-                if source.is_lines
-                else _sampled(source, **options)
-            )
-        held[sharp] = _coloured(source, how, spectra[source.key], illuminant, **options)
-    if wanted not in held:
-        # Levels are added to colours that have none, whose rows both then have.
-        kernel, table, _ = held[sharp]
-        held[sharp] = kernel, table, 0.0
-        held[wanted] = _blurred(source.layout.with_levels(), table, is_lines=source.is_lines, **options)
-    held[wanted] = held.pop(wanted)
-    while len(held) > 1 and sum(megabytes for _, _, megabytes in held.values()) > _MOST_KEPT_MEGABYTES:
-        held.pop(next(iter(held)))
-    return held[wanted][:2]
+    # Other threads may make the same meanwhile, or let it go.
+    found = held.get(wanted)
+    if found is None:
+        found = held.get(sharp)
+        if found is None:
+            memory.require(
+                1e6 * megabytes(plan), f"a table of nodes={plan.nodes} and rays_per_width={plan.rays_per_width}",
+                "take a larger tolerance, or a plan with {share} of the nodes",
+            )  # fmt: skip
+            _load_kernels(source, how, plan, device)
+            rows = spectra.get(source.key)
+            if rows is None:
+                # The last one serves other illuminants.
+                spectra.clear()
+                rows = spectra[source.key] = (
+                    lines.of_table(source.base.arguments, source.layout.highest)
+                    if source.is_lines
+                    else _sampled(source, **options)
+                )
+            found = held[sharp] = _coloured(source, how, rows, illuminant, **options)
+        if wanted != sharp:
+            # Levels are added to colours that have none, whose rows both then have.
+            kernel, table, _ = found
+            held[sharp] = kernel, table, 0.0
+            found = _blurred(source.layout.with_levels(), table, is_lines=source.is_lines, **options)
+    held.pop(wanted, None)
+    held[wanted] = found
+    for oldest in list(held)[:-1]:
+        if sum(megabytes for _, _, megabytes in list(held.values())) <= _MOST_KEPT_MEGABYTES:
+            break
+        held.pop(oldest, None)
+    return found[:2]
 
 
 def function_count(
@@ -416,6 +428,7 @@ def _blends(
     return weights.astype(np.float32), lengths
 
 
+@np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
     """Weights of the spline's coefficients under a Gaussian, which is cut off where they end."""
     # So far out that the widest does not come round, as transforms do.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 import tempfile
-import threading
 import warnings
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
-from warpdiff import checks
+from warpdiff import checks, forks
 from warpdiff.errors import WarpdiffWarning
+from warpdiff.work import cores
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,11 +21,13 @@ if TYPE_CHECKING:
 
 _LOADERS = 2
 _loading: dict[Any, Future[Any]] = {}
-_load_once = threading.Lock()
+# A fork waits so long for kernels that are being compiled or loaded.
+_MOST_WAIT_S = 1.0
 
 
 def resolve_device(device: Any) -> wp.Device:
     """The Warp device of a name such as ``"cpu"`` or ``"cuda:0"``; None is the CPU."""
+    _refuse_cut_off()
     import warp as wp
 
     # Unless told otherwise before it starts, Warp prints a banner, a line a module, and that there is no CUDA driver.
@@ -46,7 +49,7 @@ def resolve_device(device: Any) -> wp.Device:
 def resolve_threads(threads: Any) -> int:
     """The number of threads; None is one for each core this process may use."""
     if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return cores()
     return checks.count(threads, "threads")
 
 
@@ -61,6 +64,7 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
 
     # Those that begin at once, and then what launches any of them.
     in_order = [*kernels[:_LOADERS], in_turn.run, *kernels[_LOADERS:]]
+    _refuse_cut_off()
     with _load_once:
         for kernel in in_order:
             if kernel.module not in _loading:
@@ -77,7 +81,7 @@ def load_now(kernels: Sequence[Any], device: wp.Device) -> None:
 
 @functools.cache
 def _loaders() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=_LOADERS, thread_name_prefix="warpdiff-load")
+    return ThreadPoolExecutor(min(_LOADERS, cores()), thread_name_prefix="warpdiff-load")
 
 
 def _load(module: Any, device: wp.Device) -> None:
@@ -105,3 +109,53 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
         stacklevel=2,
     )
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
+
+
+# What another thread was at when this process was forked, and nobody in it will end.
+_cut_off: list[str] = []
+
+
+def _refuse_cut_off() -> None:
+    """Refuse to wait for what nobody ends."""
+    if _cut_off:
+        raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
+
+
+def _warp_lock() -> Any:
+    """What Warp, once it is imported, holds while it looks at kernels."""
+    return getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
+
+
+# That, in a fork.
+_held: list[Any] = []
+
+
+def _before_fork() -> None:
+    """Wait a little for what is being loaded."""
+    wait(_loading.values(), timeout=_MOST_WAIT_S)
+    lock = _warp_lock()
+    if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
+        _held.append(lock)
+
+
+def _release() -> None:
+    while _held:
+        _held.pop().release()
+
+
+def _in_child() -> None:
+    """Keep what is loaded, and know what is not."""
+    _loaders.cache_clear()
+    _cut_off.extend(f"imported {name}" for name in forks.importing())
+    _release()
+    lock = _warp_lock()
+    if not all(loaded.done() for loaded in _loading.values()) or (lock and not lock.acquire(blocking=False)):
+        _cut_off.append("compiled kernels")
+    elif lock:
+        lock.release()
+
+
+# What is given last is called first: imports end, nothing else begins to load, and what is being loaded ends.
+forks.at_fork(before=_before_fork, in_parent=_release, in_child=_in_child)
+_load_once = forks.lock()
+forks.at_fork(before=forks.finish_imports)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, direct, optics, spectrum
+from warpdiff import checks, direct, memory, optics, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
 _DIRECT_SETTLED = 0.05
 _DIRECT_MOST_WAVELENGTHS = 20_000
+# What a direction takes, as measured, what each of its values at given wavelengths does, and a direction of a map.
+_BYTES_A_DIRECTION, _BYTES_A_VALUE, _BYTES_OF_MAP = 170, 16, 190
 
 
 def spectral_reflectance(
@@ -185,6 +187,7 @@ def brdf_map(
 
     Raises:
         ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
+        MemoryError: More memory than is free; the message says what fits.
     """
     check_call(
         hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
@@ -201,6 +204,14 @@ def brdf_map(
     if across * across != samples_per_pixel:
         raise ValueError(f"samples_per_pixel must be a square number, for they lie on a grid, got {samples_per_pixel}")
     count = across * size
+    if count * count > memory.MOST_ELEMENTS:
+        raise ValueError(
+            f"size² · samples_per_pixel must be at most {memory.MOST_ELEMENTS} directions, got {count * count}"
+        )
+    memory.require(
+        _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",
+        "take at most {side} times the size, or {share} of the samples",
+    )  # fmt: skip
     axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
     x, y = np.meshgrid(axis, -axis)
     radius2 = x * x + y * y
@@ -327,6 +338,13 @@ class _Call:
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> None:
         self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
+        directions = len(self._lights)
+        values = 0 if wavelengths_nm is None else len(wavelengths_nm)
+        memory.require(
+            directions * (_BYTES_A_DIRECTION + _BYTES_A_VALUE * values),
+            f"a call of {directions} directions" + f" at {values} wavelengths" * (values > 0),
+            "take at most {share} of them at a time",
+        )
         self._hf = hf
         self._device, self._threads = resolve_device(device), resolve_threads(threads)
         if plan is not None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import optics, refinement, spectrum, splitting
+from warpdiff import forks, optics, refinement, spectrum, splitting
 from warpdiff.device import load
 from warpdiff.evaluate import direct_colour
 from warpdiff.image import Image, relative_errors
@@ -135,7 +134,7 @@ class Frame:
             self._covering = self._begin_to_cover(self._sampling(0, 1))
         self.begin()
 
-    @functools.cached_property
+    @forks.cached_property
     def seen(self) -> Seen:
         """What the pixels' own rays see under the last light."""
         coloured = self._surface.has_base_colour
@@ -540,6 +539,7 @@ class Frame:
         """The colours, (height, width), where they are."""
         return self._sums[0].reshape((self.view.height, self.view.width))
 
+    @np.errstate(under="ignore")
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
         shape = (self.view.height, self.view.width)

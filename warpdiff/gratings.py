@@ -237,6 +237,7 @@ def bumps(
     return HeightField(height * np.maximum(cap, 0.0), (spacing[0] / ny, spacing[1] / nx))
 
 
+@np.errstate(under="ignore")
 def fingers(
     *,
     size_um: float | tuple[float, float] = 25.6,

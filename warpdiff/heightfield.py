@@ -6,7 +6,6 @@ transform returns a new `HeightField`.
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, validity
+from warpdiff import checks, forks, validity
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
@@ -168,12 +167,14 @@ class HeightField:
         """Highest minus lowest height [µm]."""
         return self._height_range_um
 
-    @functools.cached_property
+    @forks.cached_property
+    @np.errstate(under="ignore")
     def rms_um(self) -> float:
         """Standard deviation of the heights [µm]."""
         return float(np.std(self._heights_um))
 
     @property
+    @np.errstate(under="ignore")
     def rms_slope(self) -> float:
         """Root mean square of the slope between neighbouring samples, without those across the edges."""
         total = 0.0
@@ -182,7 +183,8 @@ class HeightField:
                 total += float(np.mean((np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2))
         return math.sqrt(total)
 
-    @functools.cached_property
+    @forks.cached_property
+    @np.errstate(under="ignore")
     def mean_slope(self) -> float:
         """Mean absolute slope between neighbouring samples of the periodic field, across the edges as well."""
         # An axis of one sample has no neighbour but itself.
@@ -432,6 +434,7 @@ class HeightField:
             scalar_error=validity.error_bound(self.rms_um, self.mean_slope),
         )
 
+    @np.errstate(under="ignore")
     def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:
         """Convolve ``values`` (ny, nx) with a Gaussian, taking zero outside of the field."""
         # Padding by four spreads keeps the convolution from wrapping around.

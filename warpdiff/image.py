@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, files, spectrum
+from warpdiff import checks, files, forks, spectrum
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -51,11 +52,13 @@ class Image:
     plan: Plan
 
     @property
+    @np.errstate(under="ignore")
     def rgb(self) -> NDArray[np.float32]:
         """Linear sRGB, shape (height, width, 3), float32; colours out of gamut have negative components."""
         return spectrum.xyz_to_rgb(self.xyz).astype(np.float32)
 
     @property
+    @np.errstate(under="ignore")
     def auto_exposure(self) -> float:
         """The factor that maps the lit pixels' mean luminance to a half; 1 for a black picture.
 
@@ -68,6 +71,7 @@ class Image:
         mean = float(np.mean(kept if kept.size else luminance)) if luminance.size else 0.0
         return 0.5 / mean if mean > 0.0 else 1.0
 
+    @np.errstate(under="ignore")
     def save(self, path: str | os.PathLike[str], *, exposure: float | None = None, bits: int = 8) -> Path:
         """Write the picture; an existing file is replaced only once the new one is complete.
 
@@ -187,3 +191,24 @@ def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     found = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
     source.close()
     return found is not None and found.dtype == pixels.dtype and found.tobytes() == pixels.tobytes()
+
+
+# How many threads of OpenEXR there were before a fork.
+_exr_threads: list[int] = []
+
+
+def _stop_exr_threads() -> None:
+    """End the threads of OpenEXR, which a child would wait for for ever."""
+    oiio = sys.modules.get("OpenImageIO")
+    if oiio is not None:
+        _exr_threads.append(oiio.get_int_attribute("exr_threads"))
+        oiio.attribute("exr_threads", -1)
+
+
+def _restart_exr_threads() -> None:
+    while _exr_threads:
+        sys.modules["OpenImageIO"].attribute("exr_threads", _exr_threads.pop())
+
+
+# A child does without.
+forks.at_fork(before=_stop_exr_threads, in_parent=_restart_exr_threads, in_child=_exr_threads.clear)

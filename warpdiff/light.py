@@ -6,6 +6,9 @@ from dataclasses import KW_ONLY, dataclass
 
 from warpdiff import checks
 
+# Squares of colours are float32.
+_MOST_POWER = 1e12
+
 
 @dataclass(frozen=True)
 class DirectionalLight:
@@ -14,7 +17,7 @@ class DirectionalLight:
     Attributes:
         to_light: Direction from the surface towards the light, world frame; it is normalised.
         illuminant: Name of the light's CIE illuminant.
-        power: Linear factor; at 1 a flat mirror in the mirror direction shows Y = 1.
+        power: Linear factor, up to 1e12; at 1 a flat mirror in the mirror direction shows Y = 1.
     """
 
     to_light: tuple[float, float, float]
@@ -29,4 +32,4 @@ class DirectionalLight:
             raise TypeError(
                 f"illuminant must be the name of a CIE illuminant, such as 'D65', got {type(self.illuminant).__name__}"
             )
-        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0))
+        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=_MOST_POWER))

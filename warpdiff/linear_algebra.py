@@ -10,15 +10,43 @@ import functools
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from warpdiff import forks
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
+# What limits the library, once for each who is within.
+_within: list[Any] = []
+_lock = forks.lock()
+
+
 @contextmanager
 def on_one_thread() -> Iterator[None]:
-    """What is done within takes one thread of the library."""
-    with _libraries().limit(limits=1):
+    """What is done within takes one thread of the library, until the last of those who are within at once leaves."""
+    libraries = _libraries()
+    with _lock:
+        _within.append(_within[0] if _within else libraries.limit(limits=1))
+    try:
         yield
+    finally:
+        with _lock:
+            _leave()
+
+
+def _leave() -> None:
+    limits = _within.pop()
+    if not _within:
+        limits.restore_original_limits()
+
+
+def _leave_others() -> None:
+    """In a child, where those who were within are no more."""
+    while _within:
+        _leave()
+
+
+forks.at_fork(in_child=_leave_others)
 
 
 @functools.cache

@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff import checks, optics, spectrum
+from warpdiff import checks, memory, optics, spectrum
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.heightfield import HeightField
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+
+# What a sample of the cell takes, as measured, an order at a wavelength, and its terms.
+_BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,7 @@ def order_efficiencies(
     Raises:
         TypeError: ``hf`` is not a height field, or an argument is not numeric.
         ValueError: An argument is out of its range, or the light is not above the horizon.
+        MemoryError: More memory than is free; the message says what fits.
     """
     checks.instance(hf, HeightField, "hf")
     light = checks.directions(checks.vector(to_light, "to_light"), "to_light")[0]
@@ -77,6 +82,13 @@ def order_efficiencies(
     for length, n, component in zip(hf.size_um, hf.shape, light[0, 1::-1], strict=True):
         reach = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
         ranges.append(np.arange(math.ceil((component - 1.0) * reach), math.floor((component + 1.0) * reach) + 1))
+    samples, lines = hf.shape[0] * hf.shape[1], len(ranges[0]) * len(ranges[1])
+    terms = _term_count(math.pi * hf.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
+    memory.require(
+        _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
+        f"a cell of {hf.shape[0]} × {hf.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
+        "take at most {share} of the area, or fewer wavelengths at a time",
+    )
     orders = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 2)
     tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / hf.size_um[::-1]) - light[0, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
@@ -104,7 +116,7 @@ def _coefficients(hf: HeightField, indices: NDArray[np.int64], kappas: NDArray[n
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
     # As a function of κ the exponential is that of Jacobi and Anger, whose Chebyshev terms end beyond its argument.
     argument = math.pi * half * hf.height_range_um
-    count = math.ceil(argument + 10.0 * argument ** (1.0 / 3.0)) + 16
+    count = _term_count(argument)
     nodes = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     chebyshev = np.polynomial.chebyshev.chebvander
     terms = chebyshev(np.clip((kappas - middle) / half, -1.0, 1.0), count - 1) * (2.0 / count)
@@ -116,6 +128,11 @@ def _coefficients(hf: HeightField, indices: NDArray[np.int64], kappas: NDArray[n
         spectra = np.fft.ifft2(np.exp(2j * math.pi * (middle + half * node) * heights))
         result += weight * spectra[rows, columns]
     return result
+
+
+def _term_count(argument: float) -> int:
+    """Chebyshev terms of an exponential of a range of so much."""
+    return math.ceil(argument + 10.0 * math.cbrt(argument)) + 16
 
 
 def _warn_of_aliasing(hf: HeightField, orders: NDArray[np.int64]) -> None:

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from warpdiff import forks
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _T = TypeVar("_T")
+_lock = forks.lock()
 
 
 def found_again(kept: dict[Any, _T], key: Any, make: Callable[[], _T], *, most: int) -> _T:
     """What is kept under a key, or made now; of more than ``most``, what was not asked for longest goes."""
-    # Others may be at it, too.
-    try:
-        result = kept.pop(key)
-    except KeyError:
-        result = make()
-    kept[key] = result
-    while len(kept) > most:
-        kept.pop(next(iter(kept)), None)
+    with _lock:
+        found = key in kept
+        if found:
+            kept[key] = result = kept.pop(key)
+    if not found:
+        # Others may make the same meanwhile: all get the first one's.
+        made = make()
+        with _lock:
+            result = kept.setdefault(key, made)
+            while len(kept) > most:
+                del kept[next(iter(kept))]
     return result

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, optics, refinement, search, spectrum
+from warpdiff import checks, memory, optics, refinement, search, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
@@ -100,6 +100,7 @@ def shade(
     Raises:
         ValueError: A bad argument, a mesh without area or tangents, a tolerance out of reach; the message names it.
         FileNotFoundError: ``mesh`` is a path to nothing.
+        MemoryError: More memory than is free; the message says what fits.
     """
     checks.callback(progress, "progress")
     wanted = Wanted.checked(
@@ -130,6 +131,8 @@ def shade(
     return image
 
 
+# What a picture takes while it is made, as measured, of any kind.
+_BYTES_A_PIXEL = 210
 # Shares of the pixels that may err by more than the tolerance.
 MOST_UNSETTLED = 0.03
 
@@ -211,13 +214,19 @@ class Wanted:
         samples = checks.count(samples_per_pixel, "samples_per_pixel")
         if plan is not None:
             check_plan(plan, coherence, colour=True)
+        on = resolve_device(device)
+        if on.is_cpu:
+            memory.require(
+                _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
+                "take a view of at most {side} times the width and height",
+            )  # fmt: skip
         window = plan.coherence if plan is not None else coherence or Coherence()
         blurred = _takes_footprints(footprint, method, window, plan)
         return cls(
             lights, tolerance, method, window, normal, masking, pigment, shadows, smooth, blurred, samples,
             checks.flag(refine, "refine"),
             plan if plan is None or plan.footprint == blurred else replace(plan, footprint=blurred), strict,
-            resolve_device(device),
+            on,
             resolve_threads(threads),
         )  # fmt: skip
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +17,13 @@ from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import warp as wp
     from numpy.typing import ArrayLike
 
     from warpdiff.coherence import Coherence
+    from warpdiff.frame import Frame
     from warpdiff.heightfield import HeightField
     from warpdiff.image import Image
     from warpdiff.light import DirectionalLight
@@ -37,6 +41,9 @@ class Renderer:
         renderer = warpdiff.Renderer(mesh, hf, light, view, device="cuda")
         while True:
             show(renderer.draw(view=next_view()))
+
+    Threads may draw at once: each has a picture of its own, which begins with the first lights and view, and neither
+    sees nor changes those of others. On a GPU, whose launches all go to one stream, they take turns.
 
     Attributes:
         plan: What is computed and why.
@@ -80,7 +87,6 @@ class Renderer:
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
         load_kernels(wanted.device)
         self._hf, self._wanted = hf, wanted
-        self._lights, self._view = wanted.lights, view
         surface = prepare_surface(mesh, tangents=tangents)
         scope, sample, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
         if wanted.plan is not None:
@@ -88,10 +94,10 @@ class Renderer:
         self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
         self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
         self._recorded = records(wanted.device)
-        self._frame = wanted.frame(surface, view, alone=self._recorded or None)
-        # A picture's launches as they were recorded, and what they depend on.
-        self._graph: Any = None
-        self._graph_is_for: tuple[Any, ...] = ()
+        self._mine = _Picture(
+            functools.partial(wanted.frame, surface, view, alone=self._recorded or None), wanted.lights, view
+        )
+        self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
         self.draw()
 
     def draw(
@@ -102,62 +108,87 @@ class Renderer:
         """Draw the next picture.
 
         Args:
-            light: The lights from now on; None leaves them as they are.
-            view: The view from now on, with as many pixels; None leaves it as it is.
+            light: This thread's lights from now on; None leaves them as they are.
+            view: Its view from now on, with as many pixels; None leaves it as it is.
 
         Returns:
-            XYZ on the device, shape (height, width) of ``wp.vec3f``, which the next picture overwrites. A GPU may still
-            be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
+            XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
+            may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
-        lights = self._lights if light is None else check_lights(light)
-        # What is seen stays as it is, if the view does.
+        mine = self._mine
+        lights = mine.lights if light is None else check_lights(light)
         if view is not None:
             checks.instance(view, View, "view")
-            if (view.width, view.height) != (self._view.width, self._view.height):
+            if (view.width, view.height) != (mine.view.width, mine.view.height):
                 raise ValueError(
-                    f"view must have {self._view.width} × {self._view.height} pixels as before, got "
+                    f"view must have {mine.view.width} × {mine.view.height} pixels as before, got "
                     f"{view.width} × {view.height}; another size takes another Renderer"
                 )
-            self._view = view
-            self._frame.look(view)
-        self._lights = lights
-        self._wanted.light_up(self._frame, self._hf, lights)
-        if self._recorded:
-            self._replay()
-        else:
-            self._launch()
-        return self._frame.xyz
+        with self._turn:
+            # What is seen stays as it is, if the view does.
+            if view is not None:
+                mine.view = view
+                mine.frame.look(view)
+            mine.lights = lights
+            self._wanted.light_up(mine.frame, self._hf, lights)
+            if self._recorded:
+                self._replay(mine)
+            else:
+                self._launch(mine)
+            mine.drawn = True
+        return mine.frame.xyz
 
     def image(self) -> Image:
-        """The last picture, with what it covers, on the host, where no later one changes it."""
-        image = self._frame.image(self.plan)
+        """This thread's last picture, with what it covers, on the host, where no later one changes it."""
+        if not self._mine.drawn:
+            self.draw()
+        with self._turn:
+            image = self._mine.frame.image(self.plan)
         warn_unsettled(image.plan)
         if not self._wanted.device.is_cpu:
             return image
         return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
 
-    def _launch(self) -> None:
+    def _launch(self, mine: _Picture) -> None:
         """Launch what a picture takes."""
-        names = [each.illuminant for each in self._lights]
-        self._frame.integrate(self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine)
+        names = [each.illuminant for each in mine.lights]
+        mine.frame.integrate(self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine)
 
-    def _replay(self) -> None:
+    def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
         import warp as wp
 
-        needed = (*self._frame.launches_depend_on, *(each.illuminant for each in self._lights))
-        if self._graph is not None and self._graph_is_for == needed:
-            wp.capture_launch(self._graph)
+        needed = (*mine.frame.launches_depend_on, *(each.illuminant for each in mine.lights))
+        if mine.graph is not None and mine.graph_is_for == needed:
+            wp.capture_launch(mine.graph)
             return
         # Arrays of the last one may go.
-        self._graph = None
+        mine.graph = None
         # What ran once finds its kernels loaded and its arrays and tables made.
-        self._frame.begin()
-        self._launch()
-        self._frame.begin()
+        mine.frame.begin()
+        self._launch(mine)
+        mine.frame.begin()
         with wp.ScopedCapture(device=self._wanted.device, force_module_load=False) as capture:
-            self._launch()
-        self._graph, self._graph_is_for = capture.graph, needed
+            self._launch(mine)
+        mine.graph, mine.graph_is_for = capture.graph, needed
+
+
+class _Picture(threading.local):
+    """A thread's picture, made when it first asks for it.
+
+    Attributes:
+        frame: Its arrays.
+        lights: The last.
+        view: The last.
+        drawn: Whether it was drawn.
+        graph: Its launches as they were recorded.
+        graph_is_for: What these depend on.
+    """
+
+    def __init__(self, make: Callable[[], Frame], lights: list[DirectionalLight], view: View) -> None:
+        self.frame, self.lights, self.view, self.drawn = make(), lights, view, False
+        self.graph: Any = None
+        self.graph_is_for: tuple[Any, ...] = ()
 
 
 def records(device: wp.Device) -> bool:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import threading
 import weakref
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from warpdiff import forks
 from warpdiff.kernels.scene import Camera, SurfaceArrays
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # Faces in a leaf of a hierarchy for few rays.
 _LEAF = 4
+# A hierarchy is built once, by one thread.
+_once = forks.lock()
 _kept: weakref.WeakKeyDictionary[Surface, dict[Any, SceneArrays]] = weakref.WeakKeyDictionary()
 
 
@@ -56,7 +58,6 @@ class SceneArrays:
         self.face_count = len(surface.faces)
         self.bare = arrays
         self._built: dict[bool, tuple[wp.Mesh, Any]] = {}
-        self._once = threading.Lock()
         self.grids: dict[tuple[float, ...], Any] = {}
 
     def with_hierarchy(self, *, few: bool = False) -> Any:
@@ -66,7 +67,7 @@ class SceneArrays:
         it take up to 1.7 times as long. What was asked for before does not matter: each finds its own.
         """
         quick = few and bool(self.bare.positions.device.is_cpu)
-        with self._once:
+        with _once:
             if quick not in self._built:
                 constructor, leaf = ("cubql", _LEAF) if quick else (None, None)
                 mesh = wp.Mesh(

@@ -98,6 +98,7 @@ class _Patch(NamedTuple):
     faces: NDArray[np.int64]
 
 
+@np.errstate(under="ignore")
 def snake(
     *,
     radius: float = 0.12,

@@ -159,8 +159,9 @@ def coefficients_for(
     if to_fit and key not in held:
         return found_again(fitted_to, key, make, most=1), block, grid
     if method in EXPANSIONS and key not in held:
-        if key in fitted_to:
-            held[key] = fitted_to[key]
+        series = fitted_to.get(key)
+        if series is not None:
+            held[key] = series
         # Memory of it would be on top of that of all tables.
         fitted_to.clear()
     return found_again(held, key, make, most=KEPT), block, grid
@@ -199,10 +200,8 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
     table = kernels.Table()
     moved = coherence if coherence.kind == "centred" else None
     key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)
-    held = kept(hf).rows
-    if key in held and held[key][2] is found:
-        held[key] = held.pop(key)
-    else:
+
+    def make() -> tuple[Any, Any, Coefficients]:
         rows = found.rows[..., :terms]
         if moved is not None:
             rows = _turned(rows, _centre_phase(hf, coherence, block))
@@ -210,14 +209,14 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         padded[..., :terms] = rows
         basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
         basis[:, :terms] = found.basis[:, :terms]
-        held[key] = (
+        return (
             wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
             wp.array(basis, dtype=kernels.row, device=device),
             found,
         )
-        while len(held) > KEPT:
-            held.pop(next(iter(held)))
-    table.rows, table.basis, _ = held[key]
+
+    # With the rows those that they are of are kept, so that no others get their number.
+    table.rows, table.basis, _ = found_again(kept(hf).rows, key, make, most=KEPT)
     table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, forks
+from warpdiff.memory import MOST_ELEMENTS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -76,6 +76,10 @@ class View:
         object.__setattr__(self, "fov_y_deg", fov)
         object.__setattr__(self, "width", checks.count(self.width, "width"))
         object.__setattr__(self, "height", checks.count(self.height, "height"))
+        if self.width * self.height > MOST_ELEMENTS:
+            raise ValueError(
+                f"width times height must be at most {MOST_ELEMENTS} pixels, got {self.width} × {self.height}"
+            )
         if self.extent_y is not None:
             object.__setattr__(self, "extent_y", checks.positive(self.extent_y, "extent_y"))
         # Refuses what makes none.
@@ -111,7 +115,7 @@ class View:
         """The camera's origin and axes, in float64, not to be written to."""
         return self._frame
 
-    @functools.cached_property
+    @forks.cached_property
     def _frame(self) -> ViewFrame:
         origin = np.array(self.eye)
         with np.errstate(over="ignore"):

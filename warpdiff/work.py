@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import functools
+import os
 import threading
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
+
+from warpdiff import forks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 _MOST_WAIT_S = 3e-4
+_NONE = object()
 
 
 class Work:
@@ -31,10 +35,15 @@ class Work:
     ) -> None:
         """Begin on all threads but this one, to which the last item is left if it ``joins`` them at once."""
         self._work, self._left, self._count, self._progress = work, iter(items), len(items), progress
-        self._lock = threading.Lock()
+        self._lock, self._telling = threading.Lock(), threading.Lock()
         self._done = 0
         self._begun = threading.Event()
-        self._others = [_pool(threads - 1).submit(self._help) for _ in range(min(threads - 1, len(items) - joins))]
+        self._process = os.getpid()
+        others = min(threads - 1, len(items) - joins)
+        # More than stay end with the work.
+        self._own = ThreadPoolExecutor(others) if others > cores() else None
+        self._others: list[Future[None]] = []
+        self._others = [(self._own or _kept()).submit(self._help) for _ in range(others)]
         if self._others and not joins:
             try:
                 # Another thread does not get hold of the interpreter while this one goes on in it.
@@ -50,31 +59,44 @@ class Work:
 
     def _run(self) -> None:
         """Work until none is left."""
-        while True:
-            with self._lock:
-                item = next(self._left, None)
-            if item is None:
-                return
-            try:
+        try:
+            while not self._is_cut_off:
+                with self._lock:
+                    item = next(self._left, _NONE)
+                if item is _NONE:
+                    return
                 self._work(item)
-            except BaseException:
-                self._drop()
-                raise
-            with self._lock:
-                self._done += 1
-                if self._progress is not None:
-                    self._progress(self._done / self._count)
+                self._tell()
+        except BaseException:
+            self._drop()
+            raise
+
+    def _tell(self) -> None:
+        """Tell of progress, one thread at a time; meanwhile others begin with what is left."""
+        with self._telling:
+            self._done += 1
+            if self._progress is not None:
+                self._progress(self._done / self._count)
+
+    @property
+    def _is_cut_off(self) -> bool:
+        """Whether others were at it when this process was forked: they are in the parent."""
+        return bool(self._others) and os.getpid() != self._process
 
     def _drop(self) -> None:
         """Leave what nobody has begun with."""
-        with self._lock:
-            self._left = iter(())
+        if not self._is_cut_off:
+            with self._lock:
+                self._left = iter(())
 
     def _await(self) -> None:
         """Wait for those that have begun."""
-        for other in self._others:
-            other.cancel()
-        wait(self._others)
+        if not self._is_cut_off:
+            # Those that have not begun may never do so: whatever keeps them from it may wait for this thread.
+            self._others = [other for other in self._others if not other.cancel()]
+            wait(self._others)
+            if self._own is not None:
+                self._own.shutdown(wait=False)
 
     def finish(self) -> None:
         """Take part in it until all is done, and raise what was raised; the first error ends it."""
@@ -82,9 +104,10 @@ class Work:
             self._run()
         finally:
             self._await()
+        if self._is_cut_off:
+            raise RuntimeError(f"this process was forked in the midst of work on several threads: {forks.REMEDY}")
         for other in self._others:
-            if not other.cancelled():
-                other.result()
+            other.result()
 
     def abandon(self) -> None:
         """End it where it is, whatever was raised."""
@@ -115,7 +138,16 @@ def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[ran
         first = end
 
 
+def cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that stay: to start them takes as long as a small launch."""
-    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warpdiff")
+def _kept() -> ThreadPoolExecutor:
+    """Threads that stay, one a core: to start them takes as long as a small launch."""
+    return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
+
+
+# A child has none of its parent's threads.
+forks.at_fork(in_child=_kept.cache_clear)
