@@ -14,6 +14,14 @@ if os.name != "posix":
     pytest.skip("signals are POSIX", allow_module_level=True)
 
 
+@pytest.fixture(autouse=True)
+def _heard():
+    """What runs tests in the background may ignore interruptions, and processes inherit that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def begun(arguments, folder):
     """A process whose caches and temporary files lie in a folder of their own."""
     names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "kept", "TMPDIR": "temporary"}

@@ -28,6 +28,9 @@ The map of the package, in the order in which data flows:
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+# Forks wait for what other threads import below, once it is asked for.
+from warpdiff import forks as _forks  # noqa: F401
+
 if TYPE_CHECKING:
     from warpdiff import gratings, meshes
     from warpdiff.coherence import Coherence

@@ -63,3 +63,6 @@ def finish_imports() -> None:
         # What cannot be imported is the other thread's to tell.
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
+
+
+at_fork(before=finish_imports)
