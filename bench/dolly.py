@@ -53,7 +53,11 @@ def main() -> None:
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     known = crops.bodies(options.data, [])
-    print("| body | tolerance | P99 of the truth's changes | P99 of the difference | ratio, at most 0.2 |\n" + "| --- " * 5 + "|")
+    print(
+        "| body | tolerance | P99 of the truth's changes | P99 of the difference | ratio, at most 0.2 |\n"
+        + "| --- " * 5
+        + "|"
+    )
     inner = (slice(crops.MARGIN, -crops.MARGIN),) * 2
     for body in options.bodies:
         moving = frames(body, known[body](), options.frames, options.seed)
