@@ -29,7 +29,7 @@ _ESTIMATE = """
             for (int i = -1; i < count + 1; ++i) hits |= meets(from + (long long)line * width + i);
         if (hits == 0) {
             memset(errors + from, 0, count * sizeof(float));
-            memset(wanted + from, 0, count);
+            memset(wanted + from, all_of_them ? 1 : 0, count);
             continue;
         }
         // Above, here and below, from one pixel further to the left to one further to the right; what does not meet the
@@ -96,7 +96,7 @@ _ESTIMATE = """
             const float size = larger(wp::sqrt(size2), least);
             if (i >= count) continue;
             errors[from + i] = there[1][j] ? error : 0.0f;
-            wanted[from + i] = any && (all_of_them || error > bound * size || (rim && splits_rims)) ? 1 : 0;
+            wanted[from + i] = all_of_them || (any && (error > bound * size || (rim && splits_rims))) ? 1 : 0;
         }
     }
 """
@@ -160,7 +160,7 @@ def estimate(
         high: The one after the last of these.
         floor: What errors are relative to at least.
         bound: Of errors relative to the colour, or to the floor, from which pixels are split.
-        all_of_them: Whether all that meet the mesh, or are beside one that does, are split.
+        all_of_them: Whether all are split, also where only cells may meet the mesh.
         splits_rims: Whether those are beside which the mesh ends.
         first: The first thread's pixel.
         run: How many a thread takes.
@@ -383,11 +383,14 @@ def collect(
         # Of what there is of the picture.
         total = total / weight
         colour = wp.vec3f(total[0], total[1], total[2])
-        # Once, what parts change by may cancel.
-        change = wp.max(
-            wp.length(colour - colours_out[pixel]), wp.static(wp.float32(refinement.OF_CHANGES)) * wp.sqrt(square)
+        of_difference = wp.where(
+            level == 1, wp.static(wp.float32(refinement.OF_FIRST)), wp.static(wp.float32(refinement.OF_LATER))
         )
-        error = wp.static(wp.float32(refinement.OF_DIFFERENCE)) * change
+        # What parts change by may cancel once.
+        error = wp.max(
+            of_difference * wp.length(colour - colours_out[pixel]),
+            wp.static(wp.float32(refinement.OF_CHANGES)) * wp.sqrt(square),
+        )
         colours_out[pixel] = colour
         errors_out[pixel] = error
         coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
@@ -455,7 +458,7 @@ def choose(
                     there = y * width + x
                     if wanted[there] != wp.uint8(0):
                         share = THIRDS[line] * THIRDS[side]
-                        error = wp.static(wp.float32(refinement.OF_DIFFERENCE)) * share * given.changes[rank]
+                        change = share * given.changes[rank]
                         least = (
                             wp.static(wp.float32(refinement.OF_PARTS))
                             * bound
@@ -463,7 +466,7 @@ def choose(
                         )
                         covered = coverage[there]
                         rim = level < rim_level and covered > wp.float64(0.0) and covered < wp.float64(1.0 - 1.0e-4)
-                        if goes_on or rim or error > least:
+                        if goes_on or rim or change > least:
                             chosen = wp.uint8(1)
         chosen_out[pixel] = chosen
 

@@ -80,6 +80,19 @@ def count_up(
 
 
 @wp.kernel
+def keep_larger(
+    # In:
+    counts: wp.array(dtype=wp.int32),
+    begins: wp.bool,
+    # Out:
+    most_out: wp.array(dtype=wp.int32),
+):
+    """Keep the larger of each of some counts and of those before, if there are any."""
+    i = wp.tid()
+    most_out[i] = wp.where(begins, counts[i], wp.max(counts[i], most_out[i]))
+
+
+@wp.kernel
 def mark_around(
     # In:
     marks: wp.array(dtype=wp.uint8),

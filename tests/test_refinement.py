@@ -301,3 +301,45 @@ def test_errors_are_estimated_by_those_beside(size, slices, rng):
     np.testing.assert_allclose(found.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
     np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])
+
+
+def test_lights_that_add_nothing_dilute_nothing(fingers, table):
+    far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
+    mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
+    below = wd.DirectionalLight((-12.0, -48.0, -93.0))
+    with pytest.warns(wd.WarpdiffWarning, match="see image.error"):
+        one = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
+    with pytest.warns(wd.WarpdiffWarning, match="see image.error"):
+        several = wd.shade(mesh, fingers, [LIGHT, below, below], far, plan=fine)
+    assert several.plan.unsettled == one.plan.unsettled
+    assert several.plan.split == one.plan.split
+
+
+def test_progress_ends_when_pixels_are_split(fingers, table):
+    told = []
+    fine = dataclasses.replace(table, tolerance=1e-2)
+    image = wd.shade(BODIES["lumpy"](), fingers, LIGHT, view("lumpy"), plan=fine, progress=told.append)
+    assert image.plan.split > 0.0
+    assert told == sorted(told)
+    assert sum(0.3 < each < 1.0 for each in told) >= 2
+    assert told[-1] == 1.0
+
+
+def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table):
+    """Bars of a third of a pixel's width, one in 5.3 pixels."""
+    bars = [
+        trimesh.Trimesh(
+            [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)],
+            [(0, 1, 2), (0, 2, 3)],
+            visual=TextureVisuals(uv=[(0, 0), (1, 0), (1, 1), (0, 1)]),
+            process=False,
+        )
+        for x in np.arange(-9.0, 9.0, 5.3) + 0.05
+    ]
+    camera = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=18.0, width=24, height=18)
+    mesh = trimesh.util.concatenate(bars)
+    options = {"plan": table, "refine": False}
+    images = [wd.shade(mesh, fingers, LIGHT, camera, **options, samples_per_pixel=n) for n in (16, 256)]
+    expected = 0.3 * len(bars) / 24.0
+    for image, away in zip(images, (0.25, 0.05), strict=True):
+        assert abs(image.coverage.mean() - expected) < away * expected

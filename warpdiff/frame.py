@@ -38,6 +38,8 @@ _SEED = 0
 _SURVEYED, _CELLS_SURVEYED, _MOST_SURVEYED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most.
 _OF_PLAN = 0.3
+# Pixels' own rays, as a share of a light's progress.
+_FIRST_RAYS = 0.3
 # Shadow rays of a pixel and its cells, in the mean over a picture, about.
 _SHADOW_RAYS_OF_MEANS = 4
 # Of a slice: pixels whose rays are found, or whose colours are, and faces.
@@ -114,7 +116,7 @@ class Frame:
         self._to_lights: list[tuple[float, float, float]] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
-        # Pixels of all lights that were split, and that this does not settle.
+        # Pixels that were split, and that this does not settle, of the light of which these are most.
         self._split = np.zeros(2)
 
     @property
@@ -246,7 +248,8 @@ class Frame:
                 # The survey has left behind what a single pass needs.
                 if self._now != (sample, which):
                     self.deflect(sample, which)
-                yield which, _share(progress, sample * count + which, self._samples * count)
+                index, passes = sample * count + which, self._samples * count
+                yield which, _part(progress, index / passes, (index + 1) / passes)
 
     def integrate(
         self,
@@ -307,7 +310,8 @@ class Frame:
             steps += integrator.steps(
                 *seen.directions, illuminant, colours, seen.footprints if integrator.blurs else None, left_out
             )
-            launch_in_turn(steps, self.may_see, slice_size=_COLOURS, progress=share, **self.options)
+            first, rest = _part(share, 0.0, _FIRST_RAYS), _part(share, _FIRST_RAYS, 1.0)
+            launch_in_turn(steps, self.may_see, slice_size=_COLOURS, progress=first, **self.options)
             light = splitting.Light(
                 self, integrator, which, illuminant, colours, errors, self._sums[1:], tolerance,
                 refinement.level_of(self._least, means=integrator.blurs), refine,
@@ -316,7 +320,9 @@ class Frame:
                 self._queue = self._queue or splitting.Queue(light, self._size)
                 self._queue.work_off(light)
             else:
-                self._split += splitting.split(light)
+                self._split = np.maximum(self._split, splitting.split(light, rest))
+            if rest is not None:
+                rest(1.0)
             if several:
                 step = Step(kernels.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True)
                 self._launch([step])
@@ -552,7 +558,8 @@ class Frame:
         error = relative_errors(errors, xyz, lit) * lit
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
         found = self._split if self._queue is None else np.array(self._queue.counts)
-        split, unsettled = found / float(max(int(np.count_nonzero(coverage)) * len(self._to_lights), 1))
+        # Where only cells may meet the mesh, pixels are split that do not.
+        split, unsettled = np.minimum(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
         return Image(
             xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
@@ -563,8 +570,8 @@ class Frame:
         )
 
 
-def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:
-    """The progress of one of several passes as a share of all."""
+def _part(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
+    """The progress of what is a part of all."""
     if progress is None:
         return None
-    return lambda done: progress((index + done) / count)
+    return lambda done: progress(begin + (end - begin) * done)

@@ -53,9 +53,10 @@ class Plan:
             asks for.
         footprint: Whether pixels show means over their range of (u, v), which are taken from levels of the table where
             there is one and powers add, and otherwise from many points.
-        split: Of a picture, the share of the pixels that see the mesh that were split into cells.
-        unsettled: The share of those that the most cells do not settle: their last levels differ by more than the
-            tolerance.
+        split: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
+            of the one under which these are most.
+        unsettled: The share that the most cells do not settle: by their last levels they err by more than three times
+            the tolerance, so that half of them may err by more than the tolerance itself.
         errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
@@ -194,9 +195,9 @@ class Plan:
             spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
             parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
         if self.split:
-            parts.append(f"{100.0 * self.split:.2g} % of the pixels were split into cells")
+            parts.append(f"{100.0 * self.split:.3g} % of the pixels were split into cells")
             if self.unsettled:
-                parts.append(f"which does not settle {100.0 * self.unsettled:.2g} %")
+                parts.append(f"which does not settle {100.0 * self.unsettled:.3g} %")
         parts.append(f"float32 rounds by {self.rounding:.1e}")
         text = "; ".join(parts)
         text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."

@@ -40,15 +40,15 @@ LEAST_OF_POINTS = 2
 # What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
 # where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
-# itself, relative to |(u, v)|. Of others: over the difference of their last two levels. See docs/decisions.md.
-SMOOTH, PER_UNEVEN, PER_WIDE, OF_DIFFERENCE = 0.01, 0.5, 0.5, 1.2
-# That difference is taken to be at least so much of what the nine pixels' cells change by, as if these did not depend
-# on each other.
-OF_CHANGES = 0.33
+# itself, relative to |(u, v)|. Of others: over the difference of their last two levels, of the first ones and of later
+# ones, for the first cells may well agree with the whole where both are wrong. See docs/decisions.md.
+SMOOTH, PER_UNEVEN, PER_WIDE, OF_FIRST, OF_LATER = 0.01, 0.5, 0.5, 2.0, 1.4
+# And at least so much of what the nine pixels' cells change by, as if these did not depend on each other.
+OF_CHANGES = 0.4
 # Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
 OF_UNSETTLED = 3.0
-# Of an error that is too large, what the cells of one of nine pixels take part in it by, that they are split again.
-OF_PARTS = 0.2
+# Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
+OF_PARTS = 1.0 / 6.0
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
 EXCEEDED_BY = 0.01
 _GLIMPSE = 16_384

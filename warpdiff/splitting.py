@@ -12,7 +12,7 @@ from warpdiff.launches import Chain, Step, launch, launch_in_turn
 from warpdiff.rooms import Room, shared_room
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import warp as wp
     from numpy.typing import NDArray
@@ -133,7 +133,7 @@ class Light:
         return result
 
 
-def split(light: Light) -> tuple[int, int]:
+def split(light: Light, progress: Callable[[float], None] | None = None) -> tuple[int, int]:
     """Split pixels on threads of the host, and say how many there were at first, and in the end."""
     import warp as wp
 
@@ -168,7 +168,7 @@ def split(light: Light) -> tuple[int, int]:
         for first in range(0, len(pixels), _MOST_PIXELS):
             part = pixels[first : first + _MOST_PIXELS]
             tiles = np.flatnonzero(refinement.around(part, view.width, view.height)).astype(np.int32)
-            given = light.room_for_shares(len(tiles))
+            given, together = light.room_for_shares(len(tiles)), len(part)
             ranks = np.empty(size, dtype=np.int32)
             ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
             given.ranks = array(ranks)
@@ -188,6 +188,8 @@ def split(light: Light) -> tuple[int, int]:
                         refinement.grid_of(met, level, view.width, view.height, device), len(met)
                     )
                     shared.meet(level, met, chains, nearest, threads=threads)
+                if progress is not None:
+                    progress((first + level / refinement.MOST_LEVEL * together) / len(pixels))
                 part = part[is_wanted[part] != 0]
                 step = light.collect(level, given, array(part), floor, wanted)
                 launch_in_turn([step], len(part), slice_size=_SLICE, **options)
@@ -222,7 +224,8 @@ class Queue:
         self._tallies, self._floor = empty(work_lists.GROUPS * (1 + work_lists.BINS)), empty(1, wp.float32)
         self._wanted, self._chosen, self._of_all = empty(pixels, wp.uint8), empty(pixels, wp.uint8), empty(0)
         self._given = light.room_for_shares(pixels)
-        self._listed, self._counts, self._found = empty(pixels), empty(1), wp.zeros(2, dtype=wp.int32, device=device)
+        self._listed, self._counts = empty(pixels), empty(1)
+        self._found, self._most_found = empty(2), wp.zeros(2, dtype=wp.int32, device=device)
         self._taken, self._left = empty(1), empty(1)
         whole = refinement.rays_at(refinement.MOST_LEVEL)
         rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
@@ -231,8 +234,8 @@ class Queue:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """How many pixels of all lights were split at first, and in the end."""
-        first, last = self._found.numpy().tolist()
+        """How many pixels were split at first, and in the end, of the light of which these are most."""
+        first, last = self._most_found.numpy().tolist()
         return first, last
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int | None = None) -> None:
@@ -244,15 +247,22 @@ class Queue:
 
     def work_off(self, light: Light) -> None:
         """Launch what splits pixels until none is left."""
+        import warp as wp
+
+        from warpdiff.kernels import work_lists
+
+        self._find_floor(light.colours, light.frame.seen.gains)
+        self._found.zero_()
+        self._launch_step(light.estimate(self._floor, self._wanted))
+        if light.splits:
+            self._split_all(light)
+        inputs = [self._found, light.which == 0]
+        wp.launch(work_lists.keep_larger, dim=2, inputs=inputs, outputs=[self._most_found], device=self._device)
+
+    def _split_all(self, light: Light) -> None:
         from warpdiff.kernels import work_lists
 
         view = light.frame.view
-        self._find_floor(light.colours, light.frame.seen.gains)
-        if light.which == 0:
-            self._found.zero_()
-        self._launch_step(light.estimate(self._floor, self._wanted))
-        if not light.splits:
-            return
         self._launch(work_lists.count_up, [self._wanted], [self._found[:1]])
         self._launch(work_lists.mark_around, [self._wanted, view.width, view.height], [self._chosen])
         for level in refinement.LEVELS:
