@@ -273,7 +273,7 @@ def bad_files(folder: Path) -> None:
     write_image(folder / "alpha.png", grey, 2)
     write_image(folder / "rgb.png", grey, 3)
     write_image(folder / "float.tif", grey.astype(np.float32))
-    write_image(folder / "nan.exr", np.array([[0.0, np.nan]], dtype=np.float32))
+    write_image(folder / "infinite.exr", np.array([[0.0, np.inf]], dtype=np.float32))
     noisy = np.random.default_rng(0).integers(0, 255, (50, 50), dtype=np.uint8)
     write_image(folder / "cut.png", noisy)
     (folder / "cut.png").write_bytes((folder / "cut.png").read_bytes()[:1500])
@@ -281,7 +281,7 @@ def bad_files(folder: Path) -> None:
     (folder / "text.npy").write_text("not an array")
     (folder / "empty.npy").write_bytes(b"")
     np.save(folder / "cube.npy", np.zeros((2, 3, 4)))
-    np.save(folder / "nan.npy", np.array([[np.nan, 1.0]]))
+    np.save(folder / "infinite.npy", np.array([[-np.inf, 1.0]]))
     np.save(folder / "int64.npy", np.zeros((2, 3), dtype=np.int64))
     np.save(folder / "object.npy", np.array([[{}]]), allow_pickle=True)
     np.save(folder / "complex.npy", np.zeros((2, 3), dtype=complex))
@@ -300,12 +300,12 @@ UM: dict[str, Any] = {"extent_um": 5.0}
         ("cut.png", SCALE, ValueError, r"path: .* is damaged .*export the image again"),
         ("rgb.png", SCALE, ValueError, r"path: .* is a colour image \(3 channels\); save its heights as one grey"),
         ("alpha.png", SCALE, ValueError, r"path: .* is a grey image with alpha; save its heights as one grey"),
-        ("nan.exr", UM, ValueError, r"path: .* has 1 NaN or infinite sample"),
+        ("infinite.exr", UM, ValueError, r"path: .* has 1 infinite sample.*save missing ones as NaN"),
         ("text.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
         ("empty.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
         ("object.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
         ("cube.npy", UM, ValueError, r"path: .* has shape \(2, 3, 4\); save one array"),
-        ("nan.npy", UM, ValueError, r"path: .* has 1 NaN or infinite sample"),
+        ("infinite.npy", UM, ValueError, r"path: .* has 1 infinite sample"),
         ("int64.npy", SCALE, ValueError, r"path: .* samples of type int64; save uint8, uint16"),
         ("complex.npy", UM, ValueError, r"path: .* samples of type complex128"),
         ("grey.png", UM, ValueError, r"height_range_um must be given.*full scale 0 to 255"),
