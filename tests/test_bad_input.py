@@ -101,6 +101,9 @@ SHARED = [
     ("tangents", "radial", TypeError, "tangents must be an array of real numbers, got str"),
     ("tangents", np.zeros_like(MESH.vertices), ValueError, "tangents must define a direction along the surface"),
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
+    ("layers", "normal", TypeError, "layers must be names in a tuple or list"),
+    ("layers", None, TypeError, "layers must be names in a tuple or list"),
+    ("layers", ["albedo"], ValueError, "layers must be one of 'normal', 'depth', 'geometry', got 'albedo'"),
 ]
 
 # Everything else; each call is given an empty folder.

@@ -58,6 +58,7 @@ class Surface:
         vertex_colours: Linear RGB, shape (n, 3), float32; negative at the vertices where ``texture`` is meant;
             ``None`` where that is all of them.
         has_base_colour: Whether the mesh came with a colour of any kind.
+        geometries: Which of the mesh's geometries a face belongs to, shape (m,), int32.
         is_convex: Whether the mesh bounds a convex body or lies in a plane, so that nothing on its outside is shadowed.
         centre: The origin of ``vertices``, world frame, shape (3,), float64.
         radius: The unit of ``vertices``, in the mesh's unit.
@@ -72,6 +73,7 @@ class Surface:
     texture: NDArray[np.float32]
     vertex_colours: NDArray[np.float32] | None
     has_base_colour: bool
+    geometries: NDArray[np.int32]
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
@@ -82,9 +84,10 @@ def prepare_surface(
 ) -> Surface:
     """Check a mesh and work out its normals, tangents and base colours.
 
-    Normals are the file's own where it has any, else angle-weighted means over all faces that meet at a position, so
-    that seams of the texture are none of the shading. The tangent field is ``tangents`` or else ∂P/∂u of the texture
-    coordinates, averaged across seams at which its direction goes on (within 30°).
+    Normals are the file's own at vertices where it has any, else angle-weighted means over all faces that meet at a
+    position, so that seams of the texture are none of the shading; an STL file has the facets' alone. The tangent field
+    is ``tangents`` or else ∂P/∂u of the texture coordinates, averaged across seams at which its direction goes on
+    (within 30°).
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
@@ -125,7 +128,8 @@ _kept: list[tuple[list[NDArray[Any]], Surface]] = []
 def _told_by(mesh: Any) -> list[Any]:
     """All that a surface is made of: a mesh that moved in place is told by its values."""
     visual = mesh.visual
-    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), getattr(visual, "uv", None), visual.kind]
+    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache]
+    found += [getattr(visual, "uv", None), visual.kind]
     if visual.kind in ("vertex", "face"):
         found.append(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)
     elif hasattr(visual, "material"):
@@ -150,6 +154,7 @@ class _Part:
     uvs: NDArray[np.float64] | None
     texture: NDArray[np.float32] | None
     colours: NDArray[np.float64] | None
+    geometries: NDArray[np.int32]
 
 
 def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
@@ -207,6 +212,7 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
         uvs=_own_uvs(mesh, len(vertices)),
         texture=None,
         colours=None,
+        geometries=np.zeros(len(faces), np.int32),
     )
     _take_colours(mesh, part)
     part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
@@ -222,14 +228,16 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Vertex normals that were given with the mesh, shape (n, 3), or ``None``.
 
-    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position;
-    the latter are told by their value.
+    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
+    It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
     """
     normals = _cached_normals(mesh)
     if normals is None or np.shape(normals) != vertices.shape:
         return None
     normals = np.asarray(normals, dtype=np.float64)
     normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
+    if "face_angles" not in mesh._cache:
+        return normals.T
     corners = np.ascontiguousarray(faces.T)
     # A few faces' vertices are enough to tell most.
     some = np.zeros(len(vertices), dtype=np.bool_)
@@ -357,6 +365,7 @@ def _join(parts: list[_Part]) -> _Part:
         uvs=gather("uvs", 2),
         texture=textures[0] if textures else None,
         colours=colours,
+        geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
     )
 
 
@@ -374,7 +383,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     # float32 first: what has no area in the kernels shall have none here.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
-    keep = geometry.has_area
+    keep, geometries = geometry.has_area, part.geometries
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ValueError(f"mesh must have a face with an area, got {dropped} without")
@@ -383,6 +392,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
             f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=4
         )
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
+        geometries = geometries[keep]
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
@@ -428,6 +438,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
         texture=texture,
         vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=has_colour,
+        geometries=geometries,
         is_convex=is_convex(vertices, faces, geometry.normals, welded),
         centre=centre,
         radius=radius,
