@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, inpainting, validity
+from warpdiff import checks, inpainting, units, validity
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
@@ -90,6 +90,10 @@ class HeightField:
             grating, constant along y. NaN, or masked in a ``numpy.ma.MaskedArray``, is a missing sample.
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
 
+    Warns:
+        WarpdiffWarning: The scale is no diffracting surface's, as where heights are in another unit than the pitch: a
+            range below 0.1 nm that is not 0 or above the size, or a mean slope above 5.
+
     Raises:
         TypeError: An argument is not numeric.
         ValueError: The heights are not a non-empty 2-D array, hold infinities or nothing but missing samples, or the
@@ -97,6 +101,18 @@ class HeightField:
     """
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
+        self._take(heights_um, pitch_um)
+        units.warn_of_scale(self)
+
+    @classmethod
+    def of_known_scale(cls, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> HeightField:
+        """Make one whose scale is meant, whatever it is: without a warning."""
+        field = cls.__new__(cls)
+        field._take(heights_um, pitch_um)
+        return field
+
+    def _take(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
+        """Check and keep the arguments."""
         heights = checks.finite_array(heights_um, "heights_um", ndim=2, gaps=True)
         if heights.size == 0:
             raise ValueError(f"heights_um must hold at least one sample, got shape {heights.shape}")
@@ -229,7 +245,7 @@ class HeightField:
         Returns:
             The field without gaps, of the same shape; samples that are not missing keep their values exactly.
         """
-        return HeightField(inpainting.harmonic(self._heights_um, self.pitch_um), self.pitch_um)
+        return HeightField.of_known_scale(inpainting.harmonic(self._heights_um, self.pitch_um), self.pitch_um)
 
     def levelled(self, order: int = 1) -> HeightField:
         """Subtract the least-squares polynomial of total degree ``order``: tilt (1), bow (2), or the mean alone (0).
@@ -257,7 +273,7 @@ class HeightField:
                 coefficients[taken] = np.linalg.lstsq(products[taken][:, taken], coefficients[taken], rcond=None)[0]
             coefficients[~taken] = 0.0
             trend = along_y @ coefficients @ along_x.T
-        return HeightField(self._heights_um - trend, self.pitch_um)
+        return HeightField.of_known_scale(self._heights_um - trend, self.pitch_um)
 
     def despiked(self, threshold: float = 3.0, *, size_um: float = 1.0) -> HeightField:
         """Remove dust grains and bright scratches: what stands out of the surface is replaced from its surroundings.
@@ -305,7 +321,7 @@ class HeightField:
                 break
             spikes = found
         if not spikes.any():
-            return HeightField(self._heights_um, self.pitch_um)
+            return HeightField.of_known_scale(self._heights_um, self.pitch_um)
         spikes |= self._blurred(spikes.astype(np.float64), 0.1 * size) > 0.02
         spikes &= ~self.missing
         known = ~(spikes | self.missing)
@@ -315,7 +331,7 @@ class HeightField:
             # Where a fine scale sees next to nothing, the coarser one's value stands.
             weight = np.maximum(self._blurred(valid, spread), 0.0)
             filled = (self._blurred(heights * valid, spread) + 0.02 * filled) / (weight + 0.02)
-        return HeightField(np.where(spikes, filled, self._heights_um), self.pitch_um)
+        return HeightField.of_known_scale(np.where(spikes, filled, self._heights_um), self.pitch_um)
 
     def cropped(
         self, size_um: float | tuple[float, float], *, offset_um: tuple[float, float] | None = None
@@ -355,7 +371,7 @@ class HeightField:
                     f"got {first * pitch:.6g}"
                 )
             slices.append(slice(first, first + wanted))
-        return HeightField(self._heights_um[slices[0], slices[1]], self.pitch_um)
+        return HeightField.of_known_scale(self._heights_um[slices[0], slices[1]], self.pitch_um)
 
     def resampled(self, pitch_um: float | tuple[float, float]) -> HeightField:
         """Interpolate, or band-limit, to another pitch by Fourier series, as one period of a periodic surface.
@@ -384,7 +400,7 @@ class HeightField:
             if wanted != have:
                 heights = _resampled_axis(heights, wanted, axis)
                 actual[axis] = size / wanted
-        return HeightField(heights, (actual[0], actual[1]))
+        return HeightField.of_known_scale(heights, (actual[0], actual[1]))
 
     def periodic(self) -> HeightField:
         """Make opposite edges match, so that the spectrum has no bright cross along its axes.
@@ -416,7 +432,7 @@ class HeightField:
         laplacian[0, 0] = 1.0
         spectrum = np.fft.rfft2(jumps) / laplacian
         spectrum[0, 0] = 0.0
-        return HeightField(self._heights_um - np.fft.irfft2(spectrum, self.shape), self.pitch_um)
+        return HeightField.of_known_scale(self._heights_um - np.fft.irfft2(spectrum, self.shape), self.pitch_um)
 
     def dominant_periods_um(self, count: int = 3) -> tuple[tuple[float, float], ...]:
         """Return the strongest periods, as local maxima of |FFT(h)|² over frequencies q.
