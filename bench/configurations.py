@@ -153,7 +153,7 @@ def surface(rng, name, scan, *, small=False):
     scale = np.ptp(heights)
     if scale == 0.0:
         heights, scale = heights + np.cos(2.0 * np.pi * np.arange(heights.shape[1]) / heights.shape[1]), 2.0
-    return wd.HeightField(heights * (log_uniform(rng, 0.001, 3.0) / scale), pitch), name
+    return wd.HeightField.of_known_scale(heights * (log_uniform(rng, 0.001, 3.0) / scale), pitch), name
 
 
 def diagonal(rng, hf):
@@ -161,7 +161,7 @@ def diagonal(rng, hf):
     n = min(hf.shape)
     rows, columns = np.mgrid[:n, :n]
     ridges = hf.heights_um[rows, (columns + rows) % n]
-    return wd.HeightField(ridges + 0.1 * np.ptp(ridges) * rng.normal(size=(n, n)), hf.pitch_um)
+    return wd.HeightField.of_known_scale(ridges + 0.1 * np.ptp(ridges) * rng.normal(size=(n, n)), hf.pitch_um)
 
 
 def rough(rng):

@@ -134,7 +134,7 @@ def height_range(which: slice = ALL) -> Panel:
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
     for height in x:
         points.start()
-        hf = wd.HeightField(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
+        hf = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
         exact = reference.reference_spectral(hf, lights, views, WAVELENGTHS_UM, window)
         request = {"hf": hf, "to_light": lights, "to_view": views, "wavelengths_nm": 1e3 * WAVELENGTHS_UM}
         for name, label in SERIES.items():

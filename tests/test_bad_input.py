@@ -102,13 +102,16 @@ SHARED = [
     ("tangents", "radial", TypeError, "tangents must be an array of real numbers, got str"),
     ("tangents", np.zeros_like(MESH.vertices), ValueError, "tangents must define a direction along the surface"),
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
+    ("layers", "normal", TypeError, "layers must be names in a tuple or list"),
+    ("layers", None, TypeError, "layers must be names in a tuple or list"),
+    ("layers", ["albedo"], ValueError, "layers must be one of 'normal', 'depth', 'geometry', got 'albedo'"),
 ]
 
 # Everything else; each call is given an empty folder.
 SINGLE = [
     # Height fields
-    (lambda _: wd.HeightField([[0.0, math.nan]], 0.1), ValueError, r"heights_um must be finite, got 1 NaN or infinite"),
-    (lambda _: wd.HeightField([[-math.inf]], 0.1), ValueError, "heights_um must be finite, got 1 NaN or infinite"),
+    (lambda _: wd.HeightField([[math.nan]], 0.1), ValueError, "heights_um must hold at least one height, got 1 NaN"),
+    (lambda _: wd.HeightField([[-math.inf]], 0.1), ValueError, "heights_um must be finite, got 1 infinite"),
     (lambda _: wd.HeightField([0.0, 1.0], 0.1), ValueError, r"heights_um must be a 2-D array, got shape \(2,\)"),
     (lambda _: wd.HeightField(np.zeros((2, 3, 4)), 0.1), ValueError, r"heights_um must be a 2-D array.*\(2, 3, 4\)"),
     (lambda _: wd.HeightField(np.zeros((0, 3)), 0.1), ValueError, "heights_um must hold at least one sample"),

@@ -32,7 +32,7 @@ def write_image(path: Path, samples: np.ndarray, channels: int = 1) -> None:
 
 
 def test_holds_a_read_only_copy() -> None:
-    given = np.arange(6.0).reshape(2, 3)
+    given = 0.1 * np.arange(6.0).reshape(2, 3)
     field = HeightField(given, (0.5, 0.25))
     given[0, 0] = 9.0
     assert field.heights_um[0, 0] == 0.0
@@ -75,7 +75,7 @@ def test_levelling_removes_polynomials_exactly_and_once(order: int, shape: tuple
     )
     rough = noise(shape)
     once = rough.levelled(order)
-    tilted = HeightField(rough.heights_um + 100.0 * polynomial, rough.pitch_um)
+    tilted = HeightField.of_known_scale(rough.heights_um + 100.0 * polynomial, rough.pitch_um)
     np.testing.assert_allclose(tilted.levelled(order).heights_um, once.heights_um, atol=1e-11)
     np.testing.assert_allclose(once.levelled(order).heights_um, once.heights_um, atol=1e-15)
     assert abs(np.mean(once.heights_um)) < 1e-15
@@ -114,7 +114,7 @@ def test_resampling_by_a_whole_number_keeps_the_samples() -> None:
 def test_resampling_interpolates_a_wave_exactly_and_drops_what_does_not_fit() -> None:
     x = np.arange(60) / 60.0
     slow, fast = np.cos(2.0 * np.pi * (3.0 * x + 0.1)), np.cos(2.0 * np.pi * 25.0 * x)
-    coarse = HeightField((slow + fast)[None, :], 1.0 / 60.0).resampled(1.0 / 20.0)
+    coarse = HeightField.of_known_scale((slow + fast)[None, :], 1.0 / 60.0).resampled(1.0 / 20.0)
     np.testing.assert_allclose(
         coarse.heights_um[0], np.cos(2.0 * np.pi * (3.0 * np.arange(20) / 20.0 + 0.1)), atol=1e-14
     )
@@ -125,7 +125,9 @@ def test_resampling_interpolates_a_wave_exactly_and_drops_what_does_not_fit() ->
 def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
     # A term of frequency ±n/2 must come out as the samples of the wave, whatever its sign.
     x = np.arange(24) / 24.0
-    coarse = HeightField((sign * np.cos(2.0 * np.pi * 4.0 * x))[None, :], 1.0 / 24.0).resampled(1.0 / 8.0)
+    coarse = HeightField.of_known_scale((sign * np.cos(2.0 * np.pi * 4.0 * x))[None, :], 1.0 / 24.0).resampled(
+        1.0 / 8.0
+    )
     np.testing.assert_allclose(coarse.heights_um[0], sign * np.cos(np.pi * np.arange(8)), atol=1e-14)
 
 
@@ -273,7 +275,7 @@ def bad_files(folder: Path) -> None:
     write_image(folder / "alpha.png", grey, 2)
     write_image(folder / "rgb.png", grey, 3)
     write_image(folder / "float.tif", grey.astype(np.float32))
-    write_image(folder / "nan.exr", np.array([[0.0, np.nan]], dtype=np.float32))
+    write_image(folder / "infinite.exr", np.array([[0.0, np.inf]], dtype=np.float32))
     noisy = np.random.default_rng(0).integers(0, 255, (50, 50), dtype=np.uint8)
     write_image(folder / "cut.png", noisy)
     (folder / "cut.png").write_bytes((folder / "cut.png").read_bytes()[:1500])
@@ -281,7 +283,7 @@ def bad_files(folder: Path) -> None:
     (folder / "text.npy").write_text("not an array")
     (folder / "empty.npy").write_bytes(b"")
     np.save(folder / "cube.npy", np.zeros((2, 3, 4)))
-    np.save(folder / "nan.npy", np.array([[np.nan, 1.0]]))
+    np.save(folder / "infinite.npy", np.array([[-np.inf, 1.0]]))
     np.save(folder / "int64.npy", np.zeros((2, 3), dtype=np.int64))
     np.save(folder / "object.npy", np.array([[{}]]), allow_pickle=True)
     np.save(folder / "complex.npy", np.zeros((2, 3), dtype=complex))
@@ -300,12 +302,12 @@ UM: dict[str, Any] = {"extent_um": 5.0}
         ("cut.png", SCALE, ValueError, r"path: .* is damaged .*export the image again"),
         ("rgb.png", SCALE, ValueError, r"path: .* is a colour image \(3 channels\); save its heights as one grey"),
         ("alpha.png", SCALE, ValueError, r"path: .* is a grey image with alpha; save its heights as one grey"),
-        ("nan.exr", UM, ValueError, r"path: .* has 1 NaN or infinite sample"),
+        ("infinite.exr", UM, ValueError, r"path: .* has 1 infinite sample.*save missing ones as NaN"),
         ("text.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
         ("empty.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
         ("object.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
         ("cube.npy", UM, ValueError, r"path: .* has shape \(2, 3, 4\); save one array"),
-        ("nan.npy", UM, ValueError, r"path: .* has 1 NaN or infinite sample"),
+        ("infinite.npy", UM, ValueError, r"path: .* has 1 infinite sample"),
         ("int64.npy", SCALE, ValueError, r"path: .* samples of type int64; save uint8, uint16"),
         ("complex.npy", UM, ValueError, r"path: .* samples of type complex128"),
         ("grey.png", UM, ValueError, r"height_range_um must be given.*full scale 0 to 255"),

@@ -31,7 +31,7 @@ def deep(height_um: float) -> wd.HeightField:
     """A random surface of a given height range."""
     heights = np.random.default_rng(8).uniform(size=(16, 16))
     heights = (heights - heights.min()) / np.ptp(heights) * height_um
-    return wd.HeightField(heights, 0.05)
+    return wd.HeightField.of_known_scale(heights, 0.05)
 
 
 def test_ranges(rough, rng):
@@ -437,7 +437,7 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     monkeypatch.setattr(coefficients, "of_series", counted)
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
-    hf = wd.HeightField(surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um)
+    hf = wd.HeightField.of_known_scale(surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um)
     wd.plan(hf, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
     assert tables.kept(hf).fitted_to == {}

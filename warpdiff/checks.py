@@ -13,8 +13,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def finite_array(value: Any, name: str, *, ndim: int | None = None) -> NDArray[np.float64]:
-    """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank."""
+def finite_array(value: Any, name: str, *, ndim: int | None = None, gaps: bool = False) -> NDArray[np.float64]:
+    """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank.
+
+    A masked element is NaN, which passes with ``gaps``.
+    """
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):
@@ -22,11 +25,15 @@ def finite_array(value: Any, name: str, *, ndim: int | None = None) -> NDArray[n
     if given is None or given.dtype.kind not in "biuf":
         raise TypeError(f"{name} must be an array of real numbers, got {type(value).__name__}")
     array = np.array(given, dtype=np.float64)
+    if isinstance(value, np.ma.MaskedArray):
+        # What lies under a mask is any number, often the instrument's code for no signal.
+        array[np.ma.getmaskarray(value)] = np.nan
     if ndim is not None and array.ndim != ndim:
         raise ValueError(f"{name} must be a {ndim}-D array, got shape {array.shape}")
-    if not np.all(np.isfinite(array)):
-        bad = int(array.size - np.count_nonzero(np.isfinite(array)))
-        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite value(s)")
+    bad = np.isinf(array) if gaps else ~np.isfinite(array)
+    if bad.any():
+        kind = "infinite" if gaps else "NaN, masked or infinite" if np.ma.is_masked(value) else "NaN or infinite"
+        raise ValueError(f"{name} must be finite, got {int(np.count_nonzero(bad))} {kind} value(s)")
     return array
 
 

@@ -248,6 +248,7 @@ def _surface_options() -> argparse.ArgumentParser:
     group.add_argument("--height-range-um", type=float, help="height that an integer image's full scale stands for")
     group.add_argument("--level", type=int, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)")
     group.add_argument("--despike", action="store_true", help="remove dust")
+    group.add_argument("--fill", action="store_true", help="fill missing samples from those around them")
     group.add_argument("--crop-um", type=float, metavar="SIZE", help="keep a square of this size from the middle")
     group.add_argument("--periodic", action="store_true", help="make opposite edges match")
     group.add_argument(
@@ -315,6 +316,8 @@ def _height_field(options: argparse.Namespace) -> wd.HeightField:
         hf = hf.levelled(order=options.level)
     if options.despike:
         hf = hf.despiked()
+    if options.fill:
+        hf = hf.filled()
     if options.periodic:
         hf = hf.periodic()
     return hf
@@ -428,7 +431,10 @@ def _report(image: wd.Image, options: argparse.Namespace) -> None:
 def _info(options: argparse.Namespace) -> None:
     hf = _height_field(options)
     print(hf.summary())
-    print(f"\nFor the whole hemisphere: {wd.plan(hf, tolerance=options.tolerance, strict=False)}")
+    if hf.missing.any():
+        print("\nTo be rendered, missing samples must be filled: --fill")
+    else:
+        print(f"\nFor the whole hemisphere: {wd.plan(hf, tolerance=options.tolerance, strict=False)}")
 
 
 def _cache(options: argparse.Namespace) -> None:

@@ -522,6 +522,13 @@ class Frame:
         deflections, to_lights, gains = (self._looked_at(each) for each in self.seen.directions)
         return deflections, to_lights, gains
 
+    def met(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+        """What the pixels' central rays meet: whether, which face, where on it, and the shading normal."""
+        self._launch(self._cast(0, 1))
+        pixels = self.seen.pixels
+        hit, face, place, normal = map(self._looked_at, (pixels.hit, pixels.face, pixels.place, pixels.normal))
+        return hit, face, place, normal
+
     def _hits(self) -> NDArray[np.int32]:
         """Which pixels' rays have met the mesh."""
         return self._looked_at(self.seen.pixels.hit)

@@ -36,7 +36,7 @@ def sinusoidal(period_um: float, depth_um: float, *, samples: int | None = None)
         ValueError: An argument is out of its range.
     """
     period, depth, n = _one_dimensional(period_um, depth_um, samples)
-    return HeightField(0.5 * depth * np.cos(2.0 * np.pi * np.arange(n) / n)[None, :], period / n)
+    return HeightField.of_known_scale(0.5 * depth * np.cos(2.0 * np.pi * np.arange(n) / n)[None, :], period / n)
 
 
 def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: int | None = None) -> HeightField:
@@ -61,7 +61,7 @@ def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: i
         raise ValueError(
             f"duty must leave at least one of {n} samples high and one low, got {duty:g}; change it or raise samples"
         )
-    return HeightField(np.where(np.arange(n) < high, depth, 0.0)[None, :], period / n)
+    return HeightField.of_known_scale(np.where(np.arange(n) < high, depth, 0.0)[None, :], period / n)
 
 
 def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
@@ -79,7 +79,7 @@ def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> 
         ValueError: An argument is out of its range.
     """
     period, depth, n = _one_dimensional(period_um, depth_um, samples)
-    return HeightField((depth * np.arange(n) / n)[None, :], period / n)
+    return HeightField.of_known_scale((depth * np.arange(n) / n)[None, :], period / n)
 
 
 def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> tuple[float, float, int]:
@@ -181,7 +181,7 @@ def disc(
             distance = np.hypot(beyond[:, None], x) - min(radius, half)
             coverage[rows] = np.maximum(coverage[rows], np.clip(0.5 - distance / pitch, 0.0, 1.0))
         heights[:, track * across : (track + 1) * across] = -form.pit_depth_um * coverage
-    return HeightField(heights, (dy, dx))
+    return HeightField.of_known_scale(heights, (dy, dx))
 
 
 def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
@@ -234,7 +234,7 @@ def bumps(
     y = (np.arange(ny) - ny // 2) * (spacing[0] / ny)
     x = (np.arange(nx) - nx // 2) * (spacing[1] / nx)
     cap = 1.0 - (2.0 * y[:, None] / extent[0]) ** 2 - (2.0 * x / extent[1]) ** 2
-    return HeightField(height * np.maximum(cap, 0.0), (spacing[0] / ny, spacing[1] / nx))
+    return HeightField.of_known_scale(height * np.maximum(cap, 0.0), (spacing[0] / ny, spacing[1] / nx))
 
 
 @np.errstate(under="ignore")
@@ -316,7 +316,7 @@ def fingers(
     factor_x = np.exp(-2.0 * (np.pi * spread * np.fft.rfftfreq(nx, dx)) ** 2)
     heights = np.fft.irfft2(np.fft.rfft2(heights) * factor_y[:, None] * factor_x, (ny, nx))
     heights -= 0.5 * (heights.max() + heights.min())
-    return HeightField(heights * (height / np.ptp(heights)), (dy, dx))
+    return HeightField.of_known_scale(heights * (height / np.ptp(heights)), (dy, dx))
 
 
 def _generator(seed: int) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""Height fields: loading, levelling, removing dust, cropping, resampling, making periodic, and describing.
+"""Height fields: loading, levelling, removing dust, filling, cropping, resampling, making periodic, and describing.
 
 A sample ``heights_um[j, i]`` lies at x = i·dx, y = j·dy. Pairs are in the order (y, x), lengths in µm. Every
 transform returns a new `HeightField`.
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, forks, validity
+from warpdiff import checks, forks, inpainting, units, validity
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
@@ -39,6 +39,7 @@ class HeightFieldSummary:
         max_uv: Largest component of (u, v) = −ωi − ωr that the pitch supports at 380 nm: λ / (2 · pitch). From 2 on
             the whole hemisphere of lights and views is free of aliasing.
         scalar_error: How wrong scalar diffraction can be at 550 nm, see `validity.error_bound`.
+        missing: Number of samples without a height.
     """
 
     shape: tuple[int, int]
@@ -51,6 +52,7 @@ class HeightFieldSummary:
     dominant_periods_um: tuple[tuple[float, float], ...]
     max_uv: float
     scalar_error: float
+    missing: int
 
     def __str__(self) -> str:
         """Return the summary as lines of text."""
@@ -58,10 +60,13 @@ class HeightFieldSummary:
         periods = ", ".join(f"{period:.3g} µm at {angle:.0f}°" for period, angle in self.dominant_periods_um) or "none"
         slope_deg = math.degrees(math.atan(self.rms_slope))
         supported = "the whole hemisphere" if self.max_uv >= 2.0 else f"|u|, |v| up to {self.max_uv:.2f}"
+        share = 100.0 * self.missing / (nx * ny)
+        gaps = [f"missing           {self.missing} samples ({share:.2g} %)"] if self.missing else []
         return "\n".join(
             [
                 f"size              {self.size_um[1]:.4g} × {self.size_um[0]:.4g} µm (x × y), {nx} × {ny} samples",
                 f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)",
+                *gaps,
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
                 f"slope             rms {self.rms_slope:.3g} ({slope_deg:.1f}°), mean {self.mean_slope:.3g}",
                 f"dominant periods  {periods}",
@@ -76,24 +81,49 @@ class HeightField:
 
     Two height fields are equal only if they are the same object, so that one can be a key of a dictionary.
 
+    Samples may be missing, as where a profilometer had no signal. What is measured and described here leaves them out;
+    what is rendered or evaluated must have none, see `filled`.
+
     Args:
         heights_um: Surface heights [µm], shape (ny, nx), rows along y. It is copied. One row is a one-dimensional
-            grating, constant along y.
+            grating, constant along y. NaN, or masked in a ``numpy.ma.MaskedArray``, is a missing sample.
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
+
+    Warns:
+        WarpdiffWarning: The scale is no diffracting surface's, as where heights are in another unit than the pitch: a
+            range below 0.1 nm that is not 0 or above the size, or a mean slope above 5.
 
     Raises:
         TypeError: An argument is not numeric.
-        ValueError: The heights are not a non-empty, finite 2-D array, or the pitch is not positive.
+        ValueError: The heights are not a non-empty 2-D array, hold infinities or nothing but missing samples, or the
+            pitch is not positive.
     """
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
-        heights = checks.finite_array(heights_um, "heights_um", ndim=2)
+        self._take(heights_um, pitch_um)
+        units.warn_of_scale(self)
+
+    @classmethod
+    def of_known_scale(cls, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> HeightField:
+        """Make one whose scale is meant, whatever it is: without a warning."""
+        field = cls.__new__(cls)
+        field._take(heights_um, pitch_um)
+        return field
+
+    def _take(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
+        """Check and keep the arguments."""
+        heights = checks.finite_array(heights_um, "heights_um", ndim=2, gaps=True)
         if heights.size == 0:
             raise ValueError(f"heights_um must hold at least one sample, got shape {heights.shape}")
-        heights.setflags(write=False)
-        self._heights_um = heights
-        # Every call of a picture asks for it.
-        self._height_range_um = float(np.ptp(heights))
+        missing = np.isnan(heights)
+        if missing.all():
+            raise ValueError(f"heights_um must hold at least one height, got {heights.size} NaN or masked sample(s)")
+        for array in (heights, missing):
+            array.setflags(write=False)
+        self._heights_um, self._missing = heights, missing
+        # Every call of a picture asks for them.
+        self._missing_count = int(np.count_nonzero(missing))
+        self._height_range_um = float(np.ptp(self._known()))
         self._pitch_um = checks.pair(pitch_um, "pitch_um")
 
     @classmethod
@@ -109,7 +139,7 @@ class HeightField:
 
         Rows are taken in the file's order, not flipped. Integer samples say nothing of their unit: their type's full
         scale (255 or 65535) is taken as ``height_range_um``, even if the file does not use all of it. Floating-point
-        samples are heights in µm.
+        samples are heights in µm; NaN is a missing one.
 
         Args:
             path: The file.
@@ -122,7 +152,7 @@ class HeightField:
 
         Raises:
             FileNotFoundError: There is no such file.
-            ValueError: The file cannot be read, is a colour image, is not two-dimensional or not finite, or the
+            ValueError: The file cannot be read, is a colour image, is not two-dimensional, holds infinities, or the
                 scale is missing or given twice.
         """
         if (extent_um is None) == (pitch_um is None):
@@ -143,8 +173,13 @@ class HeightField:
 
     @property
     def heights_um(self) -> NDArray[np.float64]:
-        """Heights [µm], shape (ny, nx), read-only."""
+        """Heights [µm], shape (ny, nx), read-only; NaN where a sample is missing."""
         return self._heights_um
+
+    @property
+    def missing(self) -> NDArray[np.bool_]:
+        """Where samples are missing, shape (ny, nx), read-only."""
+        return self._missing
 
     @property
     def pitch_um(self) -> tuple[float, float]:
@@ -171,7 +206,7 @@ class HeightField:
     @np.errstate(under="ignore")
     def rms_um(self) -> float:
         """Standard deviation of the heights [µm]."""
-        return float(np.std(self._heights_um))
+        return float(np.std(self._known()))
 
     @property
     @np.errstate(under="ignore")
@@ -180,7 +215,7 @@ class HeightField:
         total = 0.0
         for axis in (0, 1):
             if self.shape[axis] > 1:
-                total += float(np.mean((np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2))
+                total += _mean_known((np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2)
         return math.sqrt(total)
 
     @forks.cached_property
@@ -189,15 +224,30 @@ class HeightField:
         """Mean absolute slope between neighbouring samples of the periodic field, across the edges as well."""
         # An axis of one sample has no neighbour but itself.
         steps = [(np.roll(self._heights_um, -1, axis) - self._heights_um) / self.pitch_um[axis] for axis in (0, 1)]
-        return float(np.mean(np.hypot(*steps)))
+        return _mean_known(np.hypot(*steps))
 
     def __repr__(self) -> str:
         ny, nx = self.shape
         ly, lx = self.size_um
+        gaps = f", {self._missing_count} missing" if self._missing_count else ""
         return (
             f"HeightField({ny} × {nx} samples (y × x), {ly:.4g} × {lx:.4g} µm, "
-            f"height range {self.height_range_um:.4g} µm)"
+            f"height range {self.height_range_um:.4g} µm{gaps})"
         )
+
+    def filled(self) -> HeightField:
+        """Fill missing samples with the harmonic surface through those around them, as a soap film spans a frame.
+
+        There the five-point Laplacian vanishes, and no slope crosses the field's edges (Laplace's equation; the
+        membrane of inpainting). Filled heights lie between the lowest and the highest ones around a gap, and a plane is
+        met exactly in a gap that does not touch the edges. In one that fits between two lines w apart no sample is off
+        by more than w²/8 of the largest Laplacian of the true heights. Level and despike first: a bump beside a gap
+        reaches into it.
+
+        Returns:
+            The field without gaps, of the same shape; samples that are not missing keep their values exactly.
+        """
+        return HeightField.of_known_scale(inpainting.harmonic(self._heights_um, self.pitch_um), self.pitch_um)
 
     def levelled(self, order: int = 1) -> HeightField:
         """Subtract the least-squares polynomial of total degree ``order``: tilt (1), bow (2), or the mean alone (0).
@@ -212,15 +262,20 @@ class HeightField:
             ValueError: ``order`` is negative.
         """
         order = checks.count(order, "order", least=0)
-        # Tensor products of bases that are orthonormal on the samples are orthonormal, so projections are the
+        # Tensor products of bases that are orthonormal on the samples are orthonormal: without gaps projections are the
         # least-squares solution, with no system to solve and none to be ill-conditioned.
         along_y, along_x = (_polynomials(n, order) for n in self.shape)
         with on_one_thread():
-            coefficients = along_y.T @ self._heights_um @ along_x
-            degree = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1]))
-            coefficients[degree > order] = 0.0
+            coefficients = along_y.T @ np.where(self.missing, 0.0, self._heights_um) @ along_x
+            taken = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1])) <= order
+            if self._missing_count:
+                # Gaps make them oblique; their scalar products over the samples that are there are a few.
+                squares = [(base[:, :, None] * base[:, None, :]) for base in (along_y, along_x)]
+                products = np.einsum("yab,yx,xcd->acbd", squares[0], ~self.missing, squares[1], optimize=True)
+                coefficients[taken] = np.linalg.lstsq(products[taken][:, taken], coefficients[taken], rcond=None)[0]
+            coefficients[~taken] = 0.0
             trend = along_y @ coefficients @ along_x.T
-        return HeightField(self._heights_um - trend, self.pitch_um)
+        return HeightField.of_known_scale(self._heights_um - trend, self.pitch_um)
 
     def despiked(self, threshold: float = 3.0, *, size_um: float = 1.0) -> HeightField:
         """Remove dust grains and bright scratches: what stands out of the surface is replaced from its surroundings.
@@ -235,8 +290,8 @@ class HeightField:
         look like them.
 
         Level the field first, as tilt counts as height. Samples that are not replaced keep their values exactly, so
-        ``np.mean(after.heights_um != before.heights_um)`` is the share replaced. Elevations that belong to the
-        surface and cover less than some 3 % of it are taken for dust.
+        ``np.mean(after.heights_um != before.heights_um)`` is the share replaced where none are missing. Elevations that
+        belong to the surface and cover less than some 3 % of it are taken for dust.
 
         Args:
             threshold: Score from which a sample is a spike, > 0.
@@ -250,32 +305,35 @@ class HeightField:
         """
         threshold = checks.positive(threshold, "threshold")
         size = checks.positive(size_um, "size_um")
-        heights = self._heights_um
+        heights = np.where(self.missing, 0.0, self._heights_um)
         spikes = np.zeros(self.shape, dtype=bool)
         for _ in range(3):
-            valid = np.where(spikes, 0.0, 1.0)
+            known = ~(spikes | self.missing)
+            valid = known.astype(np.float64)
             weight = np.maximum(self._blurred(valid, size), 1e-9)
             residual = heights - self._blurred(heights * valid, size) / weight
-            lower, median, upper = np.quantile(residual[~spikes], (0.025, 0.5, 0.975))
+            lower, median, upper = np.quantile(residual[known], (0.025, 0.5, 0.975))
             scale = max(upper - median, median - lower) / 1.96
             # Rounding noise of the convolution must not become a scale: on a flat field nothing stands out.
             if scale <= 1e-9 * max(float(np.max(np.abs(heights))), 1e-9):
                 break
-            score = (residual - median) / scale
+            score = np.where(self.missing, 0.0, (residual - median) / scale)
             found = _grown(score > threshold, score > 0.8 * threshold)
             if np.array_equal(found, spikes):
                 break
             spikes = found
         if not spikes.any():
-            return HeightField(heights, self.pitch_um)
+            return HeightField.of_known_scale(self._heights_um, self.pitch_um)
         spikes |= self._blurred(spikes.astype(np.float64), 0.1 * size) > 0.02
-        valid = np.where(spikes, 0.0, 1.0)
-        filled = np.full(self.shape, np.mean(heights[~spikes]) if not spikes.all() else np.mean(heights))
+        spikes &= ~self.missing
+        known = ~(spikes | self.missing)
+        valid = known.astype(np.float64)
+        filled = np.full(self.shape, np.mean(heights[known]) if known.any() else np.mean(self._known()))
         for spread in size * 2.0 ** np.arange(1, -4, -1):
             # Where a fine scale sees next to nothing, the coarser one's value stands.
             weight = np.maximum(self._blurred(valid, spread), 0.0)
             filled = (self._blurred(heights * valid, spread) + 0.02 * filled) / (weight + 0.02)
-        return HeightField(np.where(spikes, filled, heights), self.pitch_um)
+        return HeightField.of_known_scale(np.where(spikes, filled, self._heights_um), self.pitch_um)
 
     def cropped(
         self, size_um: float | tuple[float, float], *, offset_um: tuple[float, float] | None = None
@@ -290,7 +348,7 @@ class HeightField:
             The rectangle, at the same pitch.
 
         Raises:
-            ValueError: The rectangle is smaller than a sample or reaches outside of the field.
+            ValueError: The rectangle is smaller than a sample, reaches outside of the field, or holds no height.
         """
         size = checks.pair(size_um, "size_um")
         if offset_um is not None and (not isinstance(offset_um, (tuple, list, np.ndarray)) or len(offset_um) != 2):
@@ -315,7 +373,7 @@ class HeightField:
                     f"got {first * pitch:.6g}"
                 )
             slices.append(slice(first, first + wanted))
-        return HeightField(self._heights_um[slices[0], slices[1]], self.pitch_um)
+        return HeightField.of_known_scale(self._heights_um[slices[0], slices[1]], self.pitch_um)
 
     def resampled(self, pitch_um: float | tuple[float, float]) -> HeightField:
         """Interpolate, or band-limit, to another pitch by Fourier series, as one period of a periodic surface.
@@ -328,9 +386,10 @@ class HeightField:
             The field with round(L / pitch) samples along each axis.
 
         Raises:
-            ValueError: The pitch is not positive, or larger than the field.
+            ValueError: The pitch is not positive, or larger than the field, or samples are missing.
         """
         pitch = checks.pair(pitch_um, "pitch_um")
+        check_whole(self)
         heights = self._heights_um
         actual = list(self.pitch_um)
         for axis, name in enumerate("yx"):
@@ -343,7 +402,7 @@ class HeightField:
             if wanted != have:
                 heights = _resampled_axis(heights, wanted, axis)
                 actual[axis] = size / wanted
-        return HeightField(heights, (actual[0], actual[1]))
+        return HeightField.of_known_scale(heights, (actual[0], actual[1]))
 
     def periodic(self) -> HeightField:
         """Make opposite edges match, so that the spectrum has no bright cross along its axes.
@@ -353,10 +412,12 @@ class HeightField:
         mean stay as they are. Level and despike first, as the less there is to take up the less is changed; a field
         that is periodic already does not need it and would be changed a little.
 
+        Missing samples stay so; at the edges they count as `filled` ones.
+
         Returns:
             The periodic part, of the same shape.
         """
-        heights = self._heights_um
+        heights = self.filled().heights_um
         ny, nx = self.shape
         jumps = np.zeros(self.shape)
         across_y = heights[0] - heights[-1]
@@ -373,7 +434,7 @@ class HeightField:
         laplacian[0, 0] = 1.0
         spectrum = np.fft.rfft2(jumps) / laplacian
         spectrum[0, 0] = 0.0
-        return HeightField(heights - np.fft.irfft2(spectrum, self.shape), self.pitch_um)
+        return HeightField.of_known_scale(self._heights_um - np.fft.irfft2(spectrum, self.shape), self.pitch_um)
 
     def dominant_periods_um(self, count: int = 3) -> tuple[tuple[float, float], ...]:
         """Return the strongest periods, as local maxima of |FFT(h)|² over frequencies q.
@@ -396,8 +457,9 @@ class HeightField:
         ny, nx = self.shape
         along_y = np.fft.fftfreq(ny, self.pitch_um[0])[:, None]
         along_x = np.fft.fftfreq(nx, self.pitch_um[1])[None, :]
-        power = np.abs(np.fft.fft2(self._heights_um - np.mean(self._heights_um)) / (ny * nx)) ** 2
-        is_peak = power > 1e-20 * max(float(np.max(np.abs(self._heights_um))) ** 2, 1e-300)
+        heights = self.filled().heights_um
+        power = np.abs(np.fft.fft2(heights - np.mean(heights)) / (ny * nx)) ** 2
+        is_peak = power > 1e-20 * max(float(np.max(np.abs(heights))) ** 2, 1e-300)
         for shift in ((0, 1), (1, -1), (1, 0), (1, 1)):
             if (ny == 1 and shift[0]) or (nx == 1 and shift[1]):
                 continue
@@ -432,7 +494,12 @@ class HeightField:
             dominant_periods_um=self.dominant_periods_um(),
             max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * max(sampled)) if sampled else math.inf,
             scalar_error=validity.error_bound(self.rms_um, self.mean_slope),
+            missing=self._missing_count,
         )
+
+    def _known(self) -> NDArray[np.float64]:
+        """Heights that are not missing; flat if some are."""
+        return self._heights_um[~self._missing] if self._missing_count else self._heights_um
 
     @np.errstate(under="ignore")
     def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:
@@ -450,6 +517,23 @@ class HeightField:
         spectrum *= factors[0][:, None]
         spectrum *= factors[1]
         return np.fft.irfft2(spectrum, padded)[: self.shape[0], : self.shape[1]]
+
+
+def check_whole(hf: Any) -> None:
+    """Refuse what is no height field, or lacks samples."""
+    checks.instance(hf, HeightField, "hf")
+    count = hf._missing_count
+    if count:
+        raise ValueError(
+            f"hf must have all samples, got {count} of {hf.missing.size} missing (NaN or masked); fill them with "
+            "hf.filled(), or cut out a part without gaps with hf.cropped()"
+        )
+
+
+def _mean_known(values: NDArray[np.float64]) -> float:
+    """The mean of what is not NaN; 0 of nothing."""
+    known = values[~np.isnan(values)]
+    return float(np.mean(known)) if known.size else 0.0
 
 
 def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
@@ -564,7 +648,7 @@ def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | 
             f"height_range_um must not be given: {str(file)!r} has floating-point samples, which are in µm already"
         )
     heights = samples.astype(np.float64)
-    bad = int(heights.size - np.count_nonzero(np.isfinite(heights)))
+    bad = int(np.count_nonzero(np.isinf(heights)))
     if bad:
-        raise ValueError(f"path: {str(file)!r} has {bad} NaN or infinite sample(s); fill them before loading")
+        raise ValueError(f"path: {str(file)!r} has {bad} infinite sample(s); save missing ones as NaN")
     return heights

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,8 @@ import numpy as np
 from warpdiff import checks, files, forks, spectrum
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from warpdiff.plans import Plan
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 FLOOR = 1e-3
 # And never to nothing.
 TINY = float(np.finfo(np.float32).tiny)
+# By layer, what its channels' names in EXR files end in.
+_LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
 # The last chunk of a PNG file: its length, name and checksum. Readers do without it.
 _PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
@@ -42,6 +46,11 @@ class Image:
         error: Estimated error of each pixel, ‖ΔXYZ‖ over max(‖XYZ‖, 1e-3 · Y*) as ``tolerance`` has it, shape (height,
             width), float32; 0 where nothing is lit.
         plan: What was computed and why.
+        layers: What the pixels' central rays meet, as far as :func:`warpdiff.shade` was asked for it. ``"normal"``: the
+            unit shading normal on the viewer's side, world frame, shape (height, width, 3), float32, 0 where nothing is
+            met. ``"depth"``: the distance along the ray, from the eye or the plane through it [the mesh's unit], shape
+            (height, width), float32, else infinite. ``"geometry"``: which of the scene's geometries it is, in the order
+            of its nodes, shape (height, width), int32, else −1.
     """
 
     xyz: NDArray[np.float32]
@@ -50,6 +59,7 @@ class Image:
     coverage: NDArray[np.float32]
     error: NDArray[np.float32]
     plan: Plan
+    layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
     @np.errstate(under="ignore")
@@ -77,7 +87,8 @@ class Image:
 
         Args:
             path: ``.exr`` holds linear float32 channels R, G, B, A and XYZ.X, XYZ.Y, XYZ.Z, unscaled unless
-                ``exposure`` is given, multiplied by alpha, and error.Y, which is :attr:`error`. ``.png`` is sRGB with
+                ``exposure`` is given, multiplied by alpha, and error.Y, which is :attr:`error`; of :attr:`layers`
+                those that there are, as normal.X, normal.Y, normal.Z, depth.Z and geometry.Y. ``.png`` is sRGB with
                 alpha, not multiplied.
             exposure: Linear factor; None is 1 for EXR and :attr:`auto_exposure` for PNG.
             bits: 8 or 16, for PNG.
@@ -105,6 +116,10 @@ class Image:
         if suffix == ".exr":
             channels: tuple[str, ...] = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
             layers = [exposure * self.rgb, alpha, exposure * self.xyz, self.error[..., None]]
+            for name, suffixes in _LAYER_CHANNELS.items():
+                if name in self.layers:
+                    channels += tuple(f"{name}.{suffix}" for suffix in suffixes)
+                    layers.append(self.layers[name].reshape(height, width, len(suffixes)))
             pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")

@@ -234,7 +234,7 @@ def fill(
         f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(missing)} vertices; "
         "filled from their neighbours",
         WarpdiffWarning,
-        stacklevel=5,
+        stacklevel=6,
     )
     count = int(welded.max()) + 1
     corners = welded[faces]

@@ -16,10 +16,12 @@ import numpy as np
 
 from warpdiff import checks, memory, optics, spectrum
 from warpdiff.errors import WarpdiffWarning
-from warpdiff.heightfield import HeightField
+from warpdiff.heightfield import check_whole
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.heightfield import HeightField
 
 
 # What a sample of the cell takes, as measured, an order at a wavelength, and its terms.
@@ -68,10 +70,10 @@ def order_efficiencies(
 
     Raises:
         TypeError: ``hf`` is not a height field, or an argument is not numeric.
-        ValueError: An argument is out of its range, or the light is not above the horizon.
+        ValueError: An argument is out of its range, samples are missing, or the light is not above the horizon.
         MemoryError: More memory than is free; the message says what fits.
     """
-    checks.instance(hf, HeightField, "hf")
+    check_whole(hf)
     light = checks.directions(checks.vector(to_light, "to_light"), "to_light")[0]
     if light[0, 2] <= optics.HORIZON:
         raise ValueError(f"to_light must be above the horizon, z > 0, got {to_light!r}")

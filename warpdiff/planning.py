@@ -19,7 +19,7 @@ from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.expansions import EXPANSIONS, check_cycles
-from warpdiff.heightfield import HeightField
+from warpdiff.heightfield import check_whole
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.plans import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
 from warpdiff.scope import DirectionSample, Scope, hemisphere_pairs, lateral, stratified
@@ -28,6 +28,8 @@ from warpdiff.spectrum import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.heightfield import HeightField
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
 # mirror by as much again: what a series leaves out of an amplitude must be smaller by this factor.
@@ -202,7 +204,7 @@ def _any_direction(hf: HeightField, coherence: Coherence, scope: Scope, given: N
 
 def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
     """Refuse what no plan can be made for, before anything is computed."""
-    checks.instance(hf, HeightField, "hf")
+    check_whole(hf)
     check_tolerance(tolerance)
     checks.choice(method, "method", METHODS)
     checks.instance(coherence, Coherence, "coherence", optional=True)

@@ -16,6 +16,7 @@ from warpdiff.errors import WarpdiffWarning
 from warpdiff.evaluate import check_call, check_plan
 from warpdiff.frame import Frame, load_kernels
 from warpdiff.integration import Integrator
+from warpdiff.layers import check_layers, layers_of
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import FEWEST_SEARCHED, plan_for, warn_outside
 from warpdiff.plans import AUTOMATIC, Plan
@@ -23,7 +24,7 @@ from warpdiff.surface import prepare_surface
 from warpdiff.view import View
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     import warp as wp
     from numpy.typing import ArrayLike
@@ -57,6 +58,7 @@ def shade(
     device: Any = None,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
+    layers: Collection[str] = (),
 ) -> Image:
     """Render a mesh whose surface carries a height field.
 
@@ -94,6 +96,7 @@ def shade(
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Threads on the CPU; None is one a core. The picture does not depend on it.
         progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+        layers: What else is asked for: any of ``"normal"``, ``"depth"`` and ``"geometry"``, for ``image.layers``.
 
     Returns:
         The picture; ``image.plan`` says what was computed and why.
@@ -104,6 +107,7 @@ def shade(
         MemoryError: More memory than is free; the message says what fits.
     """
     checks.callback(progress, "progress")
+    layers = check_layers(layers)
     wanted = Wanted.checked(
         hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
         pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
@@ -128,6 +132,9 @@ def shade(
         integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
         picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
     image = picture.image(found)
+    if layers:
+        told = layers_of(surface, view, layers, smooth=wanted.smooth, device=wanted.device, threads=wanted.threads)
+        image = replace(image, layers=told)
     warn_unsettled(image.plan)
     return image
 

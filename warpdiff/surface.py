@@ -8,12 +8,11 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, mesh_files
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.mesh_geometry import (
     FaceGeometry,
@@ -41,6 +40,8 @@ HOW_TO_GET_TANGENTS = (
 
 
 _MOST_KEPT = 4
+# What Pillow's image holds of its own decoding.
+_DAMAGE = "warpdiff:damage"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +59,7 @@ class Surface:
         vertex_colours: Linear RGB, shape (n, 3), float32; negative at the vertices where ``texture`` is meant;
             ``None`` where that is all of them.
         has_base_colour: Whether the mesh came with a colour of any kind.
+        geometries: Which of the mesh's geometries a face belongs to, shape (m,), int32.
         is_convex: Whether the mesh bounds a convex body or lies in a plane, so that nothing on its outside is shadowed.
         centre: The origin of ``vertices``, world frame, shape (3,), float64.
         radius: The unit of ``vertices``, in the mesh's unit.
@@ -72,6 +74,7 @@ class Surface:
     texture: NDArray[np.float32]
     vertex_colours: NDArray[np.float32] | None
     has_base_colour: bool
+    geometries: NDArray[np.int32]
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
@@ -82,9 +85,10 @@ def prepare_surface(
 ) -> Surface:
     """Check a mesh and work out its normals, tangents and base colours.
 
-    Normals are the file's own where it has any, else angle-weighted means over all faces that meet at a position, so
-    that seams of the texture are none of the shading. The tangent field is ``tangents`` or else ∂P/∂u of the texture
-    coordinates, averaged across seams at which its direction goes on (within 30°).
+    Normals are the file's own at vertices where it has any, else angle-weighted means over all faces that meet at a
+    position, so that seams of the texture are none of the shading; an STL file has the facets' alone. The tangent field
+    is ``tangents`` or else ∂P/∂u of the texture coordinates, averaged across seams at which its direction goes on
+    (within 30°).
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
@@ -101,7 +105,16 @@ def prepare_surface(
         ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
             vertices it lacks; there is no tangent field; several textures would have to be used at once.
     """
-    geometries = _geometries(mesh)
+    try:
+        return _prepared(_geometries(mesh), tangents)
+    except ValueError as error:
+        if isinstance(mesh, (str, os.PathLike)) and str(mesh) not in str(error):
+            raise ValueError(f"{error} (in {str(mesh)!r})") from error
+        raise
+
+
+def _prepared(geometries: list[tuple[Any, NDArray[np.float64]]], tangents: ArrayLike | None) -> Surface:
+    """A surface, made or found again."""
     told_by = [np.asarray(each) for geometry, transform in geometries for each in (transform, *_told_by(geometry))]
     given = None if tangents is None else checks.finite_array(tangents, "tangents")
     if given is not None:
@@ -125,16 +138,26 @@ _kept: list[tuple[list[NDArray[Any]], Surface]] = []
 def _told_by(mesh: Any) -> list[Any]:
     """All that a surface is made of: a mesh that moved in place is told by its values."""
     visual = mesh.visual
-    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), getattr(visual, "uv", None), visual.kind]
+    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache]
+    found += [getattr(visual, "uv", None), visual.kind]
     if visual.kind in ("vertex", "face"):
         found.append(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)
     elif hasattr(visual, "material"):
         found.append(getattr(visual, "face_materials", None) is None)
         for name in ("baseColorFactor", "diffuse", "baseColorTexture", "image"):
             value: Any = getattr(visual.material, name, None)
-            found.append(value)
-            if hasattr(value, "getpalette"):
-                found += [value.mode, value.getpalette()]
+            if not hasattr(value, "getpalette"):
+                found.append(value)
+            elif _damage(value):
+                # Said whether or not the surface is found again.
+                texture = value.info.get("file_path") or "an image"
+                warnings.warn(
+                    f"mesh: texture {texture!r} is damaged and left out: {_damage(value)}",
+                    WarpdiffWarning,
+                    stacklevel=6,
+                )
+            else:
+                found += [value, value.mode, value.getpalette()]
     return found
 
 
@@ -150,6 +173,7 @@ class _Part:
     uvs: NDArray[np.float64] | None
     texture: NDArray[np.float32] | None
     colours: NDArray[np.float64] | None
+    geometries: NDArray[np.int32]
 
 
 def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
@@ -157,16 +181,7 @@ def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
     import trimesh
 
     if isinstance(mesh, (str, os.PathLike)):
-        path = Path(mesh)
-        if not path.exists():
-            raise FileNotFoundError(f"mesh: there is no file {str(path)!r}")
-        try:
-            # process=False: merging vertices would tear the texture along its seams.
-            loaded = trimesh.load_scene(path, process=False)
-        except Exception as error:
-            # trimesh's loaders raise whatever their parser happened to stumble over.
-            raise ValueError(f"mesh must be a file that trimesh can read, got {str(path)!r}: {error}") from error
-        return _geometries(loaded)
+        return _geometries(mesh_files.load(mesh))
     if isinstance(mesh, trimesh.Trimesh):
         return [(mesh, np.eye(4))]
     if not isinstance(mesh, trimesh.Scene):
@@ -186,6 +201,10 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
     """Check one mesh and take its arrays."""
     vertices = np.array(mesh.vertices, dtype=np.float64)
     faces = np.array(mesh.faces, dtype=np.int64)
+    if vertices.shape[1:] != (3,):
+        raise ValueError(
+            f"mesh must have vertices of 3 coordinates, shape (n, 3), got {vertices.shape}; a file may be cut off"
+        )
     if len(vertices) == 0:
         raise ValueError("mesh must have vertices, got none")
     if len(faces) == 0:
@@ -207,6 +226,7 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
         uvs=_own_uvs(mesh, len(vertices)),
         texture=None,
         colours=None,
+        geometries=np.zeros(len(faces), np.int32),
     )
     _take_colours(mesh, part)
     part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
@@ -222,14 +242,16 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Vertex normals that were given with the mesh, shape (n, 3), or ``None``.
 
-    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position;
-    the latter are told by their value.
+    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
+    It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
     """
     normals = _cached_normals(mesh)
     if normals is None or np.shape(normals) != vertices.shape:
         return None
     normals = np.asarray(normals, dtype=np.float64)
     normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
+    if "face_angles" not in mesh._cache:
+        return normals.T
     corners = np.ascontiguousarray(faces.T)
     # A few faces' vertices are enough to tell most.
     some = np.zeros(len(vertices), dtype=np.bool_)
@@ -296,12 +318,16 @@ def _material(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.flo
         if material.baseColorTexture is None:
             return None, linear
         texture = _image(material.baseColorTexture)
-        return (texture if linear is None else (texture * linear).astype(np.float32)), None
+        if texture is None or linear is None:
+            return texture, linear
+        return (texture * linear).astype(np.float32), None
     image = getattr(material, "image", None)
     if image is not None:
         # trimesh gives a mesh without a material a few grey pixels for one.
         invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
-        return (None if invented else _image(image)), None
+        texture = None if invented else _image(image)
+        if invented or texture is not None:
+            return texture, None
     diffuse = getattr(material, "diffuse", None)
     if diffuse is None:
         return None, None
@@ -309,8 +335,10 @@ def _material(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.flo
     return None, (None if np.array_equal(diffuse, DEFAULT_COLOR) else srgb_decode(colour))
 
 
-def _image(image: Any) -> NDArray[np.float32]:
-    """A PIL image in linear RGB, shape (h, w, 3)."""
+def _image(image: Any) -> NDArray[np.float32] | None:
+    """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
+    if _damage(image):
+        return None
     if image.mode.startswith("I"):
         # 16-bit grey; converting it to RGB would clip at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
@@ -318,6 +346,18 @@ def _image(image: Any) -> NDArray[np.float32]:
     # A table, for a megapixel's transfer function takes longer than all else here.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
+
+
+def _damage(image: Any) -> str:
+    """Why a PIL image cannot be decoded, or nothing."""
+    if _DAMAGE not in image.info:
+        try:
+            image.load()
+            image.info[_DAMAGE] = ""
+        except Exception as error:
+            # Decoders raise whatever they stumble over, and the next time may pass with what they have got.
+            image.info[_DAMAGE] = str(error) or type(error).__name__
+    return str(image.info[_DAMAGE])
 
 
 def _join(parts: list[_Part]) -> _Part:
@@ -357,6 +397,7 @@ def _join(parts: list[_Part]) -> _Part:
         uvs=gather("uvs", 2),
         texture=textures[0] if textures else None,
         colours=colours,
+        geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
     )
 
 
@@ -374,15 +415,16 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     # float32 first: what has no area in the kernels shall have none here.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
-    keep = geometry.has_area
+    keep, geometries = geometry.has_area, part.geometries
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ValueError(f"mesh must have a face with an area, got {dropped} without")
     if dropped:
         warnings.warn(
-            f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=4
+            f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=5
         )
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
+        geometries = geometries[keep]
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
@@ -428,6 +470,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
         texture=texture,
         vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=has_colour,
+        geometries=geometries,
         is_convex=is_convex(vertices, faces, geometry.normals, welded),
         centre=centre,
         radius=radius,

@@ -29,7 +29,7 @@ def ratio(hf, lights, views, tolerance, **options):
 
 def line_grating(levels, period_um):
     """Heights [µm] along x, one period."""
-    return wd.HeightField(np.asarray(levels)[None], (1.0, period_um / len(levels)))
+    return wd.HeightField.of_known_scale(np.asarray(levels)[None], (1.0, period_um / len(levels)))
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])

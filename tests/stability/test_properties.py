@@ -42,7 +42,7 @@ def height_fields(draw):
         heights = np.cos(2.0 * np.pi * (x + rng.integers(3) * y)) / 2.0
     scale = draw(st.one_of(st.sampled_from([0.0, 1e-12, 1e-6, 0.3, 0.6]), log_uniform(1e-3, 0.6)))
     pitch = draw(st.tuples(log_uniform(0.02, 0.3), log_uniform(0.02, 0.3)))
-    return wd.HeightField(heights * scale + draw(st.sampled_from([0.0, -1.0, 10.0, -1000.0])), pitch)
+    return wd.HeightField.of_known_scale(heights * scale + draw(st.sampled_from([0.0, -1.0, 10.0, -1000.0])), pitch)
 
 
 @st.composite
@@ -164,8 +164,8 @@ def test_a_constant_height_changes_nothing(data):
     raised = heights + data.draw(st.sampled_from([1.0, -3.5, 100.0]))
     here, there = (
         computed(
-            wd.spectral_reflectance, wd.HeightField(each, hf.pitch_um), lights, views, nanometres, coherence=coherence,
-            tolerance=1e-4,
+            wd.spectral_reflectance, wd.HeightField.of_known_scale(each, hf.pitch_um), lights, views, nanometres,
+            coherence=coherence, tolerance=1e-4,
         )
         for each in (heights, raised)
     )  # fmt: skip
@@ -179,7 +179,7 @@ def test_flipping_the_surface_flips_the_directions(data):
     hf, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
     # x → −x about the first sample, which stays where it is.
-    flipped = wd.HeightField(np.roll(hf.heights_um[:, ::-1], 1, axis=1), hf.pitch_um)
+    flipped = wd.HeightField.of_known_scale(np.roll(hf.heights_um[:, ::-1], 1, axis=1), hf.pitch_um)
     if coherence.kind == "centred":
         # On a sample: coefficients beyond the pitch's limit are those within for no other.
         centre = tuple((n // 3) * pitch for n, pitch in zip(hf.shape, hf.pitch_um, strict=True))
@@ -189,7 +189,7 @@ def test_flipping_the_surface_flips_the_directions(data):
         mirrored = coherence
     if coherence.kind == "replicas":
         # Whole copies begin with another sample then: the last one is where the first was, which is but a phase.
-        flipped = wd.HeightField(hf.heights_um[:, ::-1], hf.pitch_um)
+        flipped = wd.HeightField.of_known_scale(hf.heights_um[:, ::-1], hf.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(wd.spectral_reflectance, hf, lights, views, nanometres, coherence=coherence, tolerance=1e-4)
     if here is None:

@@ -24,7 +24,7 @@ class Surface:
 
     def __init__(self, height):
         flat = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3)
-        self.hf = wd.HeightField(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
+        self.hf = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
         self.lights, self.views = methods.hemisphere_pairs(48)
         self.exact = reference.reference_spectral(self.hf, self.lights, self.views, WAVELENGTHS_UM, WINDOW)
         self.arguments = self.hf, self.lights, self.views, 1e3 * WAVELENGTHS_UM

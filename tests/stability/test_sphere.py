@@ -106,7 +106,7 @@ def test_colours(rough, name, method):
 )
 def test_a_deep_surface(name, method):
     """5 µm, where the Taylor series are computed on request only and float32 overflows."""
-    hf = wd.HeightField(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
+    hf = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())
     rho = best_effort(
         wd.spectral_reflectance, hf, lights, views, [380.0, 780.0], coherence=COHERENCES[name], method=method

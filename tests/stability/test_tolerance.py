@@ -51,7 +51,7 @@ def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
     hf = diagonal(rng, wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4))
     if mirrored:
-        hf = wd.HeightField(hf.heights_um[:, ::-1], hf.pitch_um)
+        hf = wd.HeightField.of_known_scale(hf.heights_um[:, ::-1], hf.pitch_um)
     a = (np.arange(512) + 0.5) / 256.0 - 1.0
     x, y = np.meshgrid(0.7 * a, -0.7 * a)
     views = np.stack([x.ravel(), y.ravel(), np.sqrt(1.0 - x.ravel() ** 2 - y.ravel() ** 2)], axis=1)
