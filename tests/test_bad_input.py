@@ -96,7 +96,6 @@ SHARED = [
     ("footprint", "on", TypeError, "footprint must be True or False, got 'on'"),
     ("refine", 1, TypeError, "refine must be True or False, got 1"),
     ("samples_per_pixel", 0, ValueError, "samples_per_pixel must be an integer >= 1, got 0"),
-    ("samples_per_pixel", 257, ValueError, "samples_per_pixel must be at most 256 where pixels show means, got 257"),
     ("samples_per_pixel", 4.0, TypeError, "samples_per_pixel must be an integer, got float"),
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),
     ("tangents", "radial", TypeError, "tangents must be an array of real numbers, got str"),

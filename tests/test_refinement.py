@@ -325,6 +325,11 @@ def test_progress_ends_when_pixels_are_split(fingers, table):
     assert told[-1] == 1.0
 
 
+def test_more_cells_than_there_are_are_refused(fingers):
+    with pytest.raises(ValueError, match="samples_per_pixel must be at most 256 where pixels show means, got 257"):
+        wd.shade(BODIES["tube"](), fingers, LIGHT, view(), coherence=SHORT, samples_per_pixel=257)
+
+
 def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table):
     """Bars of a third of a pixel's width, one in 5.3 pixels."""
     bars = [
