@@ -106,6 +106,7 @@ def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
     np.testing.assert_allclose(rough.levelled(order).heights_um[~GAP], expected, atol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:periodic")
 def test_despiking_and_making_periodic_leave_gaps() -> None:
     grain = 0.6 * np.clip(1.0 - 4.0 * np.hypot(Y - 4.0, X - 0.8), 0.0, 1.0)
     dirty = gappy(waves() + grain)

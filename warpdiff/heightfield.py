@@ -7,13 +7,15 @@ transform returns a new `HeightField`.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, forks, inpainting, units, validity
+from warpdiff import checks, forks, inpainting, periods, units, validity
+from warpdiff.errors import WarpdiffWarning
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
@@ -21,6 +23,10 @@ if TYPE_CHECKING:
     import os
 
     from numpy.typing import ArrayLike, NDArray
+
+
+# Of periodic(): the root mean square, over the heights' standard deviation, that passes without a word.
+_MOST_CHANGE = 0.4
 
 
 @dataclass(frozen=True)
@@ -410,12 +416,16 @@ class HeightField:
         The periodic part of Moisan's periodic-plus-smooth decomposition (2011, J. Math. Imaging Vis. 39, 161–179):
         a smooth field, harmonic but for the edges where it takes up half of their jump each, is subtracted. Size and
         mean stay as they are. Level and despike first, as the less there is to take up the less is changed; a field
-        that is periodic already does not need it and would be changed a little.
+        that is periodic already does not need it and would be changed a little, and a grating of few periods is bent:
+        `whole_periods` cuts it instead.
 
         Missing samples stay so; at the edges they count as `filled` ones.
 
         Returns:
             The periodic part, of the same shape.
+
+        Warns:
+            WarpdiffWarning: Heights change by more than 0.4 of their standard deviation, root mean square.
         """
         heights = self.filled().heights_um
         ny, nx = self.shape
@@ -434,14 +444,58 @@ class HeightField:
         laplacian[0, 0] = 1.0
         spectrum = np.fft.rfft2(jumps) / laplacian
         spectrum[0, 0] = 0.0
-        return HeightField.of_known_scale(self._heights_um - np.fft.irfft2(spectrum, self.shape), self.pitch_um)
+        smooth = np.fft.irfft2(spectrum, self.shape)
+        result = HeightField.of_known_scale(self._heights_um - smooth, self.pitch_um)
+        change = float(np.sqrt(np.mean(smooth[~self.missing] ** 2)))
+        if change > _MOST_CHANGE * self.rms_um:
+            warnings.warn(
+                f"periodic() changed heights by {change:.3g} µm (root mean square), {100.0 * change / self.rms_um:.0f} "
+                f"% of their standard deviation, and their range from {self.height_range_um:.3g} to "
+                f"{result.height_range_um:.3g} µm; level the field first, or cut it by whole_periods()",
+                WarpdiffWarning,
+                stacklevel=2,
+            )
+        return result
+
+    def whole_periods(self) -> HeightField:
+        """Cut the field to whole periods of its strongest wave, so that opposite edges match but for rounding.
+
+        That is the strongest of `periods` that is no waviness. Along each axis the largest number of periods is kept,
+        to the nearest sample; an axis along which the wave drifts by less than a period stays as it is. Cut before
+        levelling: a plane that is fitted to parts of periods is tilted.
+
+        Returns:
+            The part from the first sample on, at the same pitch.
+
+        Raises:
+            ValueError: There is no such wave.
+        """
+        return periods.whole(self)
+
+    def periods(self, count: int = 3) -> tuple[periods.Period, ...]:
+        """Fit the strongest periods: waves of any length and direction with their harmonics, by least squares.
+
+        One after the other, each to what the ones before leave over, with a tilt. Missing samples count for nothing. A
+        length is found to a small part of what a Fourier coefficient resolves, and has a standard error. Of one period,
+        as `gratings` make it, nothing tells that it repeats: it counts as waviness.
+
+        Args:
+            count: How many at most; what explains less than 0.1 % of the variance is none.
+
+        Returns:
+            Periods, those that explain most first; empty for a flat field.
+
+        Raises:
+            ValueError: ``count`` is less than 1.
+        """
+        return periods.fitted(self, checks.count(count, "count"))
 
     def dominant_periods_um(self, count: int = 3) -> tuple[tuple[float, float], ...]:
         """Return the strongest periods, as local maxima of |FFT(h)|² over frequencies q.
 
         A peak within a quarter of a stronger one's frequency is taken for a part of it. Resolution is that of the
-        frequencies, one per patch. On a scan the waviness may come first: level it with a higher order to leave it
-        out.
+        frequencies, one per patch; `periods` fits them. On a scan the waviness may come first: level it with a higher
+        order to leave it out.
 
         Args:
             count: How many at most.

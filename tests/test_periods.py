@@ -1,0 +1,118 @@
+"""Periods by harmonic fits, their errors, cuts to whole ones, and what making a patch periodic does to few of them."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+
+PITCH = 0.05
+Y, X = np.meshgrid(np.arange(200) * PITCH, np.arange(200) * PITCH, indexing="ij")
+
+
+def grooves(period, *, degrees=0.0, height=0.572, noise=0.01, tilt=0.02, seed=0):
+    """A wafer's grooves with soft walls, noise and a tilt."""
+    along = X * math.cos(math.radians(degrees)) + Y * math.sin(math.radians(degrees))
+    heights = 0.5 * height * np.tanh(4.0 * np.sin(2.0 * np.pi * along / period + 1.2)) + tilt * (X - 0.5 * Y)
+    return wd.HeightField(heights + noise * np.random.default_rng(seed).normal(size=X.shape), PITCH)
+
+
+@pytest.mark.parametrize(("period", "degrees"), [(2.886, 0.0), (2.886, 20.0), (1.1, 70.0), (0.7, 90.0), (2.2, -35.0)])
+def test_periods_between_coefficients_are_found_to_their_error(period, degrees):
+    field = grooves(period, degrees=degrees)
+    found = field.periods(1)[0]
+    assert abs(found.period_um - period) < 4.0 * found.standard_error_um < 0.01 * period
+    assert abs((found.direction_deg - degrees + 90.0) % 180.0 - 90.0) < 0.1
+    assert found.share > 0.98
+    assert not found.is_waviness
+    assert found.period_um == pytest.approx(1.0 / math.hypot(*found.frequency))
+    # Odd harmonics alone; the first lies between a sine's amplitude and a square wave's.
+    assert 0.5 * 0.572 < found.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
+    assert found.harmonics_um[1] < 0.1 * found.harmonics_um[2]
+    if period == 2.886 and degrees == 0.0:
+        # What coefficients resolve.
+        assert abs(field.dominant_periods_um(1)[0][0] - period) > 0.3
+
+
+def test_standard_errors_are_those_of_many_fits():
+    rng = np.random.default_rng(2)
+    scores = []
+    for _ in range(40):
+        wave = 0.1 * np.cos(2.0 * np.pi * (X[:60, :80] / 1.37 + 0.1))
+        found = wd.HeightField(wave + 0.1 * rng.normal(size=wave.shape), PITCH).periods(1)[0]
+        scores.append((found.period_um - 1.37) / found.standard_error_um)
+    assert abs(np.mean(scores)) < 0.6
+    assert 0.6 < np.std(scores) < 1.6
+
+
+def test_waves_of_a_sum_and_waviness_are_told_apart():
+    heights = (
+        0.2 * np.cos(2.0 * np.pi * Y / 7.3)
+        + 0.1 * np.cos(2.0 * np.pi * X / 1.23)
+        + 0.03 * np.sin(2.0 * np.pi * (X + Y) / 0.91)
+    )
+    # A gap is no obstacle.
+    heights[60:90, 80:140] = np.nan
+    waviness, strong, weak = wd.HeightField(heights, PITCH).periods()
+    assert [each.is_waviness for each in (waviness, strong, weak)] == [True, False, False]
+    assert waviness.period_um == pytest.approx(7.3, rel=0.05)
+    assert strong.period_um == pytest.approx(1.23, rel=1e-3)
+    assert weak.period_um == pytest.approx(0.91 / math.sqrt(2.0), rel=1e-3)
+    assert weak.direction_deg == pytest.approx(45.0, abs=0.2)
+    assert strong.harmonics_um[0] == pytest.approx(0.1, rel=0.02)
+    assert waviness.share > strong.share > weak.share > 0.0
+    assert waviness.share + strong.share + weak.share == pytest.approx(1.0, abs=0.01)
+
+
+def test_flat_fields_have_no_period_and_one_row_has_one():
+    assert wd.HeightField(np.full((20, 30), 0.3), PITCH).periods() == ()
+    assert wd.HeightField([[0.1]], PITCH).periods() == ()
+    row = wd.HeightField(0.1 * np.cos(2.0 * np.pi * X[:1] / 1.7), PITCH)
+    (found,) = row.periods()
+    assert found.period_um == pytest.approx(1.7, rel=1e-6)
+    assert found.harmonics_um[0] == pytest.approx(0.1, rel=1e-4)
+    assert found.direction_deg == pytest.approx(0.0)
+    with pytest.raises(ValueError, match="count must be an integer >= 1"):
+        row.periods(0)
+
+
+@pytest.mark.parametrize(("degrees", "shape"), [(0.0, (200, 173)), (90.0, (173, 200))])
+def test_whole_periods_match_at_the_edges(degrees, shape):
+    field = grooves(2.886, degrees=degrees, noise=0.0, tilt=0.0)
+    cut = field.whole_periods()
+    # Three of 2.886 µm are 173.16 samples.
+    assert cut.shape == shape
+    np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
+    axis = int(degrees == 0.0)
+
+    # What follows after the cut goes on as the cut begins.
+    lines = np.moveaxis(field.heights_um, axis, 0)
+    assert np.abs(lines[173] - lines[0]).max() < 0.01
+    assert np.abs(lines[199] - lines[0]).max() > 0.1
+    # The change of periodic() is then small.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert cut.periodic().height_range_um < 1.1 * cut.height_range_um
+
+
+def test_a_field_without_a_period_is_not_cut():
+    with pytest.raises(ValueError, match=r"whole_periods\(\) needs a period.*use periodic\(\)"):
+        wd.HeightField(0.1 * np.cos(2.0 * np.pi * X / 7.0), PITCH).whole_periods()
+
+
+def test_making_few_periods_periodic_is_warned_of():
+    field = grooves(2.886, tilt=0.0)
+    with pytest.warns(wd.WarpdiffWarning, match=r"periodic\(\) changed heights by .* range from .* to .*whole_periods"):
+        bent = field.periodic()
+    assert bent.height_range_um > 1.2 * field.height_range_um
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # A rough surface of many grains has edges that do not match, and little else changes.
+        spectrum = np.fft.rfft2(np.random.default_rng(4).normal(size=(400, 400)))
+        frequency = np.hypot(np.fft.fftfreq(400, PITCH)[:, None], np.fft.rfftfreq(400, PITCH))
+        rough = np.fft.irfft2(spectrum * np.exp(-((0.5 * frequency) ** 2)), (400, 400))
+        wd.HeightField(0.05 * rough / np.std(rough), PITCH).cropped(13.7).levelled(1).periodic()
