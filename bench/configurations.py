@@ -172,7 +172,7 @@ def rough(rng):
     f = 2.0 * np.pi * np.hypot(fy[:, None], fx) * log_uniform(rng, 0.05, 1.0)
     power = np.exp(-(f**2) / 4.0) if rng.random() < 0.5 else (1.0 + f**2) ** -1.5
     heights = np.fft.ifft2(np.fft.fft2(rng.normal(size=shape)) * np.sqrt(power)).real
-    return wd.HeightField(heights, pitch)
+    return wd.HeightField.of_known_scale(heights, pitch)
 
 
 def fewer(heights):

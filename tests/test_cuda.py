@@ -28,7 +28,7 @@ KERNELS = {
     "directions": {"deflect_pixels", "pick", "spread_pixels", "sum_up"},
     "refinement": {"accumulate", "choose", "collect", "estimate", "share_out"},
     "spectral": {"integrate", "sample"},
-    "work_lists": {"count_up", "find_floor", "go_on", "list_up", "mark_around", "take", "tally"},
+    "work_lists": {"count_up", "find_floor", "go_on", "keep_larger", "list_up", "mark_around", "take", "tally"},
     "lookup": {"blur", "integrate", "interpolate"},
     "polar": {"gather", "project", "project_lines", "resample"},
 }

@@ -58,11 +58,12 @@ def importing() -> list[str]:
 
 
 def finish_imports() -> None:
-    """Wait for what other threads are importing."""
-    for name in importing():
-        # What cannot be imported is the other thread's to tell.
-        with contextlib.suppress(ImportError):
-            importlib.import_module(name)
+    """Wait for what other threads are importing, and for what they go on to import."""
+    while names := importing():
+        for name in names:
+            # What cannot be imported is the other thread's to tell.
+            with contextlib.suppress(ImportError):
+                importlib.import_module(name)
 
 
 at_fork(before=finish_imports)

@@ -14,7 +14,7 @@ import numpy as np
 from warpdiff import checks, files, forks, spectrum
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -184,12 +184,12 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
         written = output.write_image(pixels)
         if not (output.close() and written):
             raise OSError(f"cannot write {target}: {output.geterror()}")
-        if not _holds(temporary, pixels):
+        if not _holds(temporary, pixels, spec.channelnames):
             raise OSError(f"cannot write {target}: what was written is not what is in the file; the disk may be full")
 
 
-def _holds(path: Path, pixels: NDArray[Any]) -> bool:
-    """Whether a file is whole and holds these pixels."""
+def _holds(path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
+    """Whether a file is whole and holds these pixels, in channels of these names in any order."""
     import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
     with path.open("rb") as file:
@@ -203,9 +203,12 @@ def _holds(path: Path, pixels: NDArray[Any]) -> bool:
         # Or it is printed when the process ends.
         oiio.geterror()
         return False
+    names = list(source.spec().channelnames)
     found = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
     source.close()
-    return found is not None and found.dtype == pixels.dtype and found.tobytes() == pixels.tobytes()
+    if found is None or found.dtype != pixels.dtype or sorted(names) != sorted(channels):
+        return False
+    return bool(found[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
 
 
 # How many threads of OpenEXR there were before a fork.

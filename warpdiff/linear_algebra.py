@@ -16,37 +16,40 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-# What limits the library, once for each who is within.
-_within: list[Any] = []
+# Limits of those who entered since there was someone within, and of those of them who have left.
+_entered: list[Any] = []
+_left: list[Any] = []
 _lock = forks.lock()
 
 
 @contextmanager
 def on_one_thread() -> Iterator[None]:
-    """What is done within takes one thread of the library, until the last of those who are within at once leaves."""
+    """What is done within takes one thread of the library."""
     libraries = _libraries()
     with _lock:
-        _within.append(_within[0] if _within else libraries.limit(limits=1))
+        limits = libraries.limit(limits=1)
+        _entered.append(limits)
     try:
         yield
     finally:
         with _lock:
-            _leave()
+            # Some versions of the library count threads for each caller, others for all of them: there whoever leaves
+            # last gives back what the first one found.
+            limits.restore_original_limits()
+            _left.append(limits)
+            if len(_left) >= len(_entered):
+                _end()
 
 
-def _leave() -> None:
-    limits = _within.pop()
-    if not _within:
-        limits.restore_original_limits()
+def _end() -> None:
+    """Give back what the first one found, where nobody is within, as in a child of a fork."""
+    if _entered:
+        _entered[0].restore_original_limits()
+    _entered.clear()
+    _left.clear()
 
 
-def _leave_others() -> None:
-    """In a child, where those who were within are no more."""
-    while _within:
-        _leave()
-
-
-forks.at_fork(in_child=_leave_others)
+forks.at_fork(in_child=_end)
 
 
 @functools.cache
