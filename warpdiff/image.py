@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, files, forks, spectrum
+from warpdiff import checks, files, spectrum
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -176,7 +176,7 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
     import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
     # The temporary name ends in the same suffix, which is how the writer of the format is found.
-    with files.replacing(target, suffix=target.suffix.lower()) as temporary:
+    with _without_exr_threads(), files.replacing(target, suffix=target.suffix.lower()) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None or not output.open(str(temporary), spec):
             reason = oiio.geterror() if output is None else output.geterror()
@@ -211,22 +211,14 @@ def _holds(path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
     return bool(found[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
 
 
-# How many threads of OpenEXR there were before a fork.
-_exr_threads: list[int] = []
+@contextlib.contextmanager
+def _without_exr_threads() -> Iterator[None]:
+    """Write and read EXR files on this thread: a child of a fork would wait for ever for others that OpenEXR keeps."""
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
-
-def _stop_exr_threads() -> None:
-    """End the threads of OpenEXR, which a child would wait for for ever."""
-    oiio = sys.modules.get("OpenImageIO")
-    if oiio is not None:
-        _exr_threads.append(oiio.get_int_attribute("exr_threads"))
-        oiio.attribute("exr_threads", -1)
-
-
-def _restart_exr_threads() -> None:
-    while _exr_threads:
-        sys.modules["OpenImageIO"].attribute("exr_threads", _exr_threads.pop())
-
-
-# A child does without.
-forks.at_fork(before=_stop_exr_threads, in_parent=_restart_exr_threads, in_child=_exr_threads.clear)
+    before = oiio.get_int_attribute("exr_threads")
+    oiio.attribute("exr_threads", -1)
+    try:
+        yield
+    finally:
+        oiio.attribute("exr_threads", before)
