@@ -16,10 +16,13 @@ if os.name != "posix":
 
 @pytest.fixture(autouse=True)
 def _heard():
-    """What runs tests in the background may ignore interruptions, and processes inherit that."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """What runs tests in the background may ignore signals, as nohup does, and processes inherit that."""
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGHUP)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
-    signal.signal(signal.SIGINT, before)
+    for each, handler in before.items():
+        signal.signal(each, handler)
 
 
 def begun(arguments, folder):
