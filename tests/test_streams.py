@@ -14,12 +14,12 @@ if os.name != "posix":
 
 
 def in_shell(command, folder, **environment):
-    """Run a shell's command, ``$W`` being the command line; its exit code, output and errors."""
+    """Run a shell's command, ``$W`` standing for the command line; its exit code, output and errors."""
     names = {key: value for key, value in os.environ.items() if key not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
     ran = subprocess.run(
-        ["/bin/sh", "-c", command],
+        ["/bin/sh", "-c", command.replace("$W", '"$PYTHON" -m warpdiff')],
         cwd=folder,
-        env=names | {"W": f"{sys.executable} -m warpdiff", "WARPDIFF_CACHE_DIR": ""} | environment,
+        env=names | {"PYTHON": sys.executable, "WARPDIFF_CACHE_DIR": ""} | environment,
         capture_output=True,
         check=False,
     )
