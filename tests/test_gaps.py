@@ -152,7 +152,7 @@ def test_files_may_hold_nan(tmp_path: Path) -> None:
 
 def test_the_command_line_tells_of_gaps_and_fills_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "scan.npy", np.where(GAP, np.nan, waves()))
-    options = ["info", str(tmp_path / "scan.npy"), "--pixel-um", "0.1"]
+    options = ["info", str(tmp_path / "scan.npy"), "--pixel-um", "0.1", "--tolerance", "0.3"]
     assert cli.main(options) == 0
     told = capsys.readouterr().out
     assert f"missing           {GAP.sum()} samples" in told

@@ -35,11 +35,12 @@ def deep(height_um: float) -> wd.HeightField:
 
 
 def test_ranges(rough, rng):
-    whole = wd.plan(rough)
+    # The direct sum's plan has the ranges of any other, and is not searched for.
+    whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
     light = at_angle(30.0)
-    for half in (wd.plan(rough, light), wd.plan(rough, None, light)):
+    for half in (wd.plan(rough, light, method="direct"), wd.plan(rough, None, light)):
         assert half.max_uv == pytest.approx(1.5)
         assert half.max_w == pytest.approx(1.0 + math.cos(math.radians(30.0)))
 
@@ -62,9 +63,9 @@ def test_directions_below_the_horizon_ask_for_nothing(rough, below):
 
 
 def test_the_whole_hemisphere_holds_for_any_direction(rough, rng):
-    whole = wd.plan(rough)
+    whole = wd.plan(rough, method="direct")
     for light, view in zip(hemisphere(rng, 20), hemisphere(rng, 20), strict=True):
-        one, half = wd.plan(rough, light, view), wd.plan(rough, light)
+        one, half = wd.plan(rough, light, view), wd.plan(rough, light, method="direct")
         for name in ("max_uv", "max_lateral", "max_w"):
             assert getattr(one, name) <= getattr(half, name) <= getattr(whole, name)
         assert one.min_w >= half.min_w >= whole.min_w
@@ -129,10 +130,10 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
 @pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
 def test_the_plan_does_not_depend_on_threads(rough, kind):
     coherence = wd.Coherence(kind, copies=(2, 2) if kind == "replicas" else None)
-    light = at_angle(40.0)
-    assert wd.plan(rough, light, coherence=coherence, threads=1) == wd.plan(
-        rough, light, coherence=coherence, threads=2
+    one, two = (
+        wd.plan(rough, at_angle(40.0), tolerance=0.1, coherence=coherence, threads=threads) for threads in (1, 2)
     )
+    assert one == two
 
 
 def test_a_plan_reads_as_a_paragraph(rough):
@@ -233,10 +234,11 @@ def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
 
 
 def test_plans_are_values(rough):
-    assert wd.plan(rough) == wd.plan(rough)
-    assert hash(wd.plan(rough)) == hash(wd.plan(rough))
+    one, two = (wd.plan(rough, tolerance=0.3) for _ in range(2))
+    assert one == two
+    assert hash(one) == hash(two)
     with pytest.raises(dataclasses.FrozenInstanceError):
-        wd.plan(rough).terms = 3
+        one.terms = 3
 
 
 # Taken with strict=False, so deep a surface has scalar theory warned of as well, by the plan alone.
@@ -310,17 +312,17 @@ def test_one_row_is_constant_along_y():
 def test_a_coarse_pitch_is_said_to_alias(rough):
     coarse = wd.gratings.sinusoidal(6.4, 0.1).resampled(0.2)
     with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
-        wd.plan(coarse)
+        wd.plan(coarse, method="direct")
     with pytest.warns(
         wd.WarpdiffWarning, match="directions up to 1.5 are asked for: orders beyond repeat those within"
     ):
-        wd.plan(coarse, at_angle(30.0))
+        wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
         wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
     # What the pitch supports is not warned of, and longer wavelengths are supported further.
     wd.plan(coarse, at_angle(20.0), at_angle(20.0))
     wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
-    wd.plan(rough)
+    wd.plan(rough, method="direct")
 
 
 @pytest.fixture
@@ -339,7 +341,7 @@ def builds(monkeypatch):
 
 def test_tables_are_kept_for_the_next_call(rough, builds):
     hf = wd.HeightField(rough.heights_um, rough.pitch_um)
-    plan = wd.plan(hf)
+    plan = wd.plan(hf, tolerance=0.3)
     assert len(builds) == 1
     first = wd.reflectance(hf, UP, UP, plan=plan)
     np.testing.assert_array_equal(wd.reflectance(hf, UP, UP, plan=plan), first)
@@ -355,7 +357,7 @@ def test_tables_are_kept_for_the_next_call(rough, builds):
 
 def test_few_tables_are_kept(rough, builds):
     hf = wd.HeightField(rough.heights_um, rough.pitch_um)
-    plan = wd.plan(hf)
+    plan = wd.plan(hf, tolerance=0.3)
     scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
     for each in scopes:
         wd.reflectance(hf, UP, UP, plan=each)
