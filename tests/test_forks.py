@@ -197,3 +197,27 @@ def test_work_that_is_cut_in_two_ends_in_the_child():
     assert in_child(refused) == 0
     cut.finish()
     assert sorted(done) == [0, 1, 2, 3]
+
+
+_THREADS_AT_FORK = """
+import os
+import OpenImageIO as oiio
+
+# What is registered first is called last.
+os.register_at_fork(before=lambda: found.append(len(os.listdir("/proc/self/task"))))
+import warpdiff.forks
+
+oiio.attribute("threads", 8)
+found = []
+child = os.fork()
+if child == 0:
+    os._exit(oiio.get_int_attribute("threads"))
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == oiio.get_int_attribute("threads") == 8
+assert found == [1], found
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="this system does not list threads")
+def test_threads_of_image_files_end_before_a_fork():
+    """One that just begins holds a lock, for which a child that reads a file would wait for ever."""
+    subprocess.run([sys.executable, "-c", _THREADS_AT_FORK], cwd=HERE, check=True, timeout=_MOST_S)
