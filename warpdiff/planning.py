@@ -380,10 +380,6 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
     argument = 2.0 * math.pi * scope.kappas[1] * expansion.offset_and_scale(hf)[1]
     terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
     least_weight = tolerance * _WEIGHT_MARGINS[coherence.adds_powers]
-    rounding = _FLOAT32_ROUNDING * expansion.growth(argument)
-    if method != "direct" and not coherence.adds_powers:
-        # What is small by interference rounds by more than its terms.
-        rounding = max(rounding, search.ROUNDING_OF_AMPLITUDES)
     result = Plan(
         method="direct" if method == "direct" else series,
         coherence=coherence,
@@ -411,7 +407,7 @@ def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, cohe
         truncation=expansion.remainder(argument, terms),
         neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
         quadrature=_QUADRATURE_SHARE * tolerance if colour else 0.0,
-        rounding=rounding,
+        rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
         aliasing=0.0,
         scalar_error=validity.error_bound(hf.rms_um, hf.mean_slope),
         multiply_adds=0.0,

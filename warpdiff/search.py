@@ -73,8 +73,8 @@ _FEW, _TOO_FEW, _MARGIN_OF_FEW, _TABLES_OF_FEW = 64, 8, 0.1, 0.5
 _TOLD, _TOLD_BY_FEW = 2.0, 2.5
 # And no less than this share of the tolerance, which no few hundred directions vouch for.
 _LEAST_TOLD = 0.1
-# Error of float32 as a rule, of sums of powers and of amplitudes, measured against the direct sum.
-_ROUNDING_OF_POWERS, ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
+# Error of a fitted basis in float32, measured against the direct sum.
+_ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
 _HOPELESS = 10.0
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
@@ -390,7 +390,7 @@ def _fewer_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float, f
 
 def _rounding(plan: Plan) -> float:
     """Error of a basis in float32 as a rule."""
-    return _ROUNDING_OF_POWERS if plan.coherence.adds_powers else ROUNDING_OF_AMPLITUDES
+    return _ROUNDING_OF_POWERS if plan.coherence.adds_powers else _ROUNDING_OF_AMPLITUDES
 
 
 def _fewest_terms(plan: Plan, most: int, share: float, left_by: Callable[[int], float]) -> tuple[Plan, float]:
