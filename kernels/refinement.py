@@ -182,17 +182,20 @@ _SHARE_OUT = """
     const float* const before = (const float*)colours_before.data;
     const float* const along = (const float*)weights.data;
     const int* const rank_of = ranks.shape[0] > 0 ? (const int*)ranks.data : nullptr;
+    const bool* const is_hidden = hidden.shape[0] > 0 ? (const bool*)hidden.data : nullptr;
     const int across = 1 << level;
     for (int tile = begin; tile < end; ++tile) {
         const int pixel = ((const int*)pixels.data)[tile];
         if (pixel < 0) continue;
         float shares[3][3][4] = {}, mean[3] = {};
+        unsigned char dark = 0;
         long long cell = (long long)tile * across * across;
         for (int row = 0; row < across; ++row) {
             float sums[3][4] = {};
             for (int column = 0; column < across; ++column, ++cell) {
                 if (is_hit[cell] == 0) continue;
                 const float value[4] = {of_cells[3 * cell], of_cells[3 * cell + 1], of_cells[3 * cell + 2], 1.0f};
+                dark |= is_hidden && is_hidden[cell];
                 for (int c = 0; c < 3; ++c) mean[c] += value[c];
                 for (int k = 0; k < 3; ++k)
                     for (int c = 0; c < 4; ++c) sums[k][c] += along[k * across + column] * value[c];
@@ -213,6 +216,7 @@ _SHARE_OUT = """
         }
         ((float*)changes_out.data)[rank] = wp::sqrt(change2);
         ((unsigned char*)levels_out.data)[rank] = (unsigned char)level;
+        ((unsigned char*)dark_out.data)[rank] = dark;
     }
 """
 
@@ -221,6 +225,7 @@ _SHARE_OUT = """
 def share_out_run(
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
+    hidden: wp.array(dtype=wp.bool),
     pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f),
     ranks: wp.array(dtype=wp.int32),
@@ -232,6 +237,7 @@ def share_out_run(
     means_out: wp.array(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32),
     levels_out: wp.array(dtype=wp.uint8),
+    dark_out: wp.array(dtype=wp.uint8),
 ):
     """Shares of pixels one after the other."""
 
@@ -241,6 +247,7 @@ def share_out(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
+    hidden: wp.array(dtype=wp.bool),
     pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f),
     ranks: wp.array(dtype=wp.int32),
@@ -253,12 +260,14 @@ def share_out(
     means_out: wp.array(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32),
     levels_out: wp.array(dtype=wp.uint8),
+    dark_out: wp.array(dtype=wp.uint8),
 ):
     """What the cells of a pixel add to that pixel and to the eight around it.
 
     Args:
         colours: Those of the cells, pixel after pixel and row by row.
         hit: Whether they meet the mesh.
+        hidden: Whether the light is hidden from there; empty is nowhere.
         pixels: Whose they are; −1 is none.
         colours_before: Of the picture's pixels by one ray each.
         ranks: Where in what is found each pixel of the picture comes; empty is its own number.
@@ -271,12 +280,13 @@ def share_out(
         means_out: Means over the cells, those of the level before.
         changes_out: How far these are apart; at first, from the pixel's one ray.
         levels_out: Set to ``level``.
+        dark_out: 1 if the light is hidden from any cell, otherwise 0.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
     share_out_run(
-        colours, hit, pixels, colours_before, ranks, weights, level, begin, begin + run,
-        shares_out, means_out, changes_out, levels_out
+        colours, hit, hidden, pixels, colours_before, ranks, weights, level, begin, begin + run,
+        shares_out, means_out, changes_out, levels_out, dark_out
     )  # fmt: skip
 
 
@@ -288,6 +298,7 @@ class Shares:
     means: wp.array(dtype=wp.vec3f)
     changes: wp.array(dtype=wp.float32)
     levels: wp.array(dtype=wp.uint8)
+    dark: wp.array(dtype=wp.uint8)
     ranks: wp.array(dtype=wp.int32)
     per_thirds: wp.array2d(dtype=wp.float32)  # by level, what the filter has in each of three pixels over the weights'
 

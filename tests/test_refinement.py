@@ -348,3 +348,19 @@ def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table
     expected = 0.3 * len(bars) / 24.0
     for image, away in zip(images, (0.25, 0.05), strict=True):
         assert abs(image.coverage.mean() - expected) < away * expected
+
+
+def test_shadows_between_the_centres_of_pixels_are_seen_by_cells(fingers, table):
+    """A strip that is not in the picture, and whose shadow no centre of a pixel meets."""
+    floor = trimesh.creation.box((4.0, 4.0, 0.1))
+    strip = trimesh.creation.box((2.4, 0.04, 0.01))
+    strip.apply_translation((3.0, 0.08, 3.0))
+    light = wd.DirectionalLight((1.0, 0.0, 1.0))
+    camera = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), extent_y=1.6, width=16, height=16)
+    options = {"plan": table, "samples_per_pixel": 16, "refine": False, "smooth": False}
+    lit, beside = (
+        wd.shade(mesh, fingers, light, camera, tangents=np.tile((1.0, 0.0, 0.0), (len(mesh.vertices), 1)), **options)
+        for mesh in (floor, trimesh.util.concatenate([floor, strip]))
+    )
+    shares = beside.xyz[..., 1] / lit.xyz[..., 1]
+    assert shares.min() < 0.8 and shares.mean() == pytest.approx(1.0 - 0.04 / 1.6, abs=0.01)

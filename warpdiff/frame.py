@@ -498,14 +498,17 @@ class Frame:
         self._launch(steps)
         self._now = sample, which
 
+    def hidden_of(self, seen: Seen, *, shadows: bool = True) -> wp.array:
+        """From which of the points that rays meet a light is hidden; empty is none of them."""
+        return seen.hidden if shadows and self.casts_shadows else self._none_hidden
+
     def _deflect(
         self, which: int, seen: Seen, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
     ) -> list[Step]:
         from warpdiff.kernels import directions
         from warpdiff.kernels.shadows import hide
 
-        shadows = shadows and self.casts_shadows
-        hidden = seen.hidden if shadows else self._none_hidden
+        shadows, hidden = shadows and self.casts_shadows, self.hidden_of(seen, shadows=shadows)
         # What is covered counts once.
         counted, begins = weight if which == 0 else 0.0, which == 0 and sample == 0
         # Of means each light's colours are found by themselves.

@@ -42,11 +42,14 @@ LEAST_OF_POINTS = 2
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
 # itself, relative to |(u, v)|. Of others: over the difference of their last two levels, of the first ones and of later
 # ones, for the first cells may well agree with the whole where both are wrong. See docs/decisions.md.
-SMOOTH, PER_UNEVEN, PER_WIDE, OF_FIRST, OF_LATER = 0.01, 0.5, 0.5, 2.0, 1.4
+SMOOTH, PER_UNEVEN, PER_WIDE, OF_FIRST, OF_LATER = 0.01, 0.5, 0.5, 1.8, 1.4
 # And at least so much of what the nine pixels' cells change by, as if these did not depend on each other.
 OF_CHANGES = 0.4
 # Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
 OF_UNSETTLED = 3.0
+# Pixels are split from errors of so much on, and below of (tolerance / so much)^0.4 of the tolerance: where it is
+# tighter, a larger part of what 99 of 100 pixels keep to is from estimates that were too small. See docs/decisions.md.
+_SPLIT_FROM, _BY_TIGHTNESS = 0.1, 0.4
 # Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
 OF_PARTS = 1.0 / 6.0
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
@@ -61,6 +64,11 @@ _MOST_FOUND = 1 << 24
 def rays_at(level: int) -> int:
     """Cells of a pixel at a level."""
     return 1 << 2 * level
+
+
+def bound_of(tolerance: float) -> float:
+    """From which errors, relative to the colour, pixels are split."""
+    return tolerance * min(math.pow(tolerance / _SPLIT_FROM, _BY_TIGHTNESS), 1.0)
 
 
 def level_of(samples: int, *, means: bool) -> int:
@@ -145,7 +153,7 @@ def most_threads(pixels: int) -> int:
     return -(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS)
 
 
-def around(pixels: NDArray[np.int32], width: int, height: int) -> NDArray[np.bool_]:
+def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.bool_]:
     """Pixels and the eight around each, as a mask of the picture, (height, width)."""
     wide = np.zeros((height + 2, width + 2), dtype=np.bool_)
     wide[pixels // width + 1, pixels % width + 1] = True

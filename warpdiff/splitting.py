@@ -63,7 +63,7 @@ class Light:
 
     @property
     def _bound(self) -> float:
-        return self.tolerance if self.refine else np.inf
+        return refinement.bound_of(self.tolerance) if self.refine else np.inf
 
     def _goes_on(self, level: int) -> tuple[bool, int]:
         """Whether all pixels are split beyond a level, and to which the rims are."""
@@ -88,9 +88,10 @@ class Light:
         steps = self.frame.steps_of_cells(self.integrator, self.which, self.illuminant, level, room, shadows=shadows)
         weights = refinement.weights_at(level, means, name)
         inputs = [
-            room.colours, room.seen.pixels.hit, room.tiles[level], self.colours, given.ranks, weights, level
+            room.colours, room.seen.pixels.hit, self.frame.hidden_of(room.seen, shadows=shadows), room.tiles[level],
+            self.colours, given.ranks, weights, level,
         ]  # fmt: skip
-        outputs = [given.shares, given.means, given.changes, given.levels]
+        outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
         return [*steps, Step(kernels.share_out, inputs, outputs, in_runs=True, block=refinement.rays_at(level))]
 
     def collect(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> Step:
@@ -99,7 +100,9 @@ class Light:
 
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
-        bound = self._bound * (refinement.OF_UNSETTLED if level == refinement.MOST_LEVEL else 1.0)
+        bound = self._bound
+        if self.refine and level == refinement.MOST_LEVEL:
+            bound = refinement.OF_UNSETTLED * self.tolerance
         inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
         return Step(kernels.collect, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True)
 
@@ -127,7 +130,7 @@ class Light:
         result.shares = wp.empty((pixels, 9), dtype=wp.vec4f, device=device)
         result.means = wp.empty(pixels, dtype=wp.vec3f, device=device)
         result.changes = wp.empty(pixels, dtype=wp.float32, device=device)
-        result.levels = wp.empty(pixels, dtype=wp.uint8, device=device)
+        result.levels, result.dark = (wp.empty(pixels, dtype=wp.uint8, device=device) for _ in range(2))
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
         result.per_thirds = refinement.per_thirds_on(self.integrator.blurs, device.alias)
         return result
@@ -155,11 +158,7 @@ def split(light: Light, progress: Callable[[float], None] | None = None) -> tupl
     if not light.splits:
         return 0, 0
     pixels = (np.flatnonzero(is_wanted[some]) + among.start).astype(np.int32)
-    # Where nothing hides the light from a pixel and those around it, no shadow's edge passes.
     dark = np.zeros(size, dtype=np.bool_)
-    if frame.casts_shadows:
-        dark[some] = seen.hidden.numpy()[some] & (seen.pixels.hit.numpy()[some] != 0)
-    beside_dark = refinement.around(np.flatnonzero(dark).astype(np.int32), view.width, view.height).ravel()
     unsettled = 0
     threads = min(options["threads"], refinement.most_threads(size))
     with shared_room(
@@ -172,10 +171,16 @@ def split(light: Light, progress: Callable[[float], None] | None = None) -> tupl
             ranks = np.empty(size, dtype=np.int32)
             ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
             given.ranks = array(ranks)
+            is_dark = given.dark.numpy()
             is_chosen = np.zeros(size, dtype=np.uint8)
             is_chosen[tiles] = 1
             for level in refinement.LEVELS:
-                # Those together that take shadow rays.
+                # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them,
+                # nor from those around. Those together that take shadow rays.
+                beside_dark = np.full(size, frame.casts_shadows)
+                if level > 1:
+                    dark[tiles] |= is_dark[ranks[tiles]] != 0
+                    beside_dark = refinement.around(np.flatnonzero(dark), view.width, view.height).ravel()
                 tiles = np.concatenate([tiles[~beside_dark[tiles]], tiles[beside_dark[tiles]]])
                 for met in refinement.parts(tiles, level):
                     in_light = int(np.count_nonzero(~beside_dark[met]))
