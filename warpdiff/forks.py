@@ -75,7 +75,7 @@ class _ImageThreads:
         at_fork(before=self._end, in_parent=self._restore, in_child=self._restore)
 
     def _end(self) -> None:
-        oiio = sys.modules.get("OpenImageIO")
+        oiio: Any = sys.modules.get("OpenImageIO")
         # Unless it is being imported.
         self._count = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
         self._set(1)
