@@ -12,6 +12,7 @@ import trimesh
 import warp as wp
 
 import warpdiff as wd
+from warpdiff import memory
 
 UP = [0.0, 0.0, 1.0]
 HF = wd.HeightField(np.zeros((8, 8)), 0.05)
@@ -303,6 +304,76 @@ SINGLE = [
     ),
 ]
 
+# What has a unit and a magnitude that nothing has, or asks for arrays that fit nowhere.
+SINGLE += [
+    (lambda _: wd.HeightField([[1e16, 0.0]], 0.1), ValueError, r"heights_um must lie within ±1e\+15, got 1e\+16"),
+    (
+        lambda _: wd.HeightField([[0.0]], 1e16),
+        ValueError,
+        r"pitch_um must be a finite number > 0 <= 1e\+15, got 1e\+16",
+    ),
+    (lambda _: wd.HeightField([[0.0]], 1e-16), ValueError, "pitch_um must be at least 1e-15, got 1e-16"),
+    (lambda _: wd.HeightField([[0.0]], np.ma.masked), TypeError, "pitch_um must be a number, got MaskedConstant"),
+    (lambda _: HF.cropped(0.2, offset_um=np.ma.masked), ValueError, r"offset_um must be a pair \(y, x\) or None"),
+    (lambda _: HF.resampled(1e-14), MemoryError, "a field of 8 × 40000000000000 samples .* a pitch_um along y that is"),
+    (lambda _: wd.View((1e16, 0, 0), UP), ValueError, r"eye must lie within ±1e\+15, got 1e\+16"),
+    (lambda _: wd.Coherence("centred", centre_um=(0, -1e16)), ValueError, r"centre_um must lie within ±1e\+15"),
+    (
+        lambda _: wd.Coherence("source", angular_diameter_deg=5e-324),
+        ValueError,
+        "angular_diameter_deg must be at least",
+    ),
+    (lambda _: wd.gratings.sinusoidal(10**400, 0.1), ValueError, r"period_um must be a finite number > 0, got 1000"),
+    (lambda _: wd.gratings.blazed(1e-14, 0.1), ValueError, "period_um must be a finite number >= 6.4e-14, got 1e-14"),
+    (lambda _: wd.gratings.blazed(1e15, 0.1), MemoryError, "a field of 1 × 25.* take .* of period_um, or of samples"),
+    (lambda _: wd.gratings.disc(tracks=2**40), MemoryError, "a field of 640 × .* take .* of tracks, of length_um"),
+    (lambda _: wd.gratings.disc(tracks=2**63), ValueError, "tracks must be an integer <= 9223372036854775807"),
+    (
+        lambda _: wd.gratings.bumps(pitch_um=1e-12),
+        MemoryError,
+        "a field of .* take .* of spacing_um, or a larger pitch",
+    ),
+    (
+        lambda _: wd.gratings.fingers(size_um=1e10),
+        MemoryError,
+        "a field of .* take .* of size_um, or a larger pitch_um",
+    ),
+    (lambda _: wd.meshes.tube(segments_along=2**40), MemoryError, "a mesh of .* faces .* take .* of segments_along"),
+    (lambda _: wd.meshes.disc(segments=2**40), MemoryError, "a mesh of .* faces .* take .* of segments, or of rings"),
+    (lambda _: wd.meshes.snake(segments=2**20), MemoryError, "a snake of 27 × 130 scales .* or .* of segments"),
+    (lambda _: wd.meshes.snake(length=1e4), ValueError, "length must be 16 to 1000 radii"),
+    (lambda _: wd.order_efficiencies(wd.HeightField([[0.0, 0.1]], 1e15), UP, [500.0]), MemoryError, "a cell of 1 × 2"),
+    (
+        lambda _: shade(bare(TRIANGLE * 1e-300), tangents=np.ones((3, 3))),
+        ValueError,
+        r"mesh must have a radius of 1e-15 to 1e\+15, got ",
+    ),
+    (
+        lambda _: shade(samples_per_pixel=2**40),
+        ValueError,
+        "samples_per_pixel must be at most 65536, got 1099511627776",
+    ),
+    (lambda _: shade(layers=np.array(3.0)), TypeError, "layers must be names in a tuple or list"),
+    (lambda _: wd.HeightField.load(None, pitch_um=0.1), TypeError, "path must be a string or a path, got NoneType"),
+    (lambda _: wd.HeightField.load("a\0b", pitch_um=0.1), ValueError, r"path must be a name that .* got 'a\\x00b'"),
+    (lambda _: wd.HeightField.load("\ud800", pitch_um=0.1), ValueError, "path must be a name that a file can have"),
+    (lambda _: wd.HeightField.load("x" * 5000, pitch_um=0.1), ValueError, "path must be a name that a file can have"),
+    (lambda _: shade("a\0b"), ValueError, r"mesh must be a name that a file can have, got 'a\\x00b'"),
+    (lambda _: IMAGE.save("x" * 5000 + ".png"), ValueError, "path must be a name that a file can have"),
+    (lambda _: dataclasses.replace(PLAN, aliasing=None), TypeError, "aliasing must be a number, got NoneType"),
+    (lambda _: dataclasses.replace(PLAN, split="x"), TypeError, "split must be a number, got str"),
+    (lambda _: dataclasses.replace(PLAN, errors=None), TypeError, "errors must be an array of real numbers"),
+    (lambda _: dataclasses.replace(PLAN, errors=[1.0]), ValueError, r"errors must be a pair of numbers, got \[1.0\]"),
+    (lambda _: dataclasses.replace(PLAN, searched=None), TypeError, "searched must be True or False, got None"),
+    (lambda _: dataclasses.replace(PLAN, judged=-1), ValueError, "judged must be an integer >= 0, got -1"),
+    (lambda _: dataclasses.replace(PLAN, max_uv=3.0), ValueError, r"max_uv must be a finite number >= 0 <= 2\.001"),
+    (
+        lambda _: dataclasses.replace(PLAN, lambda_min_nm=0.0),
+        ValueError,
+        "lambda_min_nm must be a finite number >= 100",
+    ),
+]
+
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),
@@ -389,9 +460,16 @@ def test_the_direct_method_checks_what_it_has_no_use_for(option):
     ("call", "error", "message"), [pytest.param(*row, id=f"{index}") for index, row in enumerate(SINGLE)]
 )
 @pytest.mark.usefixtures("no_kernel")
-def test_arguments(call, error, message, tmp_path):
+def test_arguments(call, error, message, tmp_path, monkeypatch):
+    # Of systems that do not tell as well.
+    monkeypatch.setattr(memory, "available", lambda: 4e9)
     with pytest.raises(error, match=message):
         call(tmp_path)
+
+
+def test_heights_of_another_unit_are_refused_before_kernels_are_asked_for():
+    with pytest.raises(ValueError, match=r"hf has a height range of 4e.14 µm, which is .* wavelengths of path"):
+        wd.shade(MESH, wd.HeightField.of_known_scale([[0.0, 4e14]], 0.1), LIGHT, VIEW)
 
 
 @pytest.mark.parametrize(("name", "options", "error", "message"), SAVES)

@@ -378,3 +378,34 @@ def test_real_scan_is_cleaned(scan_path: Path) -> None:
     whole = clean.periodic()
     seam = np.abs(whole.heights_um[0] - whole.heights_um[-1]).mean()
     assert seam < 2.0 * np.abs(np.diff(whole.heights_um, axis=0)).mean()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [b"{'descr': '<f8', 'shape': (", b"{'descr': '<f8', 'fortran_order': False, 'shape': (" + b"9" * 30 + b", 2), }\n"],
+    ids=["cut off", "a shape beyond int64"],
+)
+def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
+    """NumPy parses it as Python's text, and raises whatever its parser does."""
+    path = tmp_path / "a.npy"
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(ValueError, match=r"path: .*a\.npy' cannot be read as \.npy"):
+        HeightField.load(path, pitch_um=0.1)
+
+
+def test_what_an_image_reader_says_may_be_no_text(tmp_path, monkeypatch):
+    """It cites a damaged file's own bytes."""
+
+    def said():
+        return b"\xff".decode()
+
+    monkeypatch.setattr("OpenImageIO.geterror", said)
+    (tmp_path / "a.png").write_text("no image")
+    with pytest.raises(ValueError, match=r"path: .*a\.png' cannot be read as an image \(its header is damaged\)"):
+        HeightField.load(tmp_path / "a.png", pitch_um=0.1)
+
+
+def test_heights_that_are_refused_name_the_file(tmp_path):
+    np.save(tmp_path / "a.npy", [[0.0, 1e20]])
+    with pytest.raises(ValueError, match=r"path: .*a\.npy': heights_um must lie within"):
+        HeightField.load(tmp_path / "a.npy", pitch_um=0.1)

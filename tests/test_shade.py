@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from soaking import count
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
@@ -463,6 +464,7 @@ def test_kernels_are_guessed_right_before_rays_are_cast(snake, light, options, l
     assert guessed <= searched.union(*tabled), "compiled and never used"
 
 
+@pytest.mark.permanent("forks, pools, callbacks that render or raise")
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_progress_may_render_or_fail(threads):
     hf = wd.gratings.fingers(size_um=6.4, seed=1)
@@ -488,7 +490,8 @@ def test_progress_may_render_or_fail(threads):
         np.testing.assert_array_equal(each, expected)
 
 
-def test_threads_that_render_at_once_draw_the_same():
+@pytest.mark.permanent("threads that render at once", shares=2)
+def test_threads_that_render_at_once_draw_the_same(tries):
     hf = wd.gratings.fingers(size_um=6.4, seed=2)
     mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))
     together = threading.Barrier(8)
@@ -499,7 +502,9 @@ def test_threads_that_render_at_once_draw_the_same():
             together.wait(60.0)
         return wd.shade(mesh, hf, light, camera, coherence=wd.Coherence(sigma_um=3.25), tolerance=0.2).xyz
 
-    with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(render, range(8)))
-    for index, each in enumerate(found):
-        np.testing.assert_array_equal(each, render(index, wait=False))
+    expected = [render(index, wait=False) for index in range(8)]
+    for _ in tries.of(range(count(1, 15))):
+        tries.number += 7
+        with ThreadPoolExecutor(8) as pool:
+            found = list(pool.map(render, range(8)))
+        np.testing.assert_array_equal(found, expected)

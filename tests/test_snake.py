@@ -194,7 +194,7 @@ def test_colours_are_where_they_belong(surface):
     ("given", "error", "message"),
     [
         ({"radius": 0.0}, ValueError, "radius must be"),
-        ({"length": 1.0}, ValueError, r"length must be at least 16 radii \(1\.92\), got 1"),
+        ({"length": 1.0}, ValueError, r"length must be 16 to 1000 radii \(1\.92 to 120\), got 1"),
         ({"bend_deg": -1.0}, ValueError, "bend_deg must be"),
         ({"waves": 6.0}, ValueError, "bend_deg and waves must leave the bends wider than the body"),
         ({"bend_deg": 120.0, "waves": 1.6}, ValueError, "bend_deg must leave the bends apart, got 120"),

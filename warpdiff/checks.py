@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +15,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+# Of whatever has a unit, in magnitude: what is beyond means nothing, and its powers overflow or vanish.
+MOST, LEAST = 1e15, 1e-15
+MOST_COUNT = 2**63 - 1
 
-def finite_array(value: Any, name: str, *, ndim: int | None = None, gaps: bool = False) -> NDArray[np.float64]:
+
+def finite_array(
+    value: Any, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
+) -> NDArray[np.float64]:
     """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank.
 
-    A masked element is NaN, which passes with ``gaps``.
+    A masked element is NaN, which passes with ``gaps``; magnitudes are at most ``most``.
     """
     try:
         given = np.asarray(value)
@@ -34,31 +43,37 @@ def finite_array(value: Any, name: str, *, ndim: int | None = None, gaps: bool =
     if bad.any():
         kind = "infinite" if gaps else "NaN, masked or infinite" if np.ma.is_masked(value) else "NaN or infinite"
         raise ValueError(f"{name} must be finite, got {int(np.count_nonzero(bad))} {kind} value(s)")
+    if (beyond := np.abs(array) > most).any():
+        raise ValueError(f"{name} must lie within ±{most:g}, got {array[beyond][0]:g}")
     return array
 
 
-def number(
-    value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = math.inf
-) -> float:
+def number(value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST) -> float:
     """Return ``value`` as a finite float with ``above`` < value, ``least`` <= value <= ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise TypeError(f"{name} must be a number, got {type(value).__name__}")
-    result = float(value)
-    if not (math.isfinite(result) and above < result and least <= result <= most):
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    if not (-MOST <= result <= most and above < result and least <= result):
         accepted = "a finite number"
         if above > -math.inf:
             accepted += f" > {above:g}"
         if least > -math.inf:
             accepted += f" >= {least:g}"
-        if most < math.inf:
+        if most < MOST or MOST < abs(result) < math.inf:
             accepted += f" <= {most:g}"
         raise ValueError(f"{name} must be {accepted}, got {value!r}")
     return result
 
 
-def positive(value: Any, name: str) -> float:
-    """Return ``value`` as a finite float > 0."""
-    return number(value, name, above=0.0)
+def positive(value: Any, name: str, *, most: float = MOST) -> float:
+    """Return ``value`` as a finite float > 0, no less than any length is."""
+    result = number(value, name, above=0.0, most=most)
+    if result < LEAST:
+        raise ValueError(f"{name} must be at least {LEAST:g}, got {result:g}")
+    return result
 
 
 def count(value: Any, name: str, *, least: int = 1) -> int:
@@ -67,12 +82,19 @@ def count(value: Any, name: str, *, least: int = 1) -> int:
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
     if value < least:
         raise ValueError(f"{name} must be an integer >= {least}, got {value}")
+    if value > MOST_COUNT:
+        raise ValueError(f"{name} must be an integer <= {MOST_COUNT}, got {value}")
     return int(value)
+
+
+def is_sequence(value: Any) -> bool:
+    """Whether ``value`` is a tuple, a list or an array that has a length."""
+    return isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.ndim > 0)
 
 
 def pair(value: Any, name: str) -> tuple[float, float]:
     """Return a positive scalar, or a pair in the order (y, x), as a pair of positive floats."""
-    if isinstance(value, (tuple, list, np.ndarray)):
+    if is_sequence(value):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or a pair (y, x), got {len(value)} values")
         return positive(value[0], f"{name}[0]"), positive(value[1], f"{name}[1]")
@@ -80,9 +102,9 @@ def pair(value: Any, name: str) -> tuple[float, float]:
     return single, single
 
 
-def vector(value: Any, name: str) -> NDArray[np.float64]:
-    """Return ``value`` as a finite float64 vector of shape (3,)."""
-    array = finite_array(value, name)
+def vector(value: Any, name: str, *, most: float = math.inf) -> NDArray[np.float64]:
+    """Return ``value`` as a finite float64 vector of shape (3,), its components at most ``most`` in magnitude."""
+    array = finite_array(value, name, most=most)
     if array.shape != (3,):
         raise ValueError(f"{name} must be a vector of 3 numbers, got shape {array.shape}")
     return array
@@ -109,6 +131,19 @@ def choice(value: Any, name: str, options: Collection[str]) -> str:
     if not isinstance(value, str) or value not in options:
         raise ValueError(f"{name} must be one of {', '.join(map(repr, options))}, got {value!r}")
     return value
+
+
+def path(value: Any, name: str) -> Path:
+    """Return ``value`` as a path; refuse what is none, and names that no file can have."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a string or a path, got {type(value).__name__}")
+    try:
+        os.lstat(value)
+    except (ValueError, OSError) as error:
+        # A system takes neither NUL, nor half of a surrogate pair, nor thousands of characters.
+        if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
+            raise ValueError(f"{name} must be a name that a file can have, got {value!r}") from None
+    return Path(os.fsdecode(value))
 
 
 def instance(value: Any, kind: type, name: str, *, optional: bool = False) -> None:

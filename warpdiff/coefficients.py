@@ -118,8 +118,7 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 def series_terms(hf: HeightField, kappas: tuple[float, float]) -> int:
     """Terms of the Jacobi-Anger series that fitted bases are made from, for |κ| in a range [1/µm]."""
     series = EXPANSIONS["jacobi-anger"]
-    _, table_kappas = _table_kappas(hf, kappas)
-    argument = 2.0 * math.pi * float(np.abs(table_kappas).max()) * series.offset_and_scale(hf)[1]
+    argument = 2.0 * math.pi * _entries(hf, kappas)[-1] * series.offset_and_scale(hf)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
 
 
@@ -214,11 +213,18 @@ def _radians_per_kappa(hf: HeightField) -> float:
     return max(2.0 * math.pi * hf.height_range_um, 1e-3)
 
 
-def _table_kappas(hf: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
-    """The step and the |κ| of the entries of a basis' table."""
+def _entries(hf: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
+    """The step of |κ| in a basis' table, how many steps it has beyond the least, and the last |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(hf)), (high - low) / _FEWEST_STEPS or 1.0)
-    return step, np.asarray(low + step * np.arange(-1, math.ceil((high - low) / step) + 3), dtype=np.float64)
+    count = math.ceil((high - low) / step) + 2
+    return step, count, low + step * count
+
+
+def _table_kappas(hf: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
+    """The step and the |κ| of the entries of a basis' table."""
+    step, count, _ = _entries(hf, kappas)
+    return step, np.asarray(kappas[0] + step * np.arange(-1, count + 1), dtype=np.float64)
 
 
 def _values_at(hf: HeightField, series: Coefficients, kappas: NDArray[np.float64]) -> NDArray[np.float32]:

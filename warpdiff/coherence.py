@@ -52,7 +52,7 @@ class Coherence:
             sigma = DEFAULT_SIGMA_UM if self.sigma_um is None else checks.positive(self.sigma_um, "sigma_um")
             self._set("sigma_um", sigma)
         if self.centre_um is not None:
-            centre = checks.finite_array(self.centre_um, "centre_um")
+            centre = checks.finite_array(self.centre_um, "centre_um", most=checks.MOST)
             if centre.shape != (2,):
                 raise ValueError(f"centre_um must be a pair (y, x) in µm, got shape {centre.shape}")
             self._set("centre_um", (float(centre[0]), float(centre[1])))
@@ -60,7 +60,7 @@ class Coherence:
             diameter = 0.53 if self.angular_diameter_deg is None else self.angular_diameter_deg
             self._set(
                 "angular_diameter_deg",
-                checks.number(diameter, "angular_diameter_deg", above=0.0, most=_WIDEST_SOURCE_DEG),
+                checks.positive(diameter, "angular_diameter_deg", most=_WIDEST_SOURCE_DEG),
             )
         if self.kind == "replicas":
             if self.copies is None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, memory
 from warpdiff.heightfield import HeightField
 
 if TYPE_CHECKING:
@@ -88,8 +88,10 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
     depth = checks.number(depth_um, "depth_um", least=0.0)
     if samples is None:
         # An even number has a sample in every valley of a sine.
-        return period, depth, max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
-    return period, depth, checks.count(samples, "samples", least=2)
+        samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
+    samples = checks.count(samples, "samples", least=2)
+    memory.require_samples(1, samples, "take {share} of period_um, or of samples")
+    return checks.number(period, "period_um", least=samples * checks.LEAST), depth, samples
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,7 @@ def disc(
     across = math.ceil(form.track_pitch_um / pitch - 1e-9)
     along = math.ceil(length / pitch - 1e-9)
     bits = round(length / form.channel_bit_um)
+    memory.require_samples(along, track_count * across, "take {share} of tracks, of length_um, or a larger pitch_um")
     dx, dy, bit = form.track_pitch_um / across, length / along, length / bits
     x = (np.arange(across) - across // 2) * dx
     y = np.arange(along) * dy
@@ -231,6 +234,7 @@ def bumps(
         if spacing[axis] < extent[axis]:
             raise ValueError(f"spacing_um[{axis}] must be at least {name} = {extent[axis]:g}, got {spacing[axis]:g}")
     ny, nx = (max(2, math.ceil(side / pitch - 1e-9)) for side in spacing)
+    memory.require_samples(ny, nx, "take {side} of spacing_um, or a larger pitch_um")
     y = (np.arange(ny) - ny // 2) * (spacing[0] / ny)
     x = (np.arange(nx) - nx // 2) * (spacing[1] / nx)
     cap = 1.0 - (2.0 * y[:, None] / extent[0]) ** 2 - (2.0 * x / extent[1]) ** 2
@@ -281,6 +285,7 @@ def fingers(
         )
     rng = _generator(seed)
     ny, nx = (round(side / step) for side, step in zip(size, pitch, strict=True))
+    memory.require_samples(ny, nx, "take {side} of size_um, or a larger pitch_um")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
     # Lengths below are in units of the actual period and the actual length.

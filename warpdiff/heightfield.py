@@ -9,18 +9,18 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, forks, inpainting, periods, units, validity
+from warpdiff import checks, forks, inpainting, memory, periods, units, validity
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.spectrum import LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
     import os
+    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -118,7 +118,7 @@ class HeightField:
 
     def _take(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
         """Check and keep the arguments."""
-        heights = checks.finite_array(heights_um, "heights_um", ndim=2, gaps=True)
+        heights = checks.finite_array(heights_um, "heights_um", ndim=2, gaps=True, most=checks.MOST)
         if heights.size == 0:
             raise ValueError(f"heights_um must hold at least one sample, got shape {heights.shape}")
         missing = np.isnan(heights)
@@ -166,7 +166,7 @@ class HeightField:
             raise ValueError(
                 f"give exactly one of extent_um (width along x) and pitch_um (a sample's size), got {given}"
             )
-        file = Path(path)
+        file = checks.path(path, "path")
         if not file.exists():
             raise FileNotFoundError(f"path: there is no file {str(file)!r}; check the name and the working directory")
         if not file.is_file():
@@ -174,8 +174,12 @@ class HeightField:
         samples = _read_npy(file) if file.suffix.lower() == ".npy" else _read_image(file)
         heights = _in_micrometres(samples, file, height_range_um)
         if extent_um is not None:
-            return cls(heights, checks.positive(extent_um, "extent_um") / heights.shape[1])
-        return cls(heights, checks.pair(pitch_um, "pitch_um"))
+            pitch_um = checks.positive(extent_um, "extent_um") / heights.shape[1]
+        pitch = checks.pair(pitch_um, "pitch_um")
+        try:
+            return cls(heights, pitch)
+        except ValueError as error:
+            raise ValueError(f"path: {str(file)!r}: {error}") from None
 
     @property
     def heights_um(self) -> NDArray[np.float64]:
@@ -357,7 +361,7 @@ class HeightField:
             ValueError: The rectangle is smaller than a sample, reaches outside of the field, or holds no height.
         """
         size = checks.pair(size_um, "size_um")
-        if offset_um is not None and (not isinstance(offset_um, (tuple, list, np.ndarray)) or len(offset_um) != 2):
+        if offset_um is not None and not (checks.is_sequence(offset_um) and len(offset_um) == 2):
             raise ValueError(f"offset_um must be a pair (y, x) or None, got {offset_um!r}")
         slices: list[slice] = []
         for axis, name in enumerate("yx"):
@@ -406,6 +410,9 @@ class HeightField:
             if wanted < 1:
                 raise ValueError(f"pitch_um along {name} must be at most the size {size:.4g}, got {pitch[axis]:.6g}")
             if wanted != have:
+                memory.require_samples(
+                    heights.size // have, wanted, f"take a pitch_um along {name} that is larger by 1/{{share}}"
+                )
                 heights = _resampled_axis(heights, wanted, axis)
                 actual[axis] = size / wanted
         return HeightField.of_known_scale(heights, (actual[0], actual[1]))
@@ -643,7 +650,8 @@ def _read_npy(file: Path) -> NDArray[Any]:
     try:
         with file.open("rb") as stream:
             array = np.lib.format.read_array(stream, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+    except Exception as error:
+        # Headers are Python's text, and raise whatever its parser stumbles over.
         raise ValueError(
             f"path: {str(file)!r} cannot be read as .npy ({error}); write it with numpy.save, as plain numbers"
         ) from None
@@ -658,9 +666,7 @@ def _read_image(file: Path) -> NDArray[Any]:
 
     image = oiio.ImageInput.open(str(file))
     if image is None:
-        raise ValueError(
-            f"path: {str(file)!r} cannot be read as an image ({_one_line(oiio.geterror())}); give a grey image or .npy"
-        )
+        raise ValueError(f"path: {str(file)!r} cannot be read as an image ({_reason(oiio)}); give a grey image or .npy")
     try:
         channels = image.spec().nchannels
         if channels != 1:
@@ -670,7 +676,7 @@ def _read_image(file: Path) -> NDArray[Any]:
             )
         samples = image.read_image("unknown")  # the file's own type: nothing is converted
         if samples is None or image.has_error:
-            raise ValueError(f"path: {str(file)!r} is damaged ({_one_line(image.geterror())}); export the image again")
+            raise ValueError(f"path: {str(file)!r} is damaged ({_reason(image)}); export the image again")
         if image.seek_subimage(1, 0):
             raise ValueError(f"path: {str(file)!r} holds several images; save the one with the heights by itself")
     finally:
@@ -678,9 +684,12 @@ def _read_image(file: Path) -> NDArray[Any]:
     return np.asarray(samples)[..., 0]
 
 
-def _one_line(message: str) -> str:
-    """Return a message of several lines as one."""
-    return " ".join(message.split())
+def _reason(source: Any) -> str:
+    """What OpenImageIO says, as one line; it may cite the file's own bytes."""
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "its header is damaged"
 
 
 def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | None) -> NDArray[np.float64]:

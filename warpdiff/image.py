@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +12,9 @@ import numpy as np
 from warpdiff import checks, files, spectrum
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -160,9 +160,7 @@ def relative_errors(
 
 def check_target(path: Any, name: str = "path") -> Path:
     """Return the path of a picture that can be written there, or say why it cannot."""
-    if not isinstance(path, (str, os.PathLike)):
-        raise TypeError(f"{name} must be a string or a path, got {type(path).__name__}")
-    target = Path(path)
+    target = checks.path(path, name)
     if target.suffix.lower() not in _FORMATS:
         raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
     files.check_folder(target.parent, name)

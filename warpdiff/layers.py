@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,7 @@ NAMES = ("normal", "depth", "geometry")
 
 def check_layers(names: Any) -> tuple[str, ...]:
     """Return the names of layers, each once."""
-    if isinstance(names, str) or not isinstance(names, Collection):
+    if not checks.is_sequence(names):
         raise TypeError(f"layers must be names in a tuple or list, such as ('normal',), got {names!r}")
     return tuple(dict.fromkeys(checks.choice(name, "layers", NAMES) for name in names))
 

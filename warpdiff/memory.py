@@ -7,6 +7,8 @@ from pathlib import Path
 
 # What arrays are indexed by is an int32.
 MOST_ELEMENTS = 2**31 - 1
+# As measured, while sample fields and bodies are made.
+_BYTES_A_SAMPLE, _BYTES_A_FACE = 80.0, 160.0
 
 
 def require(needed: float, what: str, remedy: str) -> None:
@@ -27,6 +29,16 @@ def require(needed: float, what: str, remedy: str) -> None:
         free = max(there, 0.0) / 1e9
         fits = remedy.format(share=f"{share:.2g}", side=f"{math.sqrt(share):.2g}")
         raise MemoryError(f"{what} takes about {needed / 1e9:.2g} GB, and {free:.2g} GB are free: {fits}")
+
+
+def require_samples(ny: int, nx: int, remedy: str) -> None:
+    """Refuse a height field of more samples than there is memory to make it; see `require`."""
+    require(_BYTES_A_SAMPLE * ny * nx, f"a field of {ny} × {nx} samples", remedy)
+
+
+def require_faces(count: int, remedy: str) -> None:
+    """Refuse a mesh of more faces than there is memory to make it; see `require`."""
+    require(_BYTES_A_FACE * count, f"a mesh of {count} faces", remedy)
 
 
 def available() -> float:

@@ -7,6 +7,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpdiff import checks
 from warpdiff.errors import WarpdiffWarning
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     """
     import trimesh
 
-    file = Path(path)
+    file = checks.path(path, "mesh")
     if not file.exists():
         raise FileNotFoundError(f"mesh: there is no file {str(file)!r}")
     found: dict[str, bytes] = {}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, memory
 from warpdiff.snake import snake
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def tube(
     checks.choice(tangent, "tangent", ("around", "along"))
     checks.count(segments_along, "segments_along", least=12)
     checks.count(segments_around, "segments_around", least=3)
+    memory.require_faces(2 * segments_along * segments_around, "take {share} of segments_along, or of segments_around")
     if length < 5.0 * radius:
         raise ValueError(f"length must be at least 5 radii ({5.0 * radius:g}), got {length:g}")
     bend = math.radians(bend_deg)
@@ -139,6 +140,7 @@ def disc(
         raise ValueError(f"inner_radius must be below outer_radius ({outer_radius:g}), got {inner_radius:g}")
     checks.count(segments, "segments", least=3)
     checks.count(rings, "rings", least=1)
+    memory.require_faces(2 * segments * rings, "take {share} of segments, or of rings")
     turn = np.arange(segments + 1) / segments
     phi = 2.0 * math.pi * turn
     phi[-1] = 0.0

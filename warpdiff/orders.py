@@ -83,15 +83,15 @@ def order_efficiencies(
     ranges = []
     for length, n, component in zip(hf.size_um, hf.shape, light[0, 1::-1], strict=True):
         reach = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
-        ranges.append(np.arange(math.ceil((component - 1.0) * reach), math.floor((component + 1.0) * reach) + 1))
-    samples, lines = hf.shape[0] * hf.shape[1], len(ranges[0]) * len(ranges[1])
+        ranges.append((math.ceil((component - 1.0) * reach), math.floor((component + 1.0) * reach) + 1))
+    samples, lines = hf.shape[0] * hf.shape[1], math.prod(end - begin for begin, end in ranges)
     terms = _term_count(math.pi * hf.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
     memory.require(
         _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
         f"a cell of {hf.shape[0]} × {hf.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
         "take at most {share} of the area, or fewer wavelengths at a time",
     )
-    orders = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 2)
+    orders = np.stack(np.meshgrid(*(np.arange(*each) for each in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / hf.size_um[::-1]) - light[0, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
     lives = upward > optics.HORIZON**2

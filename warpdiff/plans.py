@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from warpdiff.coefficients import POWER_METHODS, holds_powers
 from warpdiff.coherence import Coherence
 from warpdiff.expansions import EXPANSIONS, MAX_TERMS
 from warpdiff.scope import Scope
+from warpdiff.spectrum import LONGEST_NM, SHORTEST_NM
 
 INTEGRATIONS = ("sampled", "table")
 METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
@@ -27,6 +29,16 @@ _SUMMED, _LOOKED_UP = 9e9, 2.7e9
 MIN_NODES, MAX_NODES = 4, 512
 # Functions of w come in multiples of these.
 FUNCTIONS, MOST_FUNCTIONS = 4, 32
+# Least and most: of components of two unit vectors' sum, which may be rounded, and of wavelengths.
+_SCOPE = {
+    **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
+    **dict.fromkeys(("max_lateral", "height_range_um"), (0.0, checks.MOST)),
+    **dict.fromkeys(("lambda_min_nm", "lambda_max_nm"), (SHORTEST_NM, LONGEST_NM)),
+}
+_PREDICTED = (
+    *("split", "unsettled", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing", "scalar_error"),
+    *("multiply_adds", "table_multiply_adds"),
+)
 
 
 @dataclass(frozen=True)
@@ -116,8 +128,9 @@ class Plan:
     def __post_init__(self) -> None:
         checks.choice(self.method, "method", (*EXPANDED, "direct"))
         checks.instance(self.coherence, Coherence, "coherence")
+        checks.number(self.rays_per_width, "rays_per_width", least=0.0)
         if checks.count(self.nodes, "nodes", least=0):
-            checks.number(self.rays_per_width, "rays_per_width", above=0.0)
+            checks.positive(self.rays_per_width, "rays_per_width")
             if not MIN_NODES <= self.nodes <= MAX_NODES:
                 raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
         if checks.count(self.functions, "functions", least=0) % FUNCTIONS or self.functions > MOST_FUNCTIONS:
@@ -132,14 +145,22 @@ class Plan:
         weight = checks.number(self.least_weight, "least_weight", above=0.0)
         if weight >= 1.0:
             raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
-        for name in ("max_uv", "max_lateral", "min_w", "max_w", "lambda_min_nm", "lambda_max_nm", "height_range_um"):
-            checks.number(getattr(self, name), name, least=0.0)
+        for name, (least, most) in _SCOPE.items():
+            checks.number(getattr(self, name), name, least=least, most=most)
+        for name in _PREDICTED:
+            # Bounds of what diverges are of any size.
+            checks.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
+        errors = checks.finite_array(self.errors, "errors")
+        if errors.shape != (2,):
+            raise ValueError(f"errors must be a pair of numbers, got {self.errors!r}")
+        checks.flag(self.searched, "searched")
+        checks.count(self.judged, "judged", least=0)
         bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um")
         if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
             raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
         checks.flag(self.adaptive, "adaptive")
         checks.count(self.subdivisions, "subdivisions")
-        if self.wavelengths != 0:
+        if checks.count(self.wavelengths, "wavelengths", least=0):
             checks.count(self.wavelengths, "wavelengths", least=2)
 
     @property

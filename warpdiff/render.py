@@ -141,6 +141,8 @@ def shade(
 
 # What a picture takes while it is made, as measured, of any kind.
 _BYTES_A_PIXEL = 210
+# Points in a pixel: 256 by 256 settle whatever a picture can show, and more would be drawn for ever.
+_MOST_SAMPLES = 2**16
 # Shares of the pixels that may err by more than the tolerance.
 MOST_UNSETTLED = 0.03
 
@@ -220,6 +222,8 @@ class Wanted:
         normal = optics.normal_reflectance(ior)
         pigment = checks.number(pigment, "pigment", least=0.0)
         samples = checks.count(samples_per_pixel, "samples_per_pixel")
+        if samples > _MOST_SAMPLES:
+            raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
         if plan is not None:
             check_plan(plan, coherence, colour=True)
         on = resolve_device(device)

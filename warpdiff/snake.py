@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from warpdiff import checks
+from warpdiff import checks, memory
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Outlines. Of the head by its length, of the body by the rest, in radii of the body: half width, height above the
 # centre line, depth below it, and the exponent of the cross section (2 is an ellipse, more is squarer).
-_HEAD_LENGTH = 2.5
+_HEAD_LENGTH, _LONGEST = 2.5, 1e3
 _HEAD = np.array(
     [
         [0.00, 0.36, 0.22, 0.16, 2.4],
@@ -123,7 +123,7 @@ def snake(
 
     Args:
         radius: Half the width of the body at its thickest.
-        length: Of the centre line; at least 16 radii.
+        length: Of the centre line; 16 to 1000 radii.
         bend_deg: Greatest angle between the centre line and the x axis [degrees]; 0 is a straight body.
         waves: Number of periods of the meander.
         tangent: ``"around"`` or ``"along"``.
@@ -149,8 +149,17 @@ def snake(
     checks.count(ventrals, "ventrals", least=8)
     checks.count(segments, "segments", least=2)
     checks.count(seed, "seed", least=0)
-    if length < 16.0 * radius:
-        raise ValueError(f"length must be at least 16 radii ({16.0 * radius:g}), got {length:g}")
+    # As measured, while it is made; the belly is as good as two rows.
+    memory.require(
+        (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
+        f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
+        "take {share} of scale_rows or ventrals, or {side} of segments",
+    )
+    # Outlines of the head and of the body are one spline.
+    if not 16.0 * radius <= length <= _LONGEST * radius:
+        raise ValueError(
+            f"length must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), got {length:g}"
+        )
 
     skin = _Skin(radius, length, math.radians(bend_deg), waves, scale_rows + 1, ventrals)
     patch = _joined([*_scales(skin, segments), *_scutes(skin, segments), _head(skin, segments), _tip(skin, segments)])

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
+# That a caller may ask for.
+SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 KEPT = {"D65": Path(__file__).with_name("d65.npy")}
 
@@ -197,10 +199,10 @@ def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:
     nodes = np.atleast_1d(checks.finite_array(wavelengths_nm, "wavelengths_nm"))
     if nodes.ndim != 1 or nodes.size == 0:
         raise ValueError(f"wavelengths_nm must have shape (m,), got {nodes.shape}")
-    if nodes.min() < 100.0 or nodes.max() > 10_000.0:
+    if nodes.min() < SHORTEST_NM or nodes.max() > LONGEST_NM:
         raise ValueError(
-            f"wavelengths_nm must lie within 100 to 10000 nm, got {nodes.min():g} to {nodes.max():g}; "
-            "they are nanometres"
+            f"wavelengths_nm must lie within {SHORTEST_NM:g} to {LONGEST_NM:g} nm, got {nodes.min():g} to "
+            f"{nodes.max():g}; they are nanometres"
         )
     return nodes
 

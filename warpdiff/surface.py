@@ -275,9 +275,12 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
     if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
         return None
     uvs = np.array(uvs[:, :2], dtype=np.float64)
-    if not np.all(np.isfinite(uvs)):
-        bad = int(np.count_nonzero(~np.isfinite(uvs).all(axis=1)))
-        raise ValueError(f"mesh must have finite texture coordinates, got {bad} NaN or infinite ones")
+    sound = np.all(np.abs(uvs) <= checks.MOST, axis=1)
+    if not sound.all():
+        bad = int(np.count_nonzero(~sound))
+        raise ValueError(
+            f"mesh must have finite texture coordinates, got {bad} NaN, infinite or beyond {checks.MOST:g}"
+        )
     return uvs
 
 
@@ -410,8 +413,8 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     largest = float(np.max(high - centre))
     # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
-    if not np.isfinite(radius):
-        raise ValueError("mesh must have a finite size, got coordinates that overflow")
+    if not checks.LEAST <= radius <= checks.MOST:
+        raise ValueError(f"mesh must have a radius of {checks.LEAST:g} to {checks.MOST:g}, got {radius:g}")
     # float32 first: what has no area in the kernels shall have none here.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -67,8 +68,8 @@ class View:
     extent_y: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("eye", "target", "up"):
-            x, y, z = checks.vector(getattr(self, name), name).tolist()
+        for name, most in {"eye": checks.MOST, "target": checks.MOST, "up": math.inf}.items():
+            x, y, z = checks.vector(getattr(self, name), name, most=most).tolist()
             object.__setattr__(self, name, (x, y, z))
         fov = checks.positive(self.fov_y_deg, "fov_y_deg")
         if fov >= 180.0:
@@ -118,9 +119,8 @@ class View:
     @forks.cached_property
     def _frame(self) -> ViewFrame:
         origin = np.array(self.eye)
-        with np.errstate(over="ignore"):
-            distance = origin - np.array(self.target)
-        if not np.any(distance) or not np.all(np.isfinite(distance)):
+        distance = origin - np.array(self.target)
+        if not np.any(distance):
             raise ValueError(
                 f"eye and target must be two different points, got eye={self.eye!r}, target={self.target!r}"
             )
