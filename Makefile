@@ -9,22 +9,33 @@ DEMO_STAMP := $(VENV)/.stamp-core
 TEST_STAMP := $(VENV)/.stamp-test
 LINT_STAMP := $(VENV)/.stamp-lint
 BENCH_STAMP := $(VENV)/.stamp-bench
+MINUTES ?= 60
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test soak test-lowest lint bench clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-6s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
 
 test: $(TEST_STAMP) ## run the tests
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
+	$(BIN)/python -m warpdiff.bench.soak --minutes $(MINUTES)
+
+test-lowest: ## run the tests with the lowest versions that are allowed, in an environment of their own
+	rm -rf $(VENV)-lowest
+	$(PYTHON) -m venv $(VENV)-lowest
+	$(VENV)-lowest/bin/python -m pip install uv
+	$(VENV)-lowest/bin/uv pip install --python $(VENV)-lowest/bin/python --resolution lowest-direct -e '.[test]'
+	$(VENV)-lowest/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 lint: $(LINT_STAMP) ## check style and types
 	$(BIN)/python -m ruff check
@@ -35,7 +46,7 @@ bench: $(BENCH_STAMP) ## chart speed against accuracy into bench_results/, in a 
 	$(BIN)/warpdiff bench --output bench_results
 
 clean: ## remove the environment, caches, builds and the demonstration's pictures
-	rm -rf $(VENV) build dist demo bench_results *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find warpdiff kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # An environment made by hand is kept; only its version is checked.

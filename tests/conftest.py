@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soaking
 
 # What tests compute is not kept in the user's folder.
 os.environ["WARPDIFF_CACHE_DIR"] = ""
@@ -56,6 +57,35 @@ def device(request) -> str:
         if not wp.is_cuda_available():
             pytest.skip("no CUDA device on this machine")
     return request.param
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    """The report of a soak counts tests by rows."""
+    for item in items:
+        if marker := item.get_closest_marker("permanent"):
+            item.user_properties.append(("row", marker.args[0]))
+
+
+def _shares(item) -> int:
+    marker = item.get_closest_marker("permanent")
+    return marker.kwargs.get("shares", 1) if marker else 1
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """A soak's time is shared among the tests that are left."""
+    if soaking.IS_SOAK:
+        left = item.session.items[item.session.items.index(item) :]
+        soaking.begin(_shares(item), sum(map(_shares, left)))
+
+
+@pytest.fixture
+def tries(record_property):
+    """Counts what a test tries; one that does not ask for it tries once."""
+    counted = soaking.Tries()
+    yield counted
+    record_property("tried", counted.number)
 
 
 def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np.ndarray:

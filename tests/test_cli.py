@@ -125,6 +125,7 @@ def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 @pytest.mark.parametrize(
     "arguments",
     [["brdf", "blazed", "-o", "map.png"], ["render", "tube", "blazed", "-o", "tube.exr"], ["demo"], ["bench"]],
@@ -194,6 +195,7 @@ def run_without_home(code, folder, **environment):
     )  # fmt: skip
 
 
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 def test_a_user_without_a_home_is_served(tmp_path):
     done = run_without_home(
         "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
@@ -205,6 +207,7 @@ def test_a_user_without_a_home_is_served(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
     (tmp_path / "file").touch()
     code = "import sys; from warpdiff import cli; sys.exit(cli.main(['info', 'lamellar']))"

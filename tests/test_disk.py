@@ -9,10 +9,12 @@ import sys
 
 import numpy as np
 import pytest
+from soaking import count
 
 import warpdiff as wd
 from warpdiff import disk
 
+ROW = "files of the cache: damaged, left by killed processes"
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 
 
@@ -73,19 +75,20 @@ def damaged(whole, rng):
                 content[content.index(header) + at - 4] ^= 0x41
                 yield bytes(content)
     yield from (whole[:size] for size in range(0, len(whole), 29))
-    for _ in range(200):
+    for _ in range(count(200, 12_000)):
         content = bytearray(whole)
         content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
         yield bytes(content)
 
 
-def test_a_damaged_file_is_made_anew(folder, rng):
+@pytest.mark.permanent(ROW, shares=10)
+def test_a_damaged_file_is_made_anew(folder, rng, tries):
     disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
     path = next(folder.iterdir())
     whole = path.read_bytes()
     disk.kept_on_disk("other", HEIGHTS, counted(2.0)[1])
     other = next(each for each in folder.iterdir() if each != path)
-    for content in (*damaged(whole, rng), other.read_bytes()):
+    for content in tries.of((other.read_bytes(), *damaged(whole, rng))):
         path.write_bytes(content)
         calls, make = counted(1.0)
         for _ in range(2):
@@ -97,6 +100,7 @@ def test_a_damaged_file_is_made_anew(folder, rng):
         assert path.read_bytes() == whole
 
 
+@pytest.mark.permanent(ROW)
 def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
     disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
     path = next(folder.iterdir())
@@ -105,14 +109,15 @@ def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
     assert disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
 
 
-def test_what_killed_processes_leave_is_swept_once_it_is_old(folder):
+@pytest.mark.permanent(ROW)
+def test_what_killed_processes_leave_is_swept_once_it_is_old(folder, tries):
     disk.kept_on_disk("key", HEIGHTS, counted(1.0)[1])
     kill = "import os, signal; from pathlib import Path; from warpdiff.files import replacing\n"
     kill += f"with replacing(Path({str(folder)!r}, 'a'), suffix='.part'): os.kill(os.getpid(), signal.SIGKILL)"
-    for _ in range(2):
+    for _ in tries.of(range(count(2, 10))):
         subprocess.run([sys.executable, "-c", kill], check=False)
     (folder / "mine.part").touch()
-    old, young = (each for each in folder.iterdir() if each.name.startswith(".warpdiff"))
+    old, young, *_ = (each for each in folder.iterdir() if each.name.startswith(".warpdiff"))
     for each in (old, folder / "mine.part"):
         os.utime(each, (1e9, 1e9))
     disk.kept_on_disk("other", HEIGHTS, counted(1.0)[1])
@@ -178,6 +183,7 @@ def test_what_is_fast_is_not_kept(tmp_path, monkeypatch):
     assert not (tmp_path / "kept").exists()
 
 
+@pytest.mark.permanent(ROW)
 def test_pictures_are_the_same_with_it(folder):
     lights = np.array([[0.1, 0.2, 0.97]])
     views = np.array([[-0.3, 0.1, 0.95]])

@@ -21,7 +21,10 @@ from warpdiff.work import Work
 if not hasattr(os, "fork"):
     pytest.skip("this system has no forks", allow_module_level=True)
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
+    pytest.mark.permanent("forks, pools, callbacks that render or raise"),
+]
 _MOST_S = 30.0
 HERE = Path(__file__).parent
 

@@ -9,9 +9,13 @@ import sys
 import time
 
 import pytest
+from soaking import IS_SOAK
 
 if os.name != "posix":
     pytest.skip("signals are POSIX", allow_module_level=True)
+
+ROW = "SIGINT, SIGTERM and SIGHUP, at many delays"
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 @pytest.fixture(autouse=True)
@@ -46,18 +50,16 @@ def left_behind(folder):
 
 
 # While packages are imported, and while kernels are compiled.
-@pytest.mark.parametrize(
-    ("delay", "name"),
-    [
-        (0.15, "SIGINT"),
-        (0.25, "SIGTERM"),
-        (0.4, "SIGHUP"),
-        (0.6, "SIGINT"),
-        (0.9, "SIGTERM"),
-        (1.3, "SIGHUP"),
-        (2.5, "SIGTERM"),
-    ],
-)
+GRID = [
+    *((0.15, "SIGINT"), (0.25, "SIGTERM"), (0.4, "SIGHUP"), (0.6, "SIGINT")),
+    *((0.9, "SIGTERM"), (1.3, "SIGHUP"), (2.5, "SIGTERM")),
+]
+if IS_SOAK:
+    GRID = [(0.15 * 1.16**k, name) for k in range(20) for name in NAMES]
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize(("delay", "name"), GRID)
 def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
     number = getattr(signal, name)
     with begun(["-m", "warpdiff", "brdf", "blazed", "-o", "map.png"], tmp_path) as process:
@@ -92,7 +94,8 @@ sys.exit(__main__.main())
 """
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_swallowed_interruption_is_none_the_less_one(name, tmp_path):
     number = getattr(signal, name)
     with begun(["-c", STUBBORN], tmp_path) as process:

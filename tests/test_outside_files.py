@@ -88,6 +88,7 @@ def test_what_lies_beside_the_mesh_is_read(folders, kind):
     assert told[-1] == "base colour True"
 
 
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 @pytest.mark.parametrize(
     "files",
     [

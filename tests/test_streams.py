@@ -12,6 +12,8 @@ import pytest
 if os.name != "posix":
     pytest.skip("these streams are POSIX", allow_module_level=True)
 
+pytestmark = pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+
 
 def in_shell(command, folder, **environment):
     """Run a shell's command, ``$W`` standing for the command line; its exit code, output and errors."""

@@ -113,9 +113,11 @@ def test_progress_that_fails_ends_work(threads):
     assert done[-1] == -1
 
 
-def test_threads_do_not_pile_up():
+@pytest.mark.permanent("varied calls and thread counts: memory and threads that stay")
+def test_threads_do_not_pile_up(tries):
     """Whatever numbers of them were asked for."""
     before = threading.active_count()
+    tries.number = 39
     for threads in range(1, 40):
         side_by_side(lambda _: time.sleep(1e-4), range(threads), threads=threads)
     most = time.monotonic() + 10.0
