@@ -4,7 +4,8 @@
   ``frames``, ``rays``, ``scaling``, ``stability``, ``validity``; what these share: ``scenes``, ``timing``, ``errors``,
   ``figures``, ``inputs``; the programs beside ours: ``peers``
 - to run by themselves, ``python bench/NAME.py``: ``crops``, pictures against their truth, ``published``,
-  ``tolerance_sweep``, ``tight_plans``, ``plan_cost``, ``picture_error``, ``cold_start``; ``thesis``, the published
+  ``tolerance_sweep``, ``tight_plans``, ``plan_cost``, ``picture_error``, ``cold_start``; ``corpus``, whether a change
+  leaves everything the same to the bit; ``thesis``, the published
   evaluation, with its ``variants``
 - references, which share no code with the kernels and serve the tests, too: ``reference`` (float64), ``brute_force``
   (rays), ``numpy_methods``
