@@ -19,7 +19,6 @@ import warpdiff as wd
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ("warpdiff", "kernels", "tests", "bench")
-HAS_COMMAND_LINE = (ROOT / "warpdiff" / "cli.py").is_file()
 
 if not (ROOT / "pyproject.toml").is_file():
     pytest.skip("these tests need the source tree", allow_module_level=True)
@@ -105,8 +104,7 @@ def check_installed(target: Path, source: Path, outside: Path) -> None:
     arguments = [str(target), str(source), "|".join(dependencies)]
     found = run([sys.executable, "-S", "-c", CHECK, *arguments], outside)
     assert found.split() == ["as", PROJECT["version"]]
-    if HAS_COMMAND_LINE:
-        assert PROJECT["version"] in run([sys.executable, "-S", "-c", VERSION, *arguments], outside)
+    assert PROJECT["version"] in run([sys.executable, "-S", "-c", VERSION, *arguments], outside)
     assert not list(outside.iterdir())
 
 
@@ -116,19 +114,19 @@ def tree(tmp_path_factory) -> Path:
     return copy_of_the_tree(tmp_path_factory.mktemp("source") / "tree")
 
 
-def modules(folder: str) -> set[str]:
-    """Names of the Python files in one folder of the checkout."""
-    return {path.name for path in (ROOT / folder).glob("*.py")}
+def shipped(folder: str) -> set[str]:
+    """Files below one folder of the checkout: code, and the data that it reads."""
+    files = (path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return {path.relative_to(ROOT / folder).as_posix() for path in files}
 
 
 def check_wheel(wheel: Path) -> None:
     """Everything is inside, and nothing else."""
     names = set(zipfile.ZipFile(wheel).namelist())
     info = f"warpdiff-{PROJECT['version']}.dist-info"
-    expected = {f"warpdiff/{name}" for name in modules("warpdiff")} | {"warpdiff/py.typed", "warpdiff/d65.npy"}
-    expected |= {f"warpdiff/kernels/{name}" for name in modules("kernels")}
-    bench = {name for name in names if name.startswith("warpdiff/bench/")}
-    assert {name for name in names if not name.startswith(info)} - bench == expected
+    expected = {f"warpdiff/{name}" for name in shipped("warpdiff")}
+    expected |= {f"warpdiff/{folder}/{name}" for folder in ("kernels", "bench") for name in shipped(folder)}
+    assert {name for name in names if not name.startswith(info)} == expected
     assert f"{info}/licenses/LICENSE" in names
     scripts = zipfile.ZipFile(wheel).read(f"{info}/entry_points.txt").decode()
     assert "warpdiff = warpdiff.__main__:main" in scripts
@@ -147,8 +145,9 @@ def test_sdist(tree, tmp_path):
     unpacked = tmp_path / f"warpdiff-{PROJECT['version']}"
     for name in ("LICENSE", "README.md", "pyproject.toml", "tests/test_packaging.py", "warpdiff/py.typed"):
         assert (unpacked / name).is_file(), f"{name} is not in the sdist"
-    for folder in ("warpdiff", "kernels"):
-        assert {path.name for path in (unpacked / folder).glob("*.py")} == modules(folder)
+    for folder in ("warpdiff", "kernels", "bench"):
+        missing = {name for name in shipped(folder) if not (unpacked / folder / name).is_file()}
+        assert not missing
     wheel = build("wheel", unpacked, tmp_path / "from_sdist")
     check_wheel(wheel)
     target = install(wheel, tmp_path / "target")
@@ -173,7 +172,9 @@ def imported(path: Path) -> set[str]:
 
 def test_dependencies_are_what_is_imported():
     names = {"warp": "warp-lang", "colour": "colour-science", "PIL": "pillow"}
-    used = set().union(*(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).glob("*.py")))
+    used = set().union(
+        *(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
+    )
     used = {names.get(name, name) for name in used - sys.stdlib_module_names - {"warpdiff"}}
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # trimesh decodes textures with Pillow, which it does not depend on itself.
