@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import optics, trial
+from warpdiff import trial
 from warpdiff.bench import reference, scenes
 from warpdiff.bench.configurations import FEW, Configuration
 from warpdiff.bench.errors import FLOOR, brightness, percentile
+from warpdiff.kernels.limits import HORIZON
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -112,8 +113,8 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
             warnings.simplefilter("ignore", wd.WarpdiffWarning)
             plan = wd.plan(*given, illuminant=case.illuminant, **arguments)
             lights, views = case.to_light, case.to_view
-    lowest = LOWEST_SOURCE if case.coherence.kind == "source" else optics.HORIZON
-    lit = (lights[:, 2] > lowest) & (views[:, 2] > optics.HORIZON)
+    lowest = LOWEST_SOURCE if case.coherence.kind == "source" else HORIZON
+    lit = (lights[:, 2] > lowest) & (views[:, 2] > HORIZON)
     deflections = -(lights + views)[lit]
     known = {row.tobytes() for each in seen for row in np.round(each + 0.0, 9)}
     read = np.array([row.tobytes() in known for row in np.round(deflections + 0.0, 9)], dtype=bool)

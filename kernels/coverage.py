@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpdiff import refinement
+from warpdiff.kernels import cell_levels
 from warpdiff.kernels.native import filled
 from warpdiff.kernels.scene import Camera, Cells, Sampling, SurfaceArrays
 
@@ -268,7 +268,7 @@ _COVER = """
 """
 
 
-@wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=max(refinement.rays_at(refinement.MOST_LEVEL), 8)))
+@wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=max(cell_levels.rays_at(cell_levels.MOST_LEVEL), 8)))
 def cover_run(
     camera: Camera,
     surface: SurfaceArrays,

@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from warpdiff import optics
-from warpdiff.kernels import spectral
+from warpdiff.kernels import limits, spectral
 from warpdiff.kernels.footprints import spread_run
 from warpdiff.kernels.native import abreast, filled
 from warpdiff.kernels.scene import Camera, Footprint, Pixels, SurfaceArrays
@@ -128,7 +127,7 @@ _DEFLECT = """
 """
 
 
-@wp.func_native(filled(abreast(32) + _DEFLECT, HORIZON=optics.HORIZON))
+@wp.func_native(filled(abreast(32) + _DEFLECT, HORIZON=limits.HORIZON))
 def deflect(
     pixels: Pixels,
     towards: wp.vec3d,

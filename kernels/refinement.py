@@ -2,13 +2,12 @@
 
 import warp as wp
 
-from warpdiff import refinement
-from warpdiff.kernels import spectral
+from warpdiff.kernels import cell_levels, spectral
 from warpdiff.kernels.native import abreast, filled
 
 wp.set_module_options(spectral.OPTIONS)
 
-THIRDS = wp.constant(wp.vec3f(*refinement.THIRDS))
+THIRDS = wp.constant(wp.vec3f(*cell_levels.THIRDS))
 
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
 _ESTIMATE = """
@@ -105,9 +104,9 @@ _ESTIMATE = """
 @wp.func_native(
     filled(
         abreast(32) + _ESTIMATE,
-        SMOOTH=f"{refinement.SMOOTH}f",
-        PER_UNEVEN=f"{refinement.PER_UNEVEN}f",
-        PER_WIDE=f"{refinement.PER_WIDE}f",
+        SMOOTH=f"{cell_levels.SMOOTH}f",
+        PER_UNEVEN=f"{cell_levels.PER_UNEVEN}f",
+        PER_WIDE=f"{cell_levels.PER_WIDE}f",
     )
 )
 def estimate_run(
@@ -364,7 +363,7 @@ def collect(
         column = pixel % width
         # Pixels that are split unequally leave edges between them as they are if each counts for what the filter has
         # there; alike, they are the filter together, and closer to it by themselves.
-        least = wp.int32(refinement.MOST_LEVEL)
+        least = wp.int32(cell_levels.MOST_LEVEL)
         most = wp.int32(0)
         for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
@@ -395,12 +394,12 @@ def collect(
         total = total / weight
         colour = wp.vec3f(total[0], total[1], total[2])
         of_difference = wp.where(
-            level == 1, wp.static(wp.float32(refinement.OF_FIRST)), wp.static(wp.float32(refinement.OF_LATER))
+            level == 1, wp.static(wp.float32(cell_levels.OF_FIRST)), wp.static(wp.float32(cell_levels.OF_LATER))
         )
         # What parts change by may cancel once.
         error = wp.max(
             of_difference * wp.length(colour - colours_out[pixel]),
-            wp.static(wp.float32(refinement.OF_CHANGES)) * wp.sqrt(square),
+            wp.static(wp.float32(cell_levels.OF_CHANGES)) * wp.sqrt(square),
         )
         colours_out[pixel] = colour
         errors_out[pixel] = error
@@ -471,7 +470,7 @@ def choose(
                         share = THIRDS[line] * THIRDS[side]
                         change = share * given.changes[rank]
                         least = (
-                            wp.static(wp.float32(refinement.OF_PARTS))
+                            wp.static(wp.float32(cell_levels.OF_PARTS))
                             * bound
                             * wp.max(wp.length(colours[there]), floor[0])
                         )

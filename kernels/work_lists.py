@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from warpdiff import image, refinement
-from warpdiff.kernels import spectral
+from warpdiff.kernels import cell_levels, limits, spectral
 from warpdiff.kernels.native import take_number
 
 wp.set_module_options(spectral.OPTIONS)
@@ -13,9 +12,9 @@ wp.set_module_options(spectral.OPTIONS)
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
-FLOOR = wp.constant(wp.float32(image.FLOOR))
-EXCEEDED_BY = wp.constant(wp.float32(refinement.EXCEEDED_BY))
-TINY = wp.constant(wp.float32(image.TINY))
+FLOOR = wp.constant(wp.float32(limits.FLOOR))
+EXCEEDED_BY = wp.constant(wp.float32(cell_levels.EXCEEDED_BY))
+TINY = wp.constant(wp.float32(limits.TINY))
 
 
 @wp.kernel

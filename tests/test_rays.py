@@ -15,7 +15,7 @@ from trimesh.visual.material import SimpleMaterial
 
 from warpdiff import meshes, refinement
 from warpdiff.bench.brute_force import intersect, pixel_rays, shading_frame
-from warpdiff.kernels import hierarchy, raycast
+from warpdiff.kernels import cell_levels, hierarchy, raycast
 from warpdiff.kernels.scene import Cells, Pixels, Sampling
 from warpdiff.scene import SceneArrays, camera, needs_shadow_rays
 from warpdiff.surface import prepare_surface
@@ -269,7 +269,7 @@ def head_on(_request):
 
 
 @pytest.mark.parametrize("make", [plates, far_away, head_on])
-@pytest.mark.parametrize("level", refinement.LEVELS)
+@pytest.mark.parametrize("level", cell_levels.LEVELS)
 @pytest.mark.parametrize("slices", [1, 7])
 def test_cells_are_found_face_by_face(make, level, slices, request):
     mesh, view = make(request)
@@ -279,7 +279,7 @@ def test_cells_are_found_face_by_face(make, level, slices, request):
     rng = np.random.default_rng(3)
     chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
     cells = refinement.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))
-    count = len(chosen) * refinement.rays_at(level)
+    count = len(chosen) * cell_levels.rays_at(level)
     nearest = wp.full(count, raycast.UNSEEN, dtype=wp.uint64, device="cpu")
     rows = wp.array([view.height, -1], dtype=wp.int32, device="cpu")
     camera = camera_of(view, surface)

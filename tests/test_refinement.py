@@ -13,6 +13,7 @@ from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
 from warpdiff import meshes, refinement, splitting
+from warpdiff.kernels import cell_levels
 from warpdiff.kernels import refinement as kernels
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -225,18 +226,18 @@ def test_lights_and_pigments_add_up(fingers, table):
 
 
 @pytest.mark.parametrize("means", [True, False])
-@pytest.mark.parametrize("level", refinement.LEVELS)
+@pytest.mark.parametrize("level", cell_levels.LEVELS)
 def test_cells_stand_for_the_filter(level, means):
     """Along an axis, the sum of their Gaussians is one of half a pixel; points have its weights."""
     weights, deviation = refinement.weights_of(level, means=means), refinement.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])
     places = (np.arange(3 * 2**level) + 0.5) / 2**level - 1.5
-    assert weights @ places**2 + deviation**2 == pytest.approx(refinement.DEVIATION**2, rel=0.05)
+    assert weights @ places**2 + deviation**2 == pytest.approx(cell_levels.DEVIATION**2, rel=0.05)
     if means:
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
-        exact = np.exp(-0.5 * (x / refinement.DEVIATION) ** 2) / refinement.DEVIATION
+        exact = np.exp(-0.5 * (x / cell_levels.DEVIATION) ** 2) / cell_levels.DEVIATION
         np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
 
 
@@ -263,7 +264,7 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                     size(d[1, 0] + d[1, 2]) / along, size(d[0, 1] + d[2, 1]) / down, max(corners) / max(along, down)
                 )
                 wide = max(along, down) / max(size(uv[row, column]), 1e-3)
-                share = refinement.SMOOTH + refinement.PER_UNEVEN * uneven + refinement.PER_WIDE * wide
+                share = cell_levels.SMOOTH + cell_levels.PER_UNEVEN * uneven + cell_levels.PER_WIDE * wide
             found[row, column] = min(share, 1.0) * contrast
         limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
         wanted[row, column] = any(hits) and (rim or found[row, column] > limit)

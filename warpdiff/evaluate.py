@@ -14,6 +14,7 @@ from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.image import Image, relative_errors
 from warpdiff.integration import Integrator
+from warpdiff.kernels.limits import HORIZON
 from warpdiff.launches import launch
 from warpdiff.planning import broadcast_directions, check_request, plan_for, warn_outside
 from warpdiff.plans import Plan
@@ -197,7 +198,7 @@ def brdf_map(
     light, single = checks.directions(to_light, "to_light")
     if not single:
         raise ValueError(f"to_light must have shape (3,) for a map, got {np.shape(to_light)}")
-    if light[0, 2] <= optics.HORIZON:
+    if light[0, 2] <= HORIZON:
         raise ValueError(f"to_light must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}")
     size = checks.count(size, "size", least=2)
     across = math.isqrt(checks.count(samples_per_pixel, "samples_per_pixel"))
@@ -279,7 +280,7 @@ def brdf(
     lights, _, single = broadcast_directions(to_light, to_view)
     used = plan.coherence if plan is not None else coherence or Coherence()
     wavelengths_um = spectrum.check_wavelengths(wavelengths_nm) * 1e-3
-    cos_light = np.where(lights[:, 2] > optics.HORIZON, lights[:, 2], 1.0)
+    cos_light = np.where(lights[:, 2] > HORIZON, lights[:, 2], 1.0)
     scale = optics.brdf_scale(cos_light, wavelengths_um, used, hf.size_um[0] * hf.size_um[1])
     scale *= optics.normal_reflectance(ior)
     return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))

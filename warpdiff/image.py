@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import checks, files, spectrum
+from warpdiff.kernels.limits import FLOOR, TINY
 
 if TYPE_CHECKING:
     import os
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
 
     from warpdiff.plans import Plan
 
-# f: errors of what is darker are relative to so much of Y*.
-FLOOR = 1e-3
-# And never to nothing.
-TINY = float(np.finfo(np.float32).tiny)
 # By layer, what its channels' names in EXR files end in.
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")

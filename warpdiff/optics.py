@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import checks
+from warpdiff.kernels.limits import HORIZON
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.coherence import Coherence
-
-# Directions closer to the horizon than this (0.00006°) count as below it: the gain grows without bound there.
-HORIZON = 1e-6
 
 
 def normal_reflectance(ior: Any) -> float:

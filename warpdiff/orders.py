@@ -17,6 +17,7 @@ import numpy as np
 from warpdiff import checks, memory, optics, spectrum
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.heightfield import check_whole
+from warpdiff.kernels.limits import HORIZON
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -75,7 +76,7 @@ def order_efficiencies(
     """
     check_whole(hf)
     light = checks.directions(checks.vector(to_light, "to_light"), "to_light")[0]
-    if light[0, 2] <= optics.HORIZON:
+    if light[0, 2] <= HORIZON:
         raise ValueError(f"to_light must be above the horizon, z > 0, got {to_light!r}")
     wavelengths = spectrum.check_wavelengths(wavelengths_nm)
     normal = optics.normal_reflectance(ior)
@@ -94,7 +95,7 @@ def order_efficiencies(
     orders = np.stack(np.meshgrid(*(np.arange(*each) for each in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / hf.size_um[::-1]) - light[0, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
-    lives = upward > optics.HORIZON**2
+    lives = upward > HORIZON**2
     seen = lives.any(axis=0)
     orders, tangential, upward, lives = orders[seen], tangential[:, seen], upward[:, seen], lives[:, seen]
     _warn_of_aliasing(hf, orders)

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import aliasing, checks, optics, polar, refinement, search, spectrum, tables, trial, validity
+from warpdiff import aliasing, checks, optics, polar, search, spectrum, tables, trial, validity
 from warpdiff.coefficients import holds_powers
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.expansions import EXPANSIONS, check_cycles
 from warpdiff.heightfield import check_whole
+from warpdiff.kernels import cell_levels
 from warpdiff.linear_algebra import on_one_thread
 from warpdiff.plans import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
 from warpdiff.scope import DirectionSample, Scope, hemisphere_pairs, lateral, stratified
@@ -263,7 +264,7 @@ def plan_for(
         return ample
     blurs = footprint and coherence.adds_powers and method == "auto"
     if footprint and not blurs:
-        count *= refinement.rays_at(refinement.LEAST_OF_POINTS)
+        count *= cell_levels.rays_at(cell_levels.LEAST_OF_POINTS)
     most_making = math.inf if integration == "table" or blurs else 0.0
     if method == "auto" and colour and not most_making:
         most_making = _most_making(hf, ample, count)

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.image import FLOOR, TINY
+from warpdiff.kernels.cell_levels import (
+    CUT,
+    DEVIATION,
+    EXCEEDED_BY,
+    LEAST_OF_POINTS,
+    LEVELS,
+    MOST_LEVEL,
+    THIRDS,
+    rays_at,
+)
+from warpdiff.kernels.limits import FLOOR, TINY
 from warpdiff.work import slices_of
 
 if TYPE_CHECKING:
@@ -23,47 +33,21 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-# The pixel's filter, a Gaussian: its deviation, and where it is cut, along each axis [pixels].
-DEVIATION, CUT = 0.5, 1.5
-# What of it lies in each of three pixels in a row.
-_MIDDLE = math.erf(0.5 / (DEVIATION * math.sqrt(2.0))) / math.erf(CUT / (DEVIATION * math.sqrt(2.0)))
-THIRDS = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
-# The finest level: 256 cells a pixel, of which a filter reaches some 2,300.
-MOST_LEVEL = 4
-LEVELS = range(1, MOST_LEVEL + 1)
 # Deviation of a cell's filter over the cells' distance: half of it leaves ripples of 1.4 % between cells.
 _OVERLAP = 0.5
 # Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
 RIM_LEVEL = 2
-# Points, which have no filters, begin at this level: nothing else tells how much they differ.
-LEAST_OF_POINTS = 2
-# What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
-# where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
-# change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
-# itself, relative to |(u, v)|. Of others: over the difference of their last two levels, of the first ones and of later
-# ones, for the first cells may well agree with the whole where both are wrong. See docs/decisions.md.
-SMOOTH, PER_UNEVEN, PER_WIDE, OF_FIRST, OF_LATER = 0.01, 0.5, 0.5, 1.8, 1.4
-# And at least so much of what the nine pixels' cells change by, as if these did not depend on each other.
-OF_CHANGES = 0.4
 # Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
 OF_UNSETTLED = 3.0
 # Pixels are split from errors of so much on, and below of (tolerance / so much)^0.4 of the tolerance: where it is
 # tighter, a larger part of what 99 of 100 pixels keep to is from estimates that were too small. See docs/decisions.md.
 _SPLIT_FROM, _BY_TIGHTNESS = 0.1, 0.4
-# Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
-OF_PARTS = 1.0 / 6.0
-# What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
-EXCEEDED_BY = 0.01
+# Of so many pixels, some tell how bright a picture is.
 _GLIMPSE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
 # Rays whose faces are found together, eight bytes each.
 _MOST_FOUND = 1 << 24
-
-
-def rays_at(level: int) -> int:
-    """Cells of a pixel at a level."""
-    return 1 << 2 * level
 
 
 def bound_of(tolerance: float) -> float:
@@ -74,7 +58,7 @@ def bound_of(tolerance: float) -> float:
 def level_of(samples: int, *, means: bool) -> int:
     """The least level of at least so many rays a pixel."""
     least = 0 if means else LEAST_OF_POINTS
-    return min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL)
+    return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
 
 def deviation_at(level: int, *, means: bool) -> float:
@@ -88,7 +72,7 @@ def deviation_at(level: int, *, means: bool) -> float:
 def _cut_deviation() -> float:
     end = CUT / DEVIATION
     beyond = math.sqrt(2.0 / math.pi) * end * math.exp(-0.5 * end * end) / math.erf(end / math.sqrt(2.0))
-    return DEVIATION * math.sqrt(1.0 - beyond)
+    return float(DEVIATION * math.sqrt(1.0 - beyond))
 
 
 @functools.cache
@@ -150,7 +134,7 @@ def slices(count: int, level: int, threads: int) -> Iterator[range]:
 
 def most_threads(pixels: int) -> int:
     """How many threads the cells of so many pixels are worth, at most."""
-    return -(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS)
+    return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
 
 
 def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.bool_]:
@@ -186,9 +170,9 @@ def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
     some = slice(-(-among.start // apart) * apart, among.stop, apart)
     bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
     if not len(bright):
-        return TINY
+        return float(TINY)
     rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
-    return max(FLOOR * float(np.partition(bright, rank)[rank]), TINY)
+    return float(max(FLOOR * float(np.partition(bright, rank)[rank]), TINY))
 
 
 def glimpse(pixels: int) -> int:

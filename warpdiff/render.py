@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import checks, memory, optics, refinement, search, spectrum
+from warpdiff import checks, memory, optics, search, spectrum
 from warpdiff.coherence import Coherence
 from warpdiff.device import resolve_device, resolve_threads
 from warpdiff.errors import WarpdiffWarning
 from warpdiff.evaluate import check_call, check_plan
 from warpdiff.frame import Frame, load_kernels
 from warpdiff.integration import Integrator
+from warpdiff.kernels import cell_levels
 from warpdiff.layers import check_layers, layers_of
 from warpdiff.light import DirectionalLight
 from warpdiff.planning import FEWEST_SEARCHED, plan_for, warn_outside
@@ -234,7 +235,7 @@ class Wanted:
             )  # fmt: skip
         window = plan.coherence if plan is not None else coherence or Coherence()
         blurred = _takes_footprints(footprint, method, window, plan)
-        most = refinement.rays_at(refinement.MOST_LEVEL)
+        most = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         if blurred and samples > most:
             raise ValueError(
                 f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
@@ -300,7 +301,7 @@ def warn_unsettled(plan: Plan) -> None:
     """Warn of a picture that does not keep its tolerance."""
     if plan.unsettled > MOST_UNSETTLED:
         warnings.warn(
-            f"{100.0 * plan.unsettled:.3g} % of the pixels see more than {4**refinement.MOST_LEVEL} cells of each "
+            f"{100.0 * plan.unsettled:.3g} % of the pixels see more than {4**cell_levels.MOST_LEVEL} cells of each "
             f"settle to tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
             WarpdiffWarning,
             stacklevel=3,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpdiff import refinement
+from warpdiff.kernels import cell_levels
 from warpdiff.work import side_by_side
 
 if TYPE_CHECKING:
@@ -80,8 +81,8 @@ class Room:
         left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
         tiles = {
-            level: wp.empty(rays // refinement.rays_at(level), dtype=wp.int32, device=device)
-            for level in refinement.LEVELS
+            level: wp.empty(rays // cell_levels.rays_at(level), dtype=wp.int32, device=device)
+            for level in cell_levels.LEVELS
         }
         return cls(Seen.by(rays, device=device, means=True, coloured=coloured), colours, left_out, tiles)
 
@@ -102,7 +103,7 @@ class SharedRoom:
 
         self.parts, self._run = parts, RUN
         # Whole pixels of any level, and whole runs of look-ups.
-        whole = math.lcm(refinement.rays_at(refinement.MOST_LEVEL), RUN)
+        whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
         self._size = -(-refinement.MOST_RAYS // whole) * whole
         rays = parts * self._size
         self.room = Room.by(rays, leaves_out=leaves_out, coloured=coloured, device=device)
@@ -127,7 +128,7 @@ class SharedRoom:
         Each is for a range of the pixels; it adds colours to zeros, on so many threads, for each of which there is a
         part.
         """
-        rays = refinement.rays_at(level)
+        rays = cell_levels.rays_at(level)
         slices = [
             (chain, range(among.start + part.start, among.start + part.stop))
             for chain, among in chains

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff import refinement
+from warpdiff.kernels import cell_levels
 from warpdiff.launches import Chain, Step, launch, launch_in_turn
 from warpdiff.rooms import Room, shared_room
 
@@ -92,7 +93,7 @@ class Light:
             self.colours, given.ranks, weights, level,
         ]  # fmt: skip
         outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
-        return [*steps, Step(kernels.share_out, inputs, outputs, in_runs=True, block=refinement.rays_at(level))]
+        return [*steps, Step(kernels.share_out, inputs, outputs, in_runs=True, block=cell_levels.rays_at(level))]
 
     def collect(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> Step:
         """What sets pixels to what cells give them."""
@@ -101,7 +102,7 @@ class Light:
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
         bound = self._bound
-        if self.refine and level == refinement.MOST_LEVEL:
+        if self.refine and level == cell_levels.MOST_LEVEL:
             bound = refinement.OF_UNSETTLED * self.tolerance
         inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
         return Step(kernels.collect, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True)
@@ -174,7 +175,7 @@ def split(light: Light, progress: Callable[[float], None] | None = None) -> tupl
             is_dark = given.dark.numpy()
             is_chosen = np.zeros(size, dtype=np.uint8)
             is_chosen[tiles] = 1
-            for level in refinement.LEVELS:
+            for level in cell_levels.LEVELS:
                 # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them,
                 # nor from those around. Those together that take shadow rays.
                 beside_dark = np.full(size, frame.casts_shadows)
@@ -194,11 +195,11 @@ def split(light: Light, progress: Callable[[float], None] | None = None) -> tupl
                     )
                     shared.meet(level, met, chains, nearest, threads=threads)
                 if progress is not None:
-                    progress((first + level / refinement.MOST_LEVEL * together) / len(pixels))
+                    progress((first + level / cell_levels.MOST_LEVEL * together) / len(pixels))
                 part = part[is_wanted[part] != 0]
                 step = light.collect(level, given, array(part), floor, wanted)
                 launch_in_turn([step], len(part), slice_size=_SLICE, **options)
-                if level == refinement.MOST_LEVEL:
+                if level == cell_levels.MOST_LEVEL:
                     unsettled += int(np.count_nonzero(is_wanted[part]))
                     break
                 step = light.choose(level, given, array(tiles), floor, wanted, array(is_chosen, wp.uint8))
@@ -232,7 +233,7 @@ class Queue:
         self._listed, self._counts = empty(pixels), empty(1)
         self._found, self._most_found = empty(2), wp.zeros(2, dtype=wp.int32, device=device)
         self._taken, self._left = empty(1), empty(1)
-        whole = refinement.rays_at(refinement.MOST_LEVEL)
+        whole = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
         kind = {"leaves_out": light.integrator.leaves_out, "coloured": light.frame.pigmented}
         self._room = Room.by(rays, **kind, device=device)
@@ -270,10 +271,10 @@ class Queue:
         view = light.frame.view
         self._launch(work_lists.count_up, [self._wanted], [self._found[:1]])
         self._launch(work_lists.mark_around, [self._wanted, view.width, view.height], [self._chosen])
-        for level in refinement.LEVELS:
+        for level in cell_levels.LEVELS:
             self._meet(level, light.share_out(level, self._room, self._given, shadows=True))
             self._launch_step(light.collect(level, self._given, self._of_all, self._floor, self._wanted))
-            if level < refinement.MOST_LEVEL:
+            if level < cell_levels.MOST_LEVEL:
                 chosen = light.choose(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
                 self._launch_step(chosen)
         self._launch(work_lists.count_up, [self._wanted], [self._found[1:]])
@@ -307,7 +308,7 @@ class Queue:
         def meet() -> None:
             self._launch(work_lists.take, [self._listed, self._counts, self._taken], [tiles], len(tiles))
             self._room.colours.zero_()
-            launch_in_turn(steps, len(tiles) * refinement.rays_at(level), device=self._device, threads=1)
+            launch_in_turn(steps, len(tiles) * cell_levels.rays_at(level), device=self._device, threads=1)
             go_on(len(tiles))
 
         go_on(0)

@@ -1,0 +1,8 @@
+"""What counts as nothing, for kernels and for those who launch them: plain numbers, without Warp."""
+
+# Directions closer to the horizon than this (0.00006°) count as below it: the gain grows without bound there.
+HORIZON = 1e-6
+# f: errors of what is darker are relative to so much of Y*.
+FLOOR = 1e-3
+# And never to nothing: the least normal float32.
+TINY = 2.0**-126
