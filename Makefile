@@ -28,7 +28,7 @@ test: $(TEST_STAMP) ## run the tests
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
-	$(BIN)/python -m warpdiff.bench.soak --minutes $(MINUTES)
+	$(BIN)/python -m warpdiff.bench.studies.soak --minutes $(MINUTES)
 
 test-lowest: ## run the tests with the lowest versions that are allowed, in an environment of their own
 	rm -rf $(VENV)-lowest

@@ -6,9 +6,9 @@ in closed form. Nothing is asked of the pixels beside, so that nothing leaks ove
 
 import warp as wp
 
-from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import Camera, Footprint, Pixels, SurfaceArrays
 from warpdiff.kernels.shading_frames import LEAST_COSINE
+from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 # The least cosine between the view and a face that its plane is followed at: below, a footprint is a streak anyway.
 _LEAST_FACING = 1e-4

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from warpdiff.kernels.native import abreast, filled
-from warpdiff.kernels.scene import SPECIAL, Pixels, SurfaceArrays
+from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 
 # How far a shadow ray starts above the surface: some hundred roundings of a position.
 LIFT = wp.constant(wp.float32(1.0e-5))

@@ -21,7 +21,7 @@ from gltf_files import BUFFER, gltf
 from PIL import Image
 
 import warpdiff as wd
-from warpdiff.surface import prepare_surface
+from warpdiff.scene.mesh_import import prepare_surface
 
 MOST_BYTES = 4 << 30
 MOST_S = 20

@@ -32,22 +32,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 # Forks wait for what other threads import below, once it is asked for.
-from warpdiff import forks as _forks  # noqa: F401
+from warpdiff.core import fork_safety as _forks  # noqa: F401
 
 if TYPE_CHECKING:
     from warpdiff import gratings, meshes
-    from warpdiff.coherence import Coherence
-    from warpdiff.errors import WarpdiffWarning
-    from warpdiff.evaluate import brdf, brdf_map, reflectance, spectral_reflectance
-    from warpdiff.heightfield import HeightField
-    from warpdiff.image import Image
-    from warpdiff.light import DirectionalLight
-    from warpdiff.orders import OrderEfficiencies, order_efficiencies
-    from warpdiff.planning import plan
-    from warpdiff.plans import Plan
-    from warpdiff.render import shade
-    from warpdiff.renderer import Renderer
-    from warpdiff.view import View
+    from warpdiff.core.errors import WarpdiffWarning
+    from warpdiff.evaluate.directions import brdf, brdf_map, reflectance, spectral_reflectance
+    from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
+    from warpdiff.image.image import Image
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.planning.planner import plan
+    from warpdiff.plans.plan import Plan
+    from warpdiff.render.renderer import Renderer
+    from warpdiff.render.shade import shade
+    from warpdiff.scene.camera import View
+    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.surface.heightfield import HeightField
 
     __version__: str
 
@@ -73,18 +73,18 @@ __all__ = [
 ]
 
 _MODULES = {
-    "coherence": ("Coherence",),
-    "errors": ("WarpdiffWarning",),
-    "evaluate": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
-    "heightfield": ("HeightField",),
-    "image": ("Image",),
-    "light": ("DirectionalLight",),
-    "orders": ("OrderEfficiencies", "order_efficiencies"),
-    "planning": ("plan",),
-    "plans": ("Plan",),
-    "render": ("shade",),
-    "renderer": ("Renderer",),
-    "view": ("View",),
+    "optics.coherence": ("Coherence",),
+    "core.errors": ("WarpdiffWarning",),
+    "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
+    "surface.heightfield": ("HeightField",),
+    "image.image": ("Image",),
+    "scene.lights": ("DirectionalLight",),
+    "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
+    "planning.planner": ("plan",),
+    "plans.plan": ("Plan",),
+    "render.shade": ("shade",),
+    "render.renderer": ("Renderer",),
+    "scene.camera": ("View",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

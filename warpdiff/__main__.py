@@ -16,13 +16,13 @@ def main() -> int:
         # There is nothing to tidy up yet.
         signal.signal(each, lambda number, _frame: os._exit(128 + number))
     # What is imported before signals are met is little, for it takes time.
-    from warpdiff import streams
-    from warpdiff.interruption import Interruption
+    from warpdiff.app import standard_streams
+    from warpdiff.app.signals import Interruption
 
-    streams.prepare()
+    standard_streams.prepare()
     interruption = Interruption(signals)
     try:
-        from warpdiff import cli
+        from warpdiff.app import cli
 
         code = cli.main()
     except KeyboardInterrupt:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numba
 import numpy as np
 
-from warpdiff.bench import numba_published
-from warpdiff.bench.peers import series
+from warpdiff.bench.peers import numba_published, series
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from warpdiff import scene
-from warpdiff.bench import brute_force
-from warpdiff.device import resolve_device
-from warpdiff.frame import Frame
-from warpdiff.kernels import hierarchy, spectral
-from warpdiff.launches import launch
-from warpdiff.surface import prepare_surface
+from warpdiff.bench.truth import brute_force
+from warpdiff.compute.device import resolve_device
+from warpdiff.compute.pipeline import launch
+from warpdiff.kernels import bvh, spectral_sum
+from warpdiff.render.frame import Frame
+from warpdiff.scene import device_mesh
+from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     import warpdiff as wd
-    from warpdiff.surface import Surface
+    from warpdiff.scene.mesh_import import Surface
 
-wp.set_module_options(spectral.OPTIONS)
+wp.set_module_options(spectral_sum.OPTIONS)
 
 # Cosines below this are tilted towards the viewer by ours.
 LEAST_COSINE = 0.02
@@ -133,7 +133,7 @@ def query(
 ):
     """The bare hit of each ray: the face, or −1, and the shares of its first two corners."""
     i = first + wp.tid()
-    found = wp.mesh_query_ray(mesh_id, origins[i], directions[i], hierarchy.FAR)
+    found = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
     face_out[i] = -1
     if found.result:
         face_out[i] = found.face
@@ -142,7 +142,7 @@ def query(
 
 def _warp_query(rays: Rays) -> Caster:
     device = resolve_device(None)
-    arrays = scene.arrays_for(rays.surface, smooth=True, device=device).with_hierarchy()
+    arrays = device_mesh.arrays_for(rays.surface, smooth=True, device=device).with_hierarchy()
     count = len(rays.origins)
     given = [wp.array(each, dtype=wp.vec3f, device=device) for each in (rays.origins, rays.directions)]
     made = [wp.empty(count, dtype=wp.int32, device=device), wp.zeros(count, dtype=wp.vec2f, device=device)]

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff import fourier, spectrum
-from warpdiff.expansions import EXPANSIONS
-from warpdiff.tables import falloff_um2
+from warpdiff.fourier import transforms
+from warpdiff.fourier.phase_series import EXPANSIONS
+from warpdiff.optics import colorimetry
+from warpdiff.tables.coefficient_table import falloff_um2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,9 +99,9 @@ def series(
     if not 0 <= reach <= MOST_REACH:
         raise ValueError(f"reach must be 0 to {MOST_REACH}, got {reach}")
     rows, block, lengths, scale = _rows(hf, terms, centred)
-    nodes = np.linspace(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM, wavelengths)
-    products = spectrum.colour_products()
-    grid = np.linspace(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM, len(products))
+    nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, wavelengths)
+    products = colorimetry.colour_products()
+    grid = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, len(products))
     colours = np.stack([np.interp(nodes, grid, products[:, c]) for c in range(3)], axis=1)
     falloff = falloff_um2(coherence)
     return Series(
@@ -121,14 +122,14 @@ def series(
 @functools.lru_cache(maxsize=3)
 def _rows(
     hf: wd.HeightField, terms: int, centred: bool
-) -> tuple[NDArray[np.float32], fourier.Block, tuple[float, float], float]:
+) -> tuple[NDArray[np.float32], transforms.Block, tuple[float, float], float]:
     """The rows, which coefficients they are, how many there are per unit of frequency [µm], and the basis' 2πa [µm]."""
-    grid = fourier.patch_grid(hf)
-    block = fourier.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
+    grid = transforms.patch_grid(hf)
+    block = transforms.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
     if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
         raise ValueError(f"hf must be finer, got {hf!r}: coefficients are not repeated here; use hf.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
-    made = fourier.series_coefficients(hf, expansion, terms, block, dtype=np.complex64)
+    made = transforms.series_coefficients(hf, expansion, terms, block, dtype=np.complex64)
     # A centred window lies at the patch's centre; powers do not see this phase.
     s, r = block.orders()
     turns = s[:, None] * (hf.shape[0] // 2 / hf.shape[0]) + r * (hf.shape[1] // 2 / hf.shape[1])

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff import spectrum
+from warpdiff.optics import colorimetry
 
 try:
     # Before colour-science, which puts a stand-in where SciPy is absent that Numba takes for it.
@@ -80,12 +80,12 @@ def prepare(
     if colours == "rainbow":
         # exp(−(r u/w)²) at w = 2 is the window's Gaussian at 550 nm.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
-        run = functools.partial(_kernels()[0], period, roughness, spectrum.RGB_TO_XYZ)
+        run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(hf, coherence, run),)
     else:
-        products = np.ascontiguousarray(spectrum.colour_products())
-        nodes = np.linspace(spectrum.LAMBDA_MIN_NM, spectrum.LAMBDA_MAX_NM, MIRROR_WAVELENGTHS)
-        mirror = spectrum.quadrature_weights(nodes)
+        products = np.ascontiguousarray(colorimetry.colour_products())
+        nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, MIRROR_WAVELENGTHS)
+        mirror = colorimetry.quadrature_weights(nodes)
         run = functools.partial(_kernels()[1], period, sigma, products, nodes * 1e-3, mirror)
         fixed = (order_powers(hf, period),)
 

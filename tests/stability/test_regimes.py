@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff import direct
-from warpdiff.bench import numpy_methods as methods
-from warpdiff.bench import reference
+from warpdiff.bench.truth import numpy_methods as methods
+from warpdiff.bench.truth import reference
+from warpdiff.fourier import direct_sum
 
 TOLERANCE = 1e-2
 WINDOW = wd.Coherence()
@@ -234,8 +234,8 @@ def test_copies_near_resonance(copies, away):
     hf, wavelength = methods.finger_rows(6.4, pitch_um=0.08), np.array([0.5])
     coherence = wd.Coherence("replicas", copies=(1, copies))
     lights, views = methods.near_resonance(hf, away, 0.5)
-    power = direct.window_power(hf, coherence, -(lights + views), wavelength)
-    patch = direct.window_power(hf, wd.Coherence("replicas", copies=(1, 1)), -(lights + views), wavelength)
+    power = direct_sum.window_power(hf, coherence, -(lights + views), wavelength)
+    patch = direct_sum.window_power(hf, wd.Coherence("replicas", copies=(1, 1)), -(lights + views), wavelength)
     rho = wd.spectral_reflectance(hf, lights, views, 500.0, coherence=coherence, tolerance=1e-5)
     exact = reference.gain(lights, views)[:, None] * power
     assert methods.spectral_error(rho, exact) <= 1e-5
@@ -274,7 +274,7 @@ def test_few_orders_do_not_make_a_patch():
     """Between its orders a patch's spectrum converges so slowly that seven of them are off by more than 5 %."""
     hf, one_copy = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", copies=(1, 1))
     deflections = np.array([[turns * 0.5 / hf.size_um[1], 0.0, -1.6] for turns in (1.5, 2.4, 3.5, 5.45, 7.5)])
-    exact = direct.window_power(hf, one_copy, deflections, np.array([0.5]))[:, 0]
+    exact = direct_sum.window_power(hf, one_copy, deflections, np.array([0.5]))[:, 0]
     every, seven = (
         np.array([methods.nearest_orders_power(hf, each, 0.5, reach) for each in deflections])
         for reach in (hf.shape[1] // 2 - 1, 3)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff import expansions
-from warpdiff.bench import numpy_methods as methods
-from warpdiff.bench import reference
-from warpdiff.expansions import EXPANSIONS
+from warpdiff.bench.truth import numpy_methods as methods
+from warpdiff.bench.truth import reference
+from warpdiff.fourier import phase_series
+from warpdiff.fourier.phase_series import EXPANSIONS
 
 SIGMA = 2.0
 WINDOW = wd.Coherence(sigma_um=SIGMA)
@@ -75,7 +75,7 @@ def in_float32(method, height_range_um, terms=None):
 def test_jacobi_anger_is_stable_in_float32(height_range_um):
     error, terms = in_float32("jacobi-anger", height_range_um)
     assert error <= 1e-5
-    assert terms < expansions.MAX_TERMS
+    assert terms < phase_series.MAX_TERMS
 
 
 def test_taylor_is_noise_in_float32():

@@ -1,4 +1,4 @@
-"""A tolerance is kept on directions that no plan has read: calls of ``bench/tolerance_sweep.py``, and what failed."""
+"""A tolerance is kept on directions that no plan has read: calls of ``tolerance_sweep``, and what failed."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 from conftest import at_angle
 
 import warpdiff as wd
-from warpdiff.bench import judge
-from warpdiff.bench.configurations import STRATA, Configuration, configuration, diagonal
-from warpdiff.bench.tolerance_sweep import load_scan
+from warpdiff.bench.studies.tolerance_sweep import load_scan
+from warpdiff.bench.truth import judge
+from warpdiff.bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
 # Calls whose truth is cheap; the sweep has large ones.
 SEED = 11

@@ -1,0 +1,310 @@
+"""The published algorithm in Numba, the baseline of comparisons.
+
+The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24): at wavelengths equally spaced in λ, 380
+to 780 nm, the Taylor sum of a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle rule.
+
+What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to whole cache lines, so
+that sums over terms are SIMD loops of a fixed length without stores. A wavelength's basis (2πκa)ⁿ/n! is a row of a
+table times powers of w taken once a direction. Where the neighbours lie and where their separable Gaussians begin is
+found for all wavelengths at once; within the square weights go by recurrence. Amplitudes are weighted and summed before
+they meet the basis. Coefficients are asked for some wavelengths ahead, or half of the time would be waiting for them.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numba.extending
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+import warpdiff as wd
+from warpdiff.fourier import transforms
+from warpdiff.fourier.phase_series import EXPANSIONS
+from warpdiff.optics import colorimetry
+from warpdiff.tables.coefficient_table import falloff_um2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Floats of a cache line, which is also what a register of AVX-512 holds.
+LANES = 16
+# What the block of coefficients leaves room for.
+MOST_REACH = 4
+# Where float32's exponential ends.
+LEAST_EXPONENT = -87.0
+# Directions that share scratch memory, and are one thread's.
+SLICE = 16
+# Wavelengths by which a coefficient is asked for before its use.
+AHEAD = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """What depends on the height field and the series alone.
+
+    Attributes:
+        rows: Real and imaginary parts of iⁿ DFT{gⁿ}, shape (my·mx, 2, lanes), every row on a cache line's border.
+        block: Which coefficients these are.
+        lengths_um: Coefficients per unit of frequency (y, x) [µm].
+        scale_um: The 2πa [µm] of the basis (2πκa)ⁿ/n!.
+        terms: Terms of the series without padding.
+        frequency: Largest |(u, v)|/λ [1/µm] that the coefficients suffice for.
+    """
+
+    rows: NDArray[np.float32]
+    block: transforms.Block
+    lengths_um: tuple[float, float]
+    scale_um: float
+    terms: int
+    frequency: float
+
+
+def tables(hf: wd.HeightField, *, terms: int, centred: bool, frequency: float) -> Tables:
+    """Transform a height field, once for all settings with this series.
+
+    Args:
+        hf: The height field.
+        terms: Terms of the Taylor series, n = 0 … terms − 1.
+        centred: Whether heights count from the middle of their range; otherwise from the lowest.
+        frequency: Largest |(u, v)|/λ [1/µm] to be shaded, at 380 nm.
+
+    Returns:
+        The tables.
+    """
+    grid = transforms.patch_grid(hf)
+    block = transforms.Block.covering(grid, frequency, (MOST_REACH + 1,) * 2)
+    if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
+        raise ValueError(f"{hf!r} is too coarse for {frequency:.3g} /µm: coefficients are not repeated here")
+    expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
+    series = transforms.series_coefficients(
+        hf, expansion, terms, block, threads=numba.get_num_threads(), dtype=np.complex64
+    )
+    # A centred window lies at the patch's centre; powers do not see this phase.
+    s, r = block.orders()
+    turns = s[:, None] * (hf.shape[0] // 2 / hf.shape[0]) + r * (hf.shape[1] // 2 / hf.shape[1])
+    series *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
+    rows = _aligned((block.count[0] * block.count[1], 2, LANES * math.ceil(terms / LANES)))
+    rows[:, 0, :terms] = series.real.reshape(-1, terms)
+    rows[:, 1, :terms] = series.imag.reshape(-1, terms)
+    scale = 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
+    return Tables(rows, block, grid.lengths_um, scale, terms, frequency)
+
+
+def shade(
+    tables: Tables,
+    deflections: NDArray[np.float64],
+    gains: NDArray[np.float32],
+    *,
+    wavelengths: int,
+    reach: int,
+    rounded: bool,
+    powers: bool,
+) -> NDArray[np.float32]:
+    """Shade directions under the default window, σ = 16.25 µm.
+
+    Args:
+        tables: Those of the height field.
+        deflections: (u, v, w) of each direction, shape (n, 3).
+        gains: Factors of the colours, shape (n,).
+        wavelengths: Number of wavelengths.
+        reach: Neighbours on either side of the one that is found: 1 is 3 × 3.
+        rounded: Whether that one is found by rounding in place of floor().
+        powers: Whether coefficients add as powers (the averaged form) or as amplitudes (the published one).
+
+    Returns:
+        CIE XYZ, shape (n, 3).
+    """
+    if not 1 <= reach <= MOST_REACH:
+        raise ValueError(f"reach is {reach}: 1 to {MOST_REACH} are accepted")
+    most = tables.frequency * colorimetry.LAMBDA_MIN_NM * 1e-3
+    if np.max(deflections[:, 0] ** 2 + deflections[:, 1] ** 2, initial=0.0) > most * most * (1.0 + 1e-9):
+        raise ValueError(f"deflections go beyond |(u, v)| = {most:.4g}, which the tables are for")
+    lanes = tables.rows.shape[2]
+    factors, wavenumbers, weights = _wavelengths(wavelengths, tables.scale_um, tables.terms, lanes)
+    falloff = falloff_um2(wd.Coherence("averaged" if powers else "centred"))
+    across, along = (np.float32(falloff / length**2) for length in tables.lengths_um)
+    if -max(across, along) * (reach + 1) ** 2 < LEAST_EXPONENT:
+        raise ValueError(f"reach is {reach}: the window's Gaussian ends before in float32")
+    xyz = np.empty((len(deflections), 3), dtype=np.float32)
+    _kernel(lanes, reach, powers)(
+        tables.rows, tables.block.count[1], *tables.block.origin, *np.float32(tables.lengths_um),
+        across, along, factors, wavenumbers, weights,
+        np.float32(0.5 if rounded else 0.0),
+        np.asarray(deflections, dtype=np.float64), np.asarray(gains, dtype=np.float32), xyz,
+    )  # fmt: skip
+    return xyz
+
+
+def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Zeros that begin on a cache line's border, or every register would be loaded from two of them."""
+    count = math.prod(shape)
+    memory = np.zeros(count + LANES, dtype=np.float32)
+    first = -memory.ctypes.data // 4 % LANES
+    return memory[first : first + count].reshape(shape)
+
+
+@functools.cache
+def _wavelengths(count: int, scale_um: float, terms: int, lanes: int) -> tuple[Any, Any, Any]:
+    """Factors (2πa/λ)ⁿ/n! (count, lanes), wavenumbers 1/λ [1/µm] (count,) and colour weights (count, 3)."""
+    wavelengths = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, count)
+    wavenumbers = 1e3 / wavelengths
+    factors = _aligned((count, lanes))
+    factors[:, :terms] = EXPANSIONS["taylor"].basis(scale_um * wavenumbers, terms)
+    products = colorimetry.colour_products()
+    grid = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, len(products))
+    colours = np.stack([np.interp(wavelengths, grid, products[:, c]) for c in range(3)], axis=1)
+    return factors, wavenumbers.astype(np.float32), (colours / colours[:, 1].sum()).astype(np.float32)
+
+
+@numba.extending.intrinsic
+def _prefetch(_context, rows, row, part, lane):
+    """Ask for the cache line of ``rows[row, part, lane]`` ahead of its use."""
+
+    def generate(context, builder, signature, arguments):
+        kind = signature.args[0]
+        place = [
+            context.cast(builder, argument, given, types.intp)
+            for argument, given in zip(arguments[1:], signature.args[1:], strict=True)
+        ]
+        array = context.make_array(kind)(context, builder, arguments[0])
+        address = cgutils.get_item_pointer(context, builder, kind, array, place)
+        integer, pointer = ir.IntType(32), ir.IntType(8).as_pointer()
+        function = ir.FunctionType(ir.VoidType(), [pointer, integer, integer, integer])
+        fetch = cgutils.get_or_insert_function(builder.module, function, "llvm.prefetch.p0")
+        read, keep, data = integer(0), integer(3), integer(1)
+        builder.call(fetch, [builder.bitcast(address, pointer), read, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(rows, row, part, lane), generate
+
+
+@numba.njit(fastmath=True)
+def _exp(x):
+    """e^x for |x| < 87, to 1e-7 · (1 + |x|): a call of the library's would keep loops from SIMD."""
+    turns = x * np.float32(1.4426950408889634)
+    whole = np.floor(turns + np.float32(0.5))
+    part = (turns - whole) * np.float32(0.6931471805599453)
+    value = np.float32(1.0 / 5040.0)
+    for factor in (1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0):
+        value = value * part + np.float32(factor)
+    return value * np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
+
+
+@functools.cache
+def _kernel(lanes: int, reach: int, powers: bool) -> Any:  # noqa: PLR0915
+    """The kernel for one shape of the sum, whose loops have fixed lengths."""
+    side = 2 * reach + 1
+    # Neighbours go three at a time: a loop of a shorter body would be unrolled before it could become SIMD. What is
+    # left of the last three has the weight 0.
+    triples = math.ceil(side * side / 3)
+    zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(reach)
+
+    @numba.njit(fastmath=True, forceinline=True)
+    def sum_of_powers(rows, at, weights, factors, w_powers):
+        """Σ weight · |coefficient|²."""
+        total = zero
+        for t in range(0, 3 * triples, 3):
+            re_0 = im_0 = re_1 = im_1 = re_2 = im_2 = zero
+            for n in range(lanes):
+                basis = factors[n] * w_powers[n]
+                re_0 += rows[at[t], 0, n] * basis
+                im_0 += rows[at[t], 1, n] * basis
+                re_1 += rows[at[t + 1], 0, n] * basis
+                im_1 += rows[at[t + 1], 1, n] * basis
+                re_2 += rows[at[t + 2], 0, n] * basis
+                im_2 += rows[at[t + 2], 1, n] * basis
+            total += weights[t] * (re_0 * re_0 + im_0 * im_0)
+            total += weights[t + 1] * (re_1 * re_1 + im_1 * im_1)
+            total += weights[t + 2] * (re_2 * re_2 + im_2 * im_2)
+        return total
+
+    @numba.njit(fastmath=True, forceinline=True)
+    def power_of_sum(rows, at, weights, factors, w_powers):
+        """|Σ weight · coefficient|²."""
+        re = im = zero
+        for t in range(0, 3 * triples, 3):
+            for n in range(lanes):
+                row_re = row_im = zero
+                for m in range(t, t + 3):
+                    row_re += weights[m] * rows[at[m], 0, n]
+                    row_im += weights[m] * rows[at[m], 1, n]
+                basis = factors[n] * w_powers[n]
+                re += row_re * basis
+                im += row_im * basis
+        return re * re + im * im
+
+    combined = sum_of_powers if powers else power_of_sum
+
+    @numba.njit(parallel=True, fastmath=True, error_model="numpy")
+    def kernel(
+        # In:
+        rows, count_x, origin_y, origin_x, length_y, length_x, across, along, factors, wavenumbers, colours, shift,
+        deflections, gains,
+        # Out:
+        xyz_out,
+    ):  # fmt: skip
+        shrink_y = math.exp(-two * across)
+        shrink_x = math.exp(-two * along)
+        count, wavelengths = len(deflections), len(wavenumbers)
+        for part in numba.prange((count + SLICE - 1) // SLICE):
+            w_powers = np.empty(lanes, dtype=np.float32)
+            corners = np.zeros(wavelengths + AHEAD, dtype=np.int32)
+            gaussians = np.empty((4, wavelengths), dtype=np.float32)
+            at = np.zeros(3 * triples, dtype=np.uintp)
+            weights = np.zeros(3 * triples, dtype=np.float32)
+            for i in range(part * SLICE, min(count, (part + 1) * SLICE)):
+                u = np.float32(deflections[i, 0]) * length_x
+                v = np.float32(deflections[i, 1]) * length_y
+                w = np.float32(deflections[i, 2])
+                power = one
+                for n in range(lanes):
+                    w_powers[n] = power
+                    power *= w
+                # Where the neighbours lie and what they weigh, SIMD over wavelengths.
+                for k in range(wavelengths):
+                    qy = v * wavenumbers[k]
+                    qx = u * wavenumbers[k]
+                    near_y = np.floor(qy + shift)
+                    near_x = np.floor(qx + shift)
+                    dy = near_y - qy - reach_f
+                    dx = near_x - qx - reach_f
+                    gaussians[0, k] = _exp(-across * dy * dy)
+                    gaussians[1, k] = _exp(-across * (two * dy + one))
+                    gaussians[2, k] = _exp(-along * dx * dx)
+                    gaussians[3, k] = _exp(-along * (two * dx + one))
+                    row = np.int32(near_y) + origin_y - reach
+                    corners[k] = row * count_x + np.int32(near_x) + origin_x - reach
+                x = y = z = zero
+                for k in range(wavelengths):
+                    for j in range(side):
+                        for m in range(side):
+                            for n in range(0, lanes, LANES):
+                                _prefetch(rows, corners[k + AHEAD] + j * count_x + m, 0, n)
+                                _prefetch(rows, corners[k + AHEAD] + j * count_x + m, 1, n)
+                    corner = np.intp(corners[k])
+                    weight_y, step_y = gaussians[0, k], gaussians[1, k]
+                    for j in range(side):
+                        weight, step_x = weight_y * gaussians[2, k], gaussians[3, k]
+                        for m in range(side):
+                            at[j * side + m] = corner + j * count_x + m
+                            weights[j * side + m] = weight
+                            weight *= step_x
+                            step_x *= shrink_x
+                        weight_y *= step_y
+                        step_y *= shrink_y
+                    total = combined(rows, at, weights, factors[k], w_powers)
+                    x += total * colours[k, 0]
+                    y += total * colours[k, 1]
+                    z += total * colours[k, 2]
+                xyz_out[i, 0] = gains[i] * x
+                xyz_out[i, 1] = gains[i] * y
+                xyz_out[i, 2] = gains[i] * z
+
+    return kernel

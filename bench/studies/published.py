@@ -1,0 +1,378 @@
+"""The published algorithm against the automatic plan, on one frame: error at equal cost and cost at equal error.
+
+The frame is the tube with the levelled 65 µm scan. Both methods shade the same directions of a stratified sample of its
+lit pixels; the truth is the float64 reference on them, and the error the design's: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f) over
+the pixels with Y >= f, f as in ``errors``. A time is that of the shading kernel alone on a
+larger sample, with its tables warm: a median of rounds in which all settings take turns.
+
+The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
+heights that are not centred, 3 × 3 coefficients around the one that floor() finds, and a rectangle rule, in Numba. It
+is raised until it reaches the error of the automatic choice: once with its 37 terms, once by the cheapest of all
+combinations of wavelengths, neighbours and terms, heights centred or not. Rounding, which it does not have, is tabled
+beside floor().
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import functools
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff import meshes
+from warpdiff.bench import inputs
+from warpdiff.bench.peers import numba_published
+from warpdiff.bench.studies import multiply_adds, picture_error
+from warpdiff.bench.truth import reference
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.compute.pipeline import launch
+from warpdiff.optics import reflectance_factors
+from warpdiff.planning import planner
+from warpdiff.plans.direction_range import DirectionSample, Scope
+from warpdiff.render.frame import Frame as Picture
+from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.tables.integrator import Integrator
+
+SCAN = "scan, 65 µm, levelled"
+# The published numbers, and the design's bar for a baseline: 80 × 25 × 9 in so many µs at so many multiply-adds.
+WAVELENGTHS, TERMS, REACH = 81, 37, 1
+BAR_WAVELENGTHS, BAR_TERMS, BAR_US, BAR_RATE = 80, 25, 4.0, 14e9
+LANES = numba_published.LANES
+# What the published setting is raised to: quarter octaves of wavelengths, whole registers of terms.
+MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
+MORE_TERMS = (8, 16, 24, 32, 37, 48)
+# Beyond these the Gaussian's recurrence would begin below float32's least number, and its tail is below rounding.
+MOST_REACH = {"averaged": 3, "centred": 4}
+FINALISTS = 3
+TOLERANCES = [0.5 * 2.0 ** (-k) for k in range(9)]
+TRUTH = 1e-3
+SLICE = 1024
+RATE_ROUNDS = 200_000
+RATE_SLICES = 16
+
+
+class Setting(NamedTuple):
+    """A setting of the published algorithm."""
+
+    wavelengths: int = WAVELENGTHS
+    terms: int = TERMS
+    reach: int = REACH
+    centred: bool = False
+    rounded: bool = False
+
+    @property
+    def lanes(self) -> int:
+        """Terms with their padding."""
+        return LANES * math.ceil(self.terms / LANES)
+
+    @property
+    def as_published(self) -> bool:
+        """Whether it has the published series."""
+        return self.terms == TERMS and not self.centred
+
+    @property
+    def multiply_adds(self) -> float:
+        """Those of the sum over terms and neighbours, in thousands a pixel."""
+        return self.wavelengths * 2 * self.lanes * (2 * self.reach + 1) ** 2 / 1e3
+
+    def __str__(self) -> str:
+        side = 2 * self.reach + 1
+        heights = "centred" if self.centred else "as they are"
+        found = "rounding" if self.rounded else "floor"
+        return f"{self.wavelengths} λ, {self.terms} terms, {side} × {side} by {found}, heights {heights}"
+
+
+class Frame:
+    """The lit pixels of the frame, the sample of them that is shaded, and what both methods need."""
+
+    def __init__(self, hf: wd.HeightField, *, pixels: int, width: int, threads: int | None) -> None:
+        self.hf, self.device, self.threads = hf, resolve_device(None), resolve_threads(threads)
+        surface = prepare_surface(meshes.tube(segments_along=128, segments_around=64))
+        view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=width * 3 // 4)
+        frame, window = Picture(surface, view, device=self.device, threads=self.threads), wd.Coherence()
+        frame.light_up([picture_error.LIGHT], window, 1.0, normal=reflectance_factors.normal_reflectance(1.5))
+        frame.survey(hf, window)
+        self.all = frame.directions()
+        self._choose(pixels)
+
+    def more(self, pixels: int) -> Frame:
+        """The same frame with so many of its lit pixels, to be timed."""
+        result = copy.copy(self)
+        result._choose(pixels)
+        return result
+
+    def _choose(self, pixels: int) -> None:
+        """Shade a stratified sample of the lit pixels, in the order of the frame."""
+        lit = self.all[2] > 0.0
+        chosen = np.sort(reference.stratified(lit, pixels))
+        self.lit, self.count = int(np.count_nonzero(lit)), len(chosen)
+        self.deflections, self.to_lights, self.gains = (part[chosen] for part in self.all)
+        import warp as wp
+
+        self.on_device = [
+            wp.array(self.deflections, dtype=wp.vec3d, device=self.device),
+            wp.array(self.to_lights.astype(np.float32), dtype=wp.vec3f, device=self.device),
+            wp.array(self.gains, dtype=wp.float32, device=self.device),
+        ]
+        self.xyz = wp.zeros(self.count, dtype=wp.vec3f, device=self.device)
+
+    def judge(self, coherence: wd.Coherence) -> None:
+        """Compute the truth for a coherence."""
+        found = reference.colours(self.hf, self.deflections, self.to_lights, coherence, tolerance=TRUTH)
+        every, none = np.ones(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
+        self.truth = reference.Pixels(self.gains[:, None] * found, every, every, none, none)
+
+    def error(self, xyz: Any) -> Any:
+        """The error of a shaded sample."""
+        return reference.picture_error(xyz, self.truth)
+
+
+class Published:
+    """The published algorithm at one setting, ready to shade a frame."""
+
+    def __init__(self, frame: Frame, coherence: wd.Coherence, setting: Setting) -> None:
+        self.frame, self._setting, self._powers = frame, setting, coherence.adds_powers
+        frequency = float(np.max(np.hypot(frame.all[0][:, 0], frame.all[0][:, 1]))) / 0.38
+        self._tables = _tables(frame.hf, setting.terms, frequency, centred=setting.centred)
+        self._found: Any = None
+
+    def shade(self) -> None:
+        """Shade the sample."""
+        each, frame = self._setting, self.frame
+        self._found = numba_published.shade(
+            self._tables, frame.deflections, frame.gains, wavelengths=each.wavelengths, reach=each.reach,
+            rounded=each.rounded, powers=self._powers,
+        )  # fmt: skip
+
+    @property
+    def xyz(self) -> Any:
+        """What was shaded last."""
+        return self._found
+
+
+@functools.lru_cache(maxsize=3)
+def _tables(hf: wd.HeightField, terms: int, frequency: float, *, centred: bool) -> numba_published.Tables:
+    """The tables of a series; they serve both forms."""
+    return numba_published.tables(hf, terms=terms, centred=centred, frequency=frequency)
+
+
+class Automatic:
+    """The automatic plan for a tolerance, ready to shade a frame."""
+
+    def __init__(self, frame: Frame, coherence: wd.Coherence, tolerance: float) -> None:
+        self.frame, self.tolerance = frame, tolerance
+        hf, (deflections, to_lights, gains) = frame.hf, frame.all
+        scope = Scope.of(hf, coherence, deflections, to_lights, gains > 0.0)
+        begin = time.perf_counter()
+        self.plan = planner.plan_for(
+            hf, scope, DirectionSample.among(deflections, to_lights, gains), tolerance=tolerance, method="auto",
+            coherence=coherence, strict=True, count=float(frame.lit), device=frame.device, threads=frame.threads,
+        )  # fmt: skip
+        self.seconds = time.perf_counter() - begin
+        self._integrator = Integrator(hf, self.plan, scope, device=frame.device, threads=frame.threads)
+
+    def shade(self) -> None:
+        """Shade the sample."""
+        self.frame.xyz.zero_()
+        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, slice_size=SLICE)
+
+    def on(self, frame: Frame) -> Automatic:
+        """The same for other pixels of the frame."""
+        result = copy.copy(self)
+        result.frame = frame
+        return result
+
+    @property
+    def xyz(self) -> Any:
+        """What was shaded last."""
+        return self.frame.xyz.numpy()
+
+    def __str__(self) -> str:
+        plan = self.plan
+        how = f"a table of {plan.nodes} nodes an octave" if plan.nodes else f"up to {plan.wavelengths} λ"
+        return f"tolerance {self.tolerance:.2g}: {plan.method}, {plan.terms} terms, {how}"
+
+
+class Rate:
+    """The machine's multiply-adds of 16 floats, measured among the rest."""
+
+    def __init__(self, frame: Frame) -> None:
+        import warp as wp
+
+        self.frame = frame
+        self._sums = wp.zeros(RATE_SLICES, dtype=wp.float32, device=frame.device)
+
+    def shade(self) -> None:
+        """Run it."""
+        launch(
+            multiply_adds.multiply_add_rate, RATE_SLICES, [RATE_ROUNDS], [self._sums], device=self.frame.device,
+            threads=self.frame.threads, slice_size=1,
+        )  # fmt: skip
+
+    @staticmethod
+    def per_second(seconds: float) -> float:
+        """Multiply-adds of 16 floats a second."""
+        return RATE_SLICES * RATE_ROUNDS * multiply_adds.SUMS / seconds
+
+
+def seconds_of(what: dict[str, Any], rounds: int) -> dict[str, float]:
+    """The median time of each by the clock on the wall, all of them taking turns."""
+    taken: dict[str, list[float]] = {name: [] for name in what}
+    for _ in range(rounds + 1):
+        for name, each in what.items():
+            begin = time.perf_counter()
+            each.shade()
+            taken[name].append(time.perf_counter() - begin)
+    return {name: float(np.median(times[1:])) for name, times in taken.items()}
+
+
+def error_of(each: Any) -> Any:
+    """Its error."""
+    each.shade()
+    return each.frame.error(each.xyz)
+
+
+def raised(frame: Frame, coherence: wd.Coherence, target: float, *, rounded: bool) -> tuple[list[Setting], float]:
+    """The settings with the fewest multiply-adds that reach an error, of all and of those as published; the least met.
+
+    Error falls with each of the numbers, all else equal. For heights as they are and centred: of the terms the two
+    fewest that reach it with the most neighbours and wavelengths, and the published ones; with these, for every number
+    of neighbours that reaches it with the most wavelengths, the fewest of those.
+    """
+    reached: list[Setting] = []
+    met: list[float] = []
+
+    def error(setting: Setting) -> float:
+        found = float(error_of(Published(frame, coherence, setting)).p99)
+        met.append(found if math.isfinite(found) else math.inf)
+        return met[-1]
+
+    most = MOST_REACH[coherence.kind]
+    for centred in (False, True):
+        ample = Setting(MORE_WAVELENGTHS[-1], TERMS, most, centred, rounded)
+        enough: list[int] = []
+        for terms in MORE_TERMS:
+            if len(enough) < 2 and error(ample._replace(terms=terms)) <= target:
+                enough.append(terms)
+        if not centred and TERMS not in enough:
+            enough.append(TERMS)
+        for terms in enough:
+            for reach in range(1, most + 1):
+                tried = ample._replace(terms=terms, reach=reach)
+                if error(tried) > target:
+                    continue
+                low, high = -1, len(MORE_WAVELENGTHS) - 1
+                while high - low > 1:
+                    middle = (low + high) // 2
+                    if error(tried._replace(wavelengths=MORE_WAVELENGTHS[middle])) <= target:
+                        high = middle
+                    else:
+                        low = middle
+                reached.append(tried._replace(wavelengths=MORE_WAVELENGTHS[high]))
+    reached.sort(key=lambda each: each.multiply_adds)
+    as_published = [each for each in reached if each.as_published][:1]
+    return list(dict.fromkeys(reached[:FINALISTS] + as_published)), min(met)
+
+
+def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: int, timed: int) -> None:
+    """Judge and time all settings of a coherence, and print their table and the four numbers."""
+    frame.judge(coherence)
+    print(f"\n{coherence}, {frame.count} of {frame.lit} lit pixels\n", flush=True)
+    published, bar = str(Setting()), str(Setting(BAR_WAVELENGTHS, BAR_TERMS))
+    chosen = Automatic(frame, coherence, tolerance)
+    plans = {str(chosen): chosen}
+    for each in TOLERANCES:
+        automatic = Automatic(frame, coherence, each)
+        plans.setdefault(str(automatic), automatic)
+    target = float(error_of(chosen).p99)
+    found, least = raised(frame, coherence, target, rounded=False)
+    found_rounded, least_rounded = raised(frame, coherence, target, rounded=True)
+    settings = [Setting(), Setting(rounded=True), Setting(centred=True), *found, *found_rounded]
+    judged: dict[str, Any] = {str(each): Published(frame, coherence, each) for each in settings}
+    errors = {name: error_of(each) for name, each in (judged | plans).items()}
+    many = frame.more(timed)
+    what: dict[str, Any] = {str(each): Published(many, coherence, each) for each in settings}
+    what |= {name: each.on(many) for name, each in plans.items()}
+    what[bar] = Published(many, coherence, Setting(BAR_WAVELENGTHS, BAR_TERMS))
+    what["rate"] = Rate(many)
+    seconds = seconds_of(what, rounds)
+
+    def us(name: str) -> float:
+        return 1e6 * seconds[name] / many.count
+
+    print("| setting | median | P99 | P99 below f, in f | µs a pixel |")
+    print("| --- | --- | --- | --- | --- |")
+    for name, error in errors.items():
+        print(f"| {name} | {error.median:.1e} | {error.p99:.1e} | {error.below:.1e} | {us(name):.2f} |")
+
+    rate = Rate.per_second(seconds["rate"])
+    allowed = BAR_US * BAR_RATE / rate
+    share = Setting().multiply_adds * 1e3 / 16.0 / (seconds[published] / many.count) / rate
+    print(
+        f"\nThis machine: {rate / 1e9:.1f} G/s of 16-float multiply-adds on {frame.threads} threads; the published "
+        f"setting reaches {100.0 * share:.0f} % of it. A good baseline takes at most {allowed:.1f} µs at "
+        f"{BAR_WAVELENGTHS} × {BAR_TERMS} × 9: this one takes {us(bar):.2f}. Planning at {tolerance:g} took "
+        f"{chosen.seconds:.2f} s, with what tables it made, and is in no figure."
+    )
+    cheap = [name for name in plans if us(name) <= us(published)]
+    print("\nEqual cost:", end=" ")
+    print(f"published {errors[published].p99:.1e} at {us(published):.2f} µs (1);", end=" ")
+    if cheap:
+        best = min(cheap, key=lambda name: errors[name].p99)
+        ratio = errors[published].p99 / errors[best].p99
+        print(f"automatic {errors[best].p99:.1e} at {us(best):.2f} µs (2): {ratio:.0f} times less error, bar 10.")
+    else:
+        best = min(plans, key=us)
+        ratio = errors[published].p99 / errors[best].p99
+        times = us(best) / us(published)
+        print(
+            f"no automatic plan is as cheap, the cheapest is {errors[best].p99:.1e} at {us(best):.2f} µs (2): "
+            f"{ratio:.0f} times less error at {times:.1f} times the cost. The bar is not reached."
+        )
+    print(f"Equal error: automatic at {tolerance:g} {target:.1e} at {us(str(chosen)):.2f} µs (3);")
+    for label, which, limit in (
+        ("raised with its terms", [each for each in found if each.as_published], least),
+        ("raised by the cheapest way", found, least),
+        ("raised with rounding, its terms", [each for each in found_rounded if each.as_published], least_rounded),
+        ("raised with rounding by the cheapest way", found_rounded, least_rounded),
+    ):
+        if not which:
+            print(f"- published {label}: does not reach it; {limit:.1e} is the best of all that was tried.")
+            continue
+        cheapest = min(map(str, which), key=us)
+        ratio = us(cheapest) / us(str(chosen))
+        verdict = "bar 10" if ratio >= 10.0 else "bar 10, not reached"
+        print(f"- published {label} to {cheapest}: {us(cheapest):.2f} µs (4), {ratio:.1f} times, {verdict}.")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Run the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pixels", type=int, default=2000, help="stratified random pixels to judge (2000)")
+    parser.add_argument("--timed", type=int, default=12_000, help="stratified random pixels to time (12000)")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
+    parser.add_argument("--width", type=int, default=640, help="width of the picture; 4:3 (640)")
+    parser.add_argument("--tolerance", type=float, default=1e-2, help="of the automatic choice (1e-2)")
+    parser.add_argument("--kinds", nargs="+", choices=list(MOST_REACH), default=list(MOST_REACH), metavar="KIND")
+    parser.add_argument("--rounds", type=int, default=9, help="timed rounds (9)")
+    parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    options = parser.parse_args()
+    data = inputs.folder(options.data)
+    fields = picture_error.height_fields(data)
+    if SCAN not in fields:
+        raise SystemExit("the comparison is on the scan: give its folder with --data")
+    frame = Frame(fields[SCAN], pixels=options.pixels, width=options.width, threads=options.threads)
+    for kind in options.kinds:
+        compare(frame, wd.Coherence(kind), tolerance=options.tolerance, rounds=options.rounds, timed=options.timed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,473 @@
+"""How tight automatic plans are: their cost against the cheapest setting's, their predicted error against the true one.
+
+A configuration is a surface, a form of coherence, a tolerance and a call of 40,000 directions, of which the first 128
+are looked at. Its automatic plan is compared with all settings of a grid: every method, terms in whole registers,
+neighbours in steps of 0.5 of the exponent of their least weight, sets of wavelengths and the shares of the bandwidth in
+quarter octaves, the same number of wavelengths for all directions, and for copies subdivisions in quarter octaves. A
+setting counts if it keeps the tolerance against the float64 reference on these very 128, without any safety; of those
+with the lowest predicted cost, the best of each method and of all, the time is measured, and the shortest is the
+cheapest setting. What a direction yields depends on its own set of wavelengths alone, so that each set is computed once
+and plans are put together from them.
+
+Times are processor times over the number of threads, medians of rounds in which plan and candidates take turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import time
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.app import demo
+from warpdiff.bench import inputs
+from warpdiff.bench.truth import reference
+from warpdiff.bench.truth.errors import FLOOR, brightness
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.compute.pipeline import launch
+from warpdiff.fourier.low_rank_basis import METHODS, POWER_METHODS
+from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
+from warpdiff.optics import reflectance_factors
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.planning import search
+from warpdiff.plans.direction_range import Scope, lateral
+from warpdiff.tables import coefficient_table
+
+SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
+DIRECTIONS, PLANNED = 128, 40_000
+LOWEST = math.cos(math.radians(85.0))
+KINDS = ("averaged", "centred", "source", "replicas")
+TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
+COPIES_TOLERANCES = (1e-1, 3e-2, 1e-2)
+PITCH_UM = 0.09
+# Sets of wavelengths: quarter octaves; those below the kernel's ladder serve all directions alike.
+FEWER = (8, 10, 11, 13)
+# Bandwidths: the constant's share in quarter octaves, and how the rest is split between (u, v) and w.
+CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
+SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
+MORE_TERMS, MORE_EXPONENTS = 3, 5
+EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
+# Methods and settings whose least predicted cost exceeds the best's by so much are left out.
+HOPELESS = 1.6
+TIMED = 4
+MOST_TIMED = 4096
+CHUNK = 64
+
+
+class Configuration(NamedTuple):
+    """What is planned for."""
+
+    surface: str
+    hf: wd.HeightField
+    coherence: wd.Coherence
+    tolerance: float
+    lights: np.ndarray  # (40000, 3)
+    views: np.ndarray
+
+    def __str__(self) -> str:
+        return f"{self.surface} | {self.coherence.kind} | {self.tolerance:g}"
+
+
+def surfaces(data: Path | None) -> dict[str, wd.HeightField]:
+    """All height fields, those of the scan where it is present."""
+    made = {f"fingers {size:g} µm": wd.gratings.fingers(size_um=size, pitch_um=PITCH_UM) for size in (6.4, 12.8, 25.6)}
+    made |= {
+        f"fingers {size:g} µm, {height:g} µm high": wd.gratings.fingers(
+            size_um=size, pitch_um=PITCH_UM, height_um=height, seed=1
+        )
+        for size, height in ((12.8, 1.0), (6.4, 3.0))
+    }
+    made["blazed 5 µm"] = wd.gratings.blazed(5.0, 0.8)
+    made["disc 12.8 µm"] = wd.gratings.disc("CD", length_um=12.8, pitch_um=0.08)
+    if data is not None and (data / demo.SCAN).is_file():
+        scan = demo.cleaned_scan(data / demo.SCAN)
+        made |= {f"scan {size:g} µm": scan.cropped(size) for size in (6.5, 12.5, 25.0)}
+        made["scan 65 µm"] = scan
+    else:
+        print(f"{demo.SCAN} is not at hand: synthetic surfaces only")
+    return made
+
+
+def configurations(data: Path | None, count: int, seed: int) -> list[Configuration]:
+    """Forms take turns; surfaces and tolerances are drawn so that each comes as often as any other."""
+    rng = np.random.default_rng(seed)
+    fields = surfaces(data)
+    # A reference sums a patch of copies sample by sample.
+    small = [name for name, hf in fields.items() if math.prod(hf.shape) <= 1 << 14]
+    drawn: dict[Any, list[Any]] = {}
+
+    def draw(which: Any, among: Any) -> Any:
+        if not drawn.get(which):
+            drawn[which] = list(rng.permutation(len(among)))
+        return list(among)[drawn[which].pop()]
+
+    found = []
+    for index in range(count):
+        kind = KINDS[index % len(KINDS)]
+        copies = kind == "replicas"
+        surface = draw((copies, "surface"), small if copies else fields)
+        tolerance = draw((kind, "tolerance"), COPIES_TOLERANCES if copies else TOLERANCES)
+        pair = None
+        if copies:
+            most = 40 if fields[surface].shape[0] == 1 else 12
+            pair = (1 if fields[surface].shape[0] == 1 else int(rng.integers(2, most)), int(rng.integers(2, most)))
+        # One light or many, as for a map or a picture.
+        one = _upper(rng, 1) if rng.random() < 0.5 else None
+        light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
+        coherence = wd.Coherence(kind, copies=pair)
+        found.append(Configuration(surface, fields[surface], coherence, tolerance, light, _upper(rng, PLANNED)))
+    return found
+
+
+def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Unit vectors up to 85° from the normal, uniform over the sphere."""
+    z, phi = rng.uniform(LOWEST, 1.0, count), rng.uniform(0.0, 2.0 * math.pi, count)
+    s = np.sqrt(1.0 - z * z)
+    return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+
+
+class Call:
+    """The directions of one call, what is true of them, and what a plan makes of them."""
+
+    def __init__(self, given: Configuration, lights: np.ndarray, views: np.ndarray, *, threads: int | None) -> None:
+        self.given, self.device, self.threads = given, resolve_device(None), resolve_threads(threads)
+        coherence = given.coherence
+        self.deflections, self.lights = -lights - views, lights
+        normal = reflectance_factors.normal_reflectance(1.5)
+        self.gains = reflectance_factors.gain(
+            lights, views, normal=normal, masking=True, per_light_cosine=coherence.kind == "source"
+        )
+        self.scope = Scope.of(given.hf, coherence, self.deflections, lights, self.gains > 0.0)
+        self.lateral = lateral(given.hf, coherence, self.deflections, lights)
+        self.w = np.abs(self.deflections[:, 2])
+        exact = reference.reference_reflectance(given.hf, lights, views, coherence, tolerance=given.tolerance / 5.0)
+        self.exact = exact
+        floor = FLOOR * brightness(exact[:, 1])
+        self._above = exact[:, 1] >= floor
+        self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
+        self._arrays: dict[int, Any] = {}
+
+    def load(self, repeats: int) -> list[Any]:
+        """Directions on the device, that many times over."""
+        import warp as wp
+
+        if repeats not in self._arrays:
+            self._arrays[repeats] = [
+                wp.array(np.tile(self.deflections, (repeats, 1)), dtype=wp.vec3d, device=self.device),
+                wp.array(np.tile(self.lights, (repeats, 1)).astype(np.float32), dtype=wp.vec3f, device=self.device),
+                wp.array(np.tile(self.gains, repeats).astype(np.float32), dtype=wp.float32, device=self.device),
+                wp.zeros(len(self.gains) * repeats, dtype=wp.vec3f, device=self.device),
+            ]
+        return self._arrays[repeats]
+
+    def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
+        """A function that evaluates a plan, with its tables at hand; it takes the device's time only."""
+        hf, slices = self.given.hf, 8 if repeats == 1 else 64
+        table = coefficient_table.table_for(hf, plan, self.scope, device=self.device, threads=self.threads)
+        quadrature = coefficient_table.quadrature_for(hf, plan, "D65", device=self.device)
+        *inputs, xyz = self.load(repeats)
+
+        def evaluate() -> None:
+            xyz.zero_()
+            launch(
+                table.integrate, len(xyz), [table.arguments, *inputs, quadrature], [xyz], device=self.device,
+                threads=self.threads, slice_size=slices,
+            )  # fmt: skip
+
+        return evaluate
+
+    def errors(self, plan: wd.Plan) -> np.ndarray:
+        """The error of each direction."""
+        self.prepared(plan)()
+        found = self.load(1)[-1].numpy().astype(np.float64)
+        return np.nan_to_num(np.linalg.norm(found - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
+
+    def worst(self, errors: np.ndarray) -> np.ndarray:
+        """The design's error (..., n) of a call: P99 of bright directions or of dim ones, whichever is larger."""
+        groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
+        return np.max(groups, axis=0)
+
+    def error(self, plan: wd.Plan) -> float:
+        """The same of a plan."""
+        return float(self.worst(self.errors(plan)))
+
+
+class Bandwidths:
+    """All ways to give directions their sets of wavelengths: which set each takes, and how many that is in the mean."""
+
+    def __init__(self, call: Call, most: int) -> None:
+        first = len(FEWER)
+        ladder = [coefficient_table.set_size(16.0)]
+        while ladder[-1] < most:
+            ladder.append(coefficient_table.set_size(ladder[-1] * 2.0**0.25))
+        self.sizes = np.array([*FEWER, *ladder])
+        lateral_share = call.lateral / max(call.scope.max_lateral, 1e-9)
+        w_share = call.w / max(call.scope.max_w, 1e-9)
+        self.shares: list[tuple[float, float, float]] = [(0.0, 0.0, 1.0)]
+        for constant in CONSTANTS[1:]:
+            self.shares += [((1.0 - constant) * s, (1.0 - constant) * (1.0 - s), constant) for s in SPLITS]
+        a, b, c = np.array(self.shares).T[:, :, None]
+        share = (a * lateral_share + b * w_share + c).astype(np.float32)
+        step = np.floor(-4.0 * np.log2(share)).astype(int)
+        step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
+        tops = np.arange(len(self.sizes))
+        which = [np.maximum(top - step, first) for top in tops[first:]]
+        # Few wavelengths only for all directions alike.
+        which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
+        self.which = np.concatenate(which)
+        self.made = [(top, 0) for top in tops[:first]]
+        self.made += [(top, index) for top in tops[first:] for index in range(len(self.shares))]
+        self.counts = self.sizes[self.which].mean(axis=1)
+        self.order = np.argsort(self.counts, kind="stable")
+
+    def cheapest(self, call: Call, errors: np.ndarray, tolerance: float) -> int | None:
+        """The first in order of cost that keeps a tolerance, given errors of all sets, shape (sizes, n)."""
+        columns = np.arange(errors.shape[1])
+        for start in range(0, len(self.order), CHUNK):
+            some = self.order[start : start + CHUNK]
+            fit = call.worst(errors[self.which[some], columns]) <= tolerance
+            if fit.any():
+                return int(some[np.argmax(fit)])
+        return None
+
+    def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
+        """A plan with these sets."""
+        top, shares = self.made[index]
+        a, b, c = self.shares[shares]
+        scale = self.sizes[top] / SPAN
+        bandwidth = a * scale / max(plan.max_lateral, 1e-9), b * scale / max(plan.max_w, 1e-9), c * scale
+        count = int(self.sizes[top])
+        return dataclasses.replace(plan, bandwidth_um=bandwidth, wavelengths=count, adaptive=c < 1.0)
+
+
+class Found(NamedTuple):
+    """A setting that keeps the tolerance."""
+
+    cost: float
+    plan: wd.Plan
+
+
+def settings(call: Call, automatic: wd.Plan) -> list[Found]:
+    """The cheapest bandwidth for every method, number of terms and neighbours (or subdivisions) that comes near."""
+    given = call.given
+    tolerance = given.tolerance
+    bandwidths = Bandwidths(call, 2 * automatic.wavelengths)
+    finest = dataclasses.replace(
+        automatic, wavelengths=int(bandwidths.sizes[-1]), adaptive=False,
+        least_weight=min(automatic.least_weight, math.exp(-MOST_EXPONENT)),
+    )  # fmt: skip
+    found: list[Found] = []
+
+    def per_wavelength(plan: wd.Plan) -> float:
+        many = dataclasses.replace(plan, wavelengths=1000, adaptive=False)
+        return search.mean_cost(given.hf, many, call.lateral, call.w) / 1000.0
+
+    def near(plan: wd.Plan) -> bool:
+        """Whether a plan's kernel, with the fewest wavelengths found so far, could be among the best."""
+        if not found:
+            return True
+        best = min(each.cost for each in found)
+        fewest = min(each.cost / per_wavelength(each.plan) for each in found)
+        return per_wavelength(plan) * fewest <= HOPELESS * best
+
+    for method in METHODS:
+        if method in POWER_METHODS and not given.coherence.adds_powers:
+            continue
+        enough = 0
+        for terms in range(coefficient_table.LANES, MAX_TERMS + 1, coefficient_table.LANES):
+            with_terms = dataclasses.replace(finest, method=method, terms=terms)
+            bare = dataclasses.replace(with_terms, least_weight=math.exp(-EXPONENT_STEP), subdivisions=1)
+            if enough == MORE_TERMS or not near(bare):
+                break
+            # A series far from its end has nothing to try.
+            expansion = EXPANSIONS.get(method)
+            if expansion is not None:
+                argument = 2.0 * math.pi * call.scope.kappas[1] * expansion.offset_and_scale(given.hf)[1]
+                if terms < 0.5 * argument:
+                    continue
+            if call.error(with_terms) > tolerance:
+                continue
+            enough += 1
+            for kernel in _neighbourhoods(call, with_terms, automatic):
+                if not near(kernel):
+                    continue
+                errors = np.stack(
+                    [call.errors(dataclasses.replace(kernel, wavelengths=int(size))) for size in bandwidths.sizes]
+                )
+                index = bandwidths.cheapest(call, errors, tolerance)
+                if index is not None:
+                    plan = bandwidths.plan(kernel, index)
+                    if call.error(plan) <= tolerance * 1.001:
+                        found.append(Found(per_wavelength(kernel) * float(bandwidths.counts[index]), plan))
+    return found
+
+
+def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
+    """A plan with the fewest neighbours that keep the tolerance and some more, or with all subdivisions."""
+    if plan.coherence.kind == "replicas":
+        steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
+        counts = sorted({max(1, round(automatic.subdivisions * step)) for step in steps})
+        return [dataclasses.replace(plan, subdivisions=count) for count in counts]
+
+    def weighed(steps: int) -> wd.Plan:
+        return dataclasses.replace(plan, least_weight=math.exp(-EXPONENT_STEP * steps))
+
+    low, high = 0, round(MOST_EXPONENT / EXPONENT_STEP)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if call.error(weighed(middle)) <= call.given.tolerance:
+            high = middle
+        else:
+            low = middle
+    return [weighed(high + more) for more in range(MORE_EXPONENTS)]
+
+
+def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
+    """Microseconds a direction of each, all of them taking turns."""
+    call.prepared(plans[0])()
+    begin = time.perf_counter()
+    call.prepared(plans[0])()
+    once = max(time.perf_counter() - begin, 1e-5)
+    repeats = int(np.clip(0.15 / once, 2, MOST_TIMED // DIRECTIONS))
+    ready = [call.prepared(plan, repeats) for plan in plans]
+    taken: list[list[float]] = [[] for _ in plans]
+    for _ in range(rounds + 1):
+        for each, times in zip(ready, taken, strict=True):
+            begin = time.process_time()
+            each()
+            times.append(time.process_time() - begin)
+    return [1e6 * float(np.median(times[1:])) / (repeats * DIRECTIONS * call.threads) for times in taken]
+
+
+class Result(NamedTuple):
+    """What one configuration shows."""
+
+    ratio: float
+    predicted: float
+    fresh: float
+    samples: float
+    kernel: float
+
+
+def judge(given: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
+    """Plan, search and measure one configuration: a row of the table and its numbers."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            automatic = wd.plan(
+                given.hf, given.lights, given.views, tolerance=given.tolerance, coherence=given.coherence,
+                method="low-rank" if given.coherence.kind != "replicas" else "auto", threads=threads,
+            )  # fmt: skip
+        except ValueError as error:
+            return f"| {given} | refused: {error} |", None
+        call, fresh = (
+            Call(given, given.lights[some], given.views[some], threads=threads)
+            for some in (slice(0, DIRECTIONS), slice(DIRECTIONS, 2 * DIRECTIONS))
+        )
+        error, error_fresh = call.error(automatic), fresh.error(automatic)
+        found = sorted(settings(call, automatic), key=lambda each: each.cost)
+        if not found:
+            return f"| {given} | no setting of the grid keeps the tolerance; the plan's error {error:.1e} |", None
+        chosen = found[:TIMED]
+        for method in METHODS:
+            chosen += [each for each in found if each.plan.method == method][:1]
+        plans = list({id(each): each.plan for each in chosen}.values())
+        times = measure(call, [automatic, *plans], rounds)
+    at = int(np.argmin(times[1:]))
+    best = plans[at]
+    # How the loss divides: samples in the mean, and all that each of them costs.
+    costs = [search.mean_cost(given.hf, each, call.lateral, call.w) for each in (automatic, best)]
+    bare = [
+        search.mean_cost(given.hf, dataclasses.replace(each, wavelengths=1000, adaptive=False), call.lateral, call.w)
+        / 1000.0
+        for each in (automatic, best)
+    ]
+    kernel = bare[0] / bare[1]
+    result = Result(
+        times[0] / min(times), automatic.error / max(error, 1e-9), automatic.error / max(error_fresh, 1e-9),
+        costs[0] / costs[1] / kernel, kernel,
+    )  # fmt: skip
+    row = (
+        f"| {given} | {times[0]:.2f} | {times[1 + at]:.2f} | {result.ratio:.2f} | {result.samples:.2f} "
+        f"| {result.kernel:.2f} | {_numbers(automatic)} | {_numbers(best)} | {error:.1e} | {call.error(best):.1e} "
+        f"| {result.predicted:.1f} | {error_fresh:.1e} | {result.fresh:.1f} |"
+    )
+    return row, result
+
+
+def _numbers(plan: wd.Plan) -> str:
+    share = plan.bandwidth_um[2] * SPAN / plan.wavelengths
+    text = f"{plan.method}, {plan.terms}, {plan.wavelengths} λ"
+    text += f" from {100.0 * share:.0f} %" if plan.adaptive else " for all"
+    if plan.coherence.kind == "replicas":
+        return text + f", {plan.subdivisions} each"
+    return text + f", e^{math.log(plan.least_weight):.1f}"
+
+
+def quartiles(values: list[float]) -> str:
+    """Median, quartiles and range in words."""
+    low, first, median, third, high = np.percentile(values, [0, 25, 50, 75, 100])
+    return f"median {median:.2f}, quartiles {first:.2f} and {third:.2f}, range {low:.2f} to {high:.2f}"
+
+
+def main() -> None:
+    """Print the table and what it comes to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=40, help="configurations (40)")
+    parser.add_argument("--only", type=int, help="this configuration alone")
+    parser.add_argument("--seed", type=int, default=0, help="of everything drawn (0)")
+    parser.add_argument("--rounds", type=int, default=7, help="timed rounds (7)")
+    parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    parser.add_argument("--data", type=Path, help=inputs.HELP)
+    options = parser.parse_args()
+    data = inputs.folder(options.data)
+    every = configurations(data, options.count, options.seed)
+    if options.only is not None:
+        every = [every[options.only]]
+    print(
+        "| surface | form | tolerance | µs, plan | µs, cheapest | ratio | of samples | of each | plan | cheapest "
+        "| error, plan | cheapest | predicted over it | error, fresh | predicted over it |"
+    )
+    print("|" + " --- |" * 15)
+    results: list[tuple[Configuration, Result]] = []
+    missing = 0
+    begin = time.perf_counter()
+    for given in every:
+        row, result = judge(given, rounds=options.rounds, threads=options.threads)
+        print(row, flush=True)
+        if result is None:
+            missing += 1
+        else:
+            results.append((given, result))
+    print(f"\n{len(results)} configurations in {time.perf_counter() - begin:.0f} s, {missing} without a figure")
+    if not results:
+        return
+    print(f"time of the plan over the cheapest's: {quartiles([r.ratio for _, r in results])} (bar: median 2)")
+    for kind in KINDS:
+        some = [r.ratio for given, r in results if given.coherence.kind == kind]
+        if some:
+            print(f"- {kind}: {quartiles(some)}")
+    for tolerance in TOLERANCES:
+        some = [r.ratio for given, r in results if given.tolerance == tolerance]
+        if some:
+            print(f"- tolerance {tolerance:g}: {quartiles(some)}")
+    print(f"predicted samples, plan over cheapest: {quartiles([r.samples for _, r in results])}")
+    print(f"predicted cost of a sample, plan over cheapest: {quartiles([r.kernel for _, r in results])}")
+    for label, values in (
+        ("the directions planned for", [r.predicted for _, r in results]),
+        ("fresh directions", [r.fresh for _, r in results]),
+    ):
+        within = sum(1.0 <= each <= 10.0 for each in values)
+        below = sum(each < 1.0 for each in values)
+        count = f"{within} of {len(values)} within 1 to 10, {below} below 1"
+        print(f"predicted error over the measured one, {label}: {quartiles(values)}; {count}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,349 @@
+"""Speed against accuracy: every method over its settings, the automatic choice, and peers, on the pixels of a scene.
+
+Errors are the design's, ‖ΔXYZ‖ / max(‖XYZ‖, f), f as in ``errors``, and ΔE2000, exposed so that
+this percentile is 1, both against the float64 reference. Times are of warm calls, arrays in and arrays out, on as many
+of the scene's lit pixels as take about a tenth of a second. What comes before is apart, compilation not counted: plan,
+coefficients and table of a height field that was not seen before.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.bench.suite import figures
+from warpdiff.bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
+from warpdiff.bench.suite.timing import in_turns
+from warpdiff.bench.truth import errors, reference
+from warpdiff.compute.device import resolve_device
+from warpdiff.plans.direction_range import Scope
+from warpdiff.tables.integrator import Integrator
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from warpdiff.bench.suite.runner import Setting
+
+    Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+
+JUDGED = 300
+TARGET_S, FEWEST = 0.08, 1000
+TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+FRAMES = (1, 10, 100, 1000)
+AUTOMATIC = "automatic"
+# Of ours by form; the first form's are powers, too.
+METHODS = {
+    "averaged": ("low-rank/table", "low-rank", "power", "jacobi-anger", "taylor"),
+    "centred": ("low-rank/table", "low-rank", "jacobi-anger", "taylor"),
+    "source": ("low-rank/table", "low-rank", "jacobi-anger"),
+    "replicas": ("low-rank", "jacobi-anger", "taylor"),
+}
+STYLES = {
+    AUTOMATIC: (figures.BLACK, "*", "automatic"),
+    "low-rank/table": (figures.BLUE, "o", "low-rank, table"),
+    "low-rank": (figures.SKY, "o", "low-rank, sampled"),
+    "power": (figures.GREEN, "o", "power, sampled"),
+    "jacobi-anger": (figures.PURPLE, "o", "Jacobi–Anger, sampled"),
+    "taylor": (figures.ORANGE, "o", "Taylor, sampled"),
+    "Numba": (figures.VERMILION, "s", "published, Numba"),
+    "Dr.Jit": (figures.BROWN, "s", "published, Dr.Jit"),
+    "NumPy": (figures.GREY, "s", "published, NumPy"),
+    "Stam, rainbow": ("#999999", "D", "analytic (Stam), rainbow"),
+    "Stam, CIE": ("#777777", "^", "analytic (Stam), CIE"),
+}
+
+
+def ours(hf: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Shade:
+    """A plan, called like a peer."""
+    import warp as wp
+
+    scope = Scope.of(hf, plan.coherence, seen.deflections, seen.to_lights, seen.gains > 0.0)
+    lights: dict[int, Any] = {}
+    made: dict[int, Integrator] = {}
+
+    def shade(deflections: np.ndarray, gains: np.ndarray, threads: int) -> np.ndarray:
+        if threads not in made:
+            made[threads] = Integrator(hf, plan, scope, device=device, threads=threads)
+        count = len(gains)
+        if count not in lights:
+            lights[count] = wp.array(np.float32(seen.some(count).to_lights), dtype=wp.vec3f, device=device)
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
+        given = wp.array(deflections, dtype=wp.vec3d, device=device), lights[count]
+        made[threads].add(*given, wp.array(np.float32(gains), dtype=wp.float32, device=device), "D65", xyz)
+        return np.asarray(xyz.numpy())
+
+    return shade
+
+
+def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
+    """Peers that can run and serve a form, with their settings."""
+    from warpdiff.bench.peers import drjit_peer, numpy_peer, stam_analytic
+
+    found: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+    if coherence.kind not in ("averaged", "centred"):
+        return found
+    for name, peer in (("Dr.Jit", drjit_peer), ("NumPy", numpy_peer)):
+        if (reason := peer.available()) is None:
+            # Plain NumPy takes a hundred times as long: two of its settings will do.
+            settings = peer.SETTINGS if name != "NumPy" else [peer.SETTINGS[2], peer.SETTINGS[-2]]
+            found[name] = peer, [peer.PUBLISHED, *settings]
+        else:
+            print(f"{name} is left out: {reason}.")
+    try:
+        from warpdiff.bench.peers import numba_peer
+    except ImportError:
+        print("Numba is left out: it is not installed.")
+    else:
+        found["Numba"] = numba_peer, [numba_peer.PUBLISHED, *numba_peer.SETTINGS]
+    if coherence.kind == "averaged":
+        if (reason := stam_analytic.available()) is None:
+            found["Stam, rainbow"] = stam_analytic, [{"colours": "rainbow"}]
+            found["Stam, CIE"] = stam_analytic, [{"colours": "cie"}]
+        else:
+            print(f"Stam's shader is left out: {reason}.")
+    return found
+
+
+def best(peer: Any, settings: list[dict[str, Any]], hf: wd.HeightField, coherence: wd.Coherence) -> Shade:
+    """A peer at the last of its settings that it can do."""
+    for each in reversed(settings):
+        try:
+            return cast("Shade", peer.prepare(hf, coherence, **each))
+        except ValueError:
+            continue
+    raise ValueError(f"{peer.__name__} can do none of its settings")
+
+
+def label(setting: dict[str, Any]) -> str:
+    """A peer's setting in few words."""
+    if "colours" in setting:
+        return str(setting["colours"])
+    side = 2 * setting["reach"] + 1
+    how = "rounding" if setting["rounded"] else "floor"
+    return f"{setting['wavelengths']} λ, {setting['terms']} terms, {side} × {side} by {how}"
+
+
+def plans(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Setting) -> dict[tuple[str, str], wd.Plan]:
+    """Plans of ours for the scene's pixels, by (method, tolerance)."""
+    found = {}
+    pairs = seen.to_lights, -seen.deflections - seen.to_lights
+    options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
+    tolerances = TOLERANCES[:2] if setting.quick else TOLERANCES
+    for method in (AUTOMATIC, *METHODS[coherence.kind]):
+        for tolerance in tolerances:
+            name = "auto" if method == AUTOMATIC else method
+            try:
+                plan = wd.plan(scene.hf, *pairs, tolerance=tolerance, method=name, **options)
+            except ValueError:
+                # Out of the method's reach.
+                continue
+            found[method, f"{tolerance:g}"] = plan
+    return found
+
+
+def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> dict[str, Any]:
+    """All curves of one chart."""
+    seen, _ = scene.seen(coherence)
+    device = resolve_device(setting.device)
+    few = seen.some(JUDGED // 4 if setting.quick else JUDGED)
+    exact = few.gains[:, None] * reference.colours(
+        scene.hf, few.deflections, few.to_lights, coherence, tolerance=1e-3 if setting.quick else 3e-4
+    )
+    shades: dict[tuple[str, str], Shade] = {
+        key: ours(scene.hf, plan, seen, device) for key, plan in plans(scene, coherence, seen, setting).items()
+    }
+    before = dict(_before(scene, coherence, seen, setting))
+    for name, (peer, settings) in peers(coherence).items():
+        for each in settings if not setting.quick else settings[:1] + settings[1::2]:
+            begin = time.perf_counter()
+            try:
+                shades[name, label(each)] = peer.prepare(scene.hf, coherence, **each)
+            except ValueError as error:
+                print(f"{name}, {label(each)}: {error}")
+                continue
+            before.setdefault(name, time.perf_counter() - begin)
+    curves: dict[str, dict[str, Any]] = {}
+    calls, counts = {}, {}
+    for key, shade in shades.items():
+        found = shade(few.deflections, few.gains, setting.threads)
+        some = seen.some(FEWEST)
+        shade(some.deflections, some.gains, setting.threads)
+        begin = time.perf_counter()
+        shade(some.deflections, some.gains, setting.threads)
+        each = (time.perf_counter() - begin) / len(some.gains)
+        counts[key] = int(np.clip(TARGET_S / each, FEWEST, len(seen.gains)))
+        timed = seen.some(counts[key])
+        calls[" | ".join(key)] = lambda s=shade, t=timed: s(t.deflections, t.gains, setting.threads)
+        error = errors.relative(found, exact)
+        columns = ("setting", "median", "p99", "delta_e", "us", "pixels")
+        curve = curves.setdefault(key[0], {column: [] for column in columns})
+        curve["setting"].append(key[1])
+        curve["median"].append(float(np.median(error)))
+        curve["p99"].append(float(np.percentile(error, 99.0)))
+        curve["delta_e"].append(errors.colour_difference(found, exact))
+        curve["pixels"].append(counts[key])
+    taken = in_turns(calls, setting.rounds)
+    for key, count in counts.items():
+        times = taken[" | ".join(key)]
+        curves[key[0]]["us"].append([1e6 * t / count for t in times[:3]])
+    return {"scene": scene.title, "coherence": str(coherence), "curves": curves, "before_s": before}
+
+
+def _before(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Setting) -> Any:
+    """Seconds before the first frame of a height field that was not seen before, kernels compiled."""
+    few = seen.some(FEWEST)
+    for method in ("low-rank/table", "low-rank"):
+        if method in METHODS[coherence.kind]:
+            hf = scene.make()
+            begin = time.perf_counter()
+            options: dict[str, Any] = {"device": setting.device, "threads": setting.threads, "strict": False}
+            plan = wd.plan(hf, coherence=coherence, method=method, **options)
+            ours(hf, plan, few, resolve_device(setting.device))(few.deflections, few.gains, setting.threads)
+            yield method, time.perf_counter() - begin
+
+
+def measure(setting: Setting) -> dict[str, Any]:
+    """Charts of all scenes and forms; a quick run has one."""
+    found = {}
+    for scene in scenes(setting.data):
+        for coherence in scene.coherences:
+            name = f"{coherence.kind}_{scene.name}"
+            if setting.quick and name != "averaged_fingers":
+                continue
+            setting.say(f"pareto: {scene.title}, {coherence}")
+            found[name] = measure_scene(scene, coherence, setting)
+    return found
+
+
+def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+    """Figures by name: [value, least, most, unit]."""
+    result: dict[str, list[Any]] = {}
+    for chart_name, each in found.items():
+        for method, curve in each["curves"].items():
+            for k, setting in enumerate(curve["setting"]):
+                key = f"pareto/{chart_name}/{method}/{setting}"
+                result[f"{key}/time"] = [*curve["us"][k], "µs a pixel"]
+                for name, unit in (("median", "error"), ("p99", "error"), ("delta_e", "ΔE2000")):
+                    result[f"{key}/{name}"] = [curve[name][k]] * 3 + [unit]
+        for method, seconds in each["before_s"].items():
+            result[f"pareto/{chart_name}/{method}/before"] = [seconds] * 3 + ["s"]
+    return result
+
+
+def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
+    """One figure a scene and form; what each shows, by the figure's name."""
+    return {f"pareto_{name}": _draw(f"pareto_{name}", each, folder) for name, each in found.items()}
+
+
+def _draw(name: str, found: dict[str, Any], folder: Path) -> str:
+    plt = figures.pyplot()
+    figure, axes = plt.subplots(1, 3, figsize=(17.0, 5.6), width_ratios=(1.0, 1.0, 0.7))
+    curves = found["curves"]
+    for axis, quantity, least in zip(axes, ("p99", "delta_e"), (1e-7, 1e-5), strict=False):
+        ends = []
+        for method, curve in curves.items():
+            colour, marker, title = STYLES[method]
+            top = method == AUTOMATIC
+            # The published setting is none of a peer's curve.
+            begin = 1 if method in ("Numba", "Dr.Jit", "NumPy") else 0
+            us = np.array(curve["us"])
+            order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
+            x, spread = us[order, 0], np.abs(us[order, 1:] - us[order, :1]).T
+            y, median = (np.maximum(np.array(curve[name])[order], least) for name in (quantity, "median"))
+            axis.plot(x[:begin], y[:begin], color=colour, marker=marker, markersize=7, fillstyle="none", zorder=3)
+            axis.errorbar(
+                x[begin:], y[begin:], xerr=spread[:, begin:], color=colour, marker=marker, markersize=13 if top else 5,
+                linewidth=0.0 if top else 1.6, elinewidth=0.8, zorder=5 if top else 3, markeredgewidth=0.0,
+            )  # fmt: skip
+            if quantity == "p99" and not top:
+                axis.plot(x[begin:], median[begin:], color=colour, linewidth=0.8, linestyle=(0, (1, 1.5)))
+            if top:
+                for at, height, k in zip(x, y, order, strict=True):
+                    axis.annotate(
+                        f"{float(curve['setting'][k]):.0e}".replace("e-0", "e-"), (at, height), xytext=(7, 6),
+                        textcoords="offset points", fontsize=8, color=colour, zorder=6,
+                    )  # fmt: skip
+            last = int(np.argmin(y))
+            ends.append((x[last], y[last], title, colour))
+        axis.set(xscale="log", yscale="log", xlabel="time a pixel [µs]", xlim=(1e-2, 1e3))
+        axis.set_ylim(least if min(e[1] for e in ends) <= least else None, 30.0 if quantity == "p99" else 300.0)
+        figures.label_ends(axis, ends)
+        axis.grid(color="#00000014", linewidth=0.8)
+        axis.set_axisbelow(True)
+    axes[0].set_title("error of XYZ: P99; dotted: median; hollow: as published")
+    axes[0].set_ylabel("error against the float64 reference")
+    axes[1].set_title("colour difference: P99")
+    axes[1].set_ylabel("ΔE2000")
+    ends = []
+    for method, before in found["before_s"].items():
+        curve = curves.get(method)
+        if curve is None or method.startswith("Stam"):
+            continue
+        best = _at(curve, 1e-2)
+        if best is None:
+            continue
+        colour, marker, title = STYLES[method]
+        per_frame = [before / n + FRAME_PIXELS * 1e-6 * curve["us"][best][0] for n in FRAMES]
+        axes[2].plot(FRAMES, per_frame, color=colour, marker=marker, markersize=4, linewidth=1.6)
+        ends.append((FRAMES[-1], per_frame[-1], title, colour))
+    axes[2].set(
+        xscale="log",
+        yscale="log",
+        xlabel="frames of 150,000 lit pixels",
+        ylabel="s a frame, with all before",
+        ylim=(1e-2, 1e2),
+    )
+    axes[2].set_title("at an error of 1e-2")
+    figures.label_ends(axes[2], ends, gap=0.06)
+    axes[2].grid(color="#00000014", linewidth=0.8)
+    figure.suptitle(f"{found['scene']}: {found['coherence']}", x=0.01, ha="left", fontsize=12)
+    figure.tight_layout(rect=(0.0, 0.0, 0.995, 0.97), w_pad=2.0)
+    figures.save(figure, folder, name)
+    return finding(found)
+
+
+def _at(curve: dict[str, Any], error: float) -> int | None:
+    """The cheapest setting of a curve that keeps an error in the 99th percentile."""
+    good = [k for k, each in enumerate(curve["p99"]) if each <= error]
+    return min(good, key=lambda k: curve["us"][k][0]) if good else None
+
+
+def finding(found: dict[str, Any]) -> str:
+    """What a chart shows, in a sentence, also where ours loses."""
+    curves = found["curves"]
+    ours_at = _at(curves[AUTOMATIC], 1e-2)
+    if ours_at is None:
+        return "The automatic choice reaches no error of 1e-2 here."
+    mine = curves[AUTOMATIC]["us"][ours_at][0]
+    text = f"At an error of 1e-2 the automatic choice takes {mine:.2g} µs a pixel"
+    others = {
+        name: curves[name]["us"][at][0]
+        for name in curves
+        if name != AUTOMATIC and (at := _at(curves[name], 1e-2)) is not None
+    }
+    rivals = {name: us for name, us in others.items() if STYLES[name][1] in "s^D"}
+    if rivals:
+        best = min(rivals, key=lambda name: rivals[name])
+        text += f", the best peer ({STYLES[best][2]}) {rivals[best]:.2g}, {rivals[best] / mine:.2g} times as much"
+    rest = {name: us for name, us in others.items() if name not in rivals}
+    cheapest = min(rest, key=lambda name: rest[name], default=None)
+    if cheapest is not None and rest[cheapest] < 0.8 * mine:
+        text += f"; a setting of {STYLES[cheapest][2]} takes {rest[cheapest]:.2g}, which the choice misses"
+    never = [STYLES[name][2] for name in curves if name != AUTOMATIC and name not in others]
+    if never:
+        text += f"; {', '.join(never)} do not reach it" if len(never) > 1 else f"; {never[0]} does not reach it"
+    slower = [
+        tolerance for k, tolerance in enumerate(curves[AUTOMATIC]["setting"])
+        if any(_dominates(curves[name], curves[AUTOMATIC]["p99"][k], curves[AUTOMATIC]["us"][k][0]) for name in rivals)
+    ]  # fmt: skip
+    if slower:
+        text += f"; at a tolerance of {', '.join(slower)} a peer is both faster and more accurate"
+    return text + "."
+
+
+def _dominates(curve: dict[str, Any], error: float, us: float) -> bool:
+    return any(p <= error and t[0] < us for p, t in zip(curve["p99"], curve["us"], strict=True))

@@ -1,0 +1,185 @@
+"""How time and memory grow: with pixels, scan, patch, heights, window, lights, mesh and threads.
+
+A point is a process of its own, so that its memory is its own: fingers on a tube at a tolerance of 1e-2, with one
+parameter changed. It takes the time of what comes before the first frame (plan, coefficients, table), of frames whose
+light moves, and the most memory that the process had, less what it had before.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.bench.suite import figures
+
+if TYPE_CHECKING:
+    from warpdiff.bench.suite.runner import Setting
+
+BASE: dict[str, Any] = {
+    "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
+}  # fmt: skip
+# Parameter, what of it is x, its values, and a title.
+SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
+    "pixels": ("width", (80, 160, 320, 640, 1280), "pixels of the picture"),
+    "samples": ("pitch_um", (0.13, 0.1, 0.05, 0.025), "samples of the height field"),
+    "patch": ("size_um", (6.4, 12.8, 25.6, 51.2, 102.4), "side of the patch [µm]"),
+    "heights": ("height_um", (0.1, 0.3, 1.0, 3.0), "height range [µm]"),
+    "window": ("sigma_um", (2.0, 4.0, 8.0, 16.25, 32.5), "σ of the window [µm]"),
+    "lights": ("lights", (1, 2, 4, 8), "lights"),
+    "faces": ("along", (16, 64, 256, 512), "faces of the mesh"),
+    "threads": ("threads", (1, 2, 4, 8, 16), "threads"),
+}
+FRAMES = 5
+
+
+def x_of(series: str, value: float) -> float:
+    """The number on the axis for a parameter's value."""
+    if series == "pixels":
+        return value * value * 0.75
+    if series == "samples":
+        return (BASE["size_um"] / value) ** 2
+    if series == "faces":
+        return 2.0 * (value - 1) * (value / 2)
+    return value
+
+
+def most_memory() -> float:
+    """The most memory that this process has had [MB]."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        # What getrusage tells began with the memory of the process that this one was forked from.
+        return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
+    """Measure one point, in this process."""
+    warnings.simplefilter("ignore", wd.WarpdiffWarning)
+    p = BASE | parameters
+    hf = wd.gratings.fingers(size_um=p["size_um"], pitch_um=p["pitch_um"], height_um=p["height_um"], seed=2)
+    mesh = wd.meshes.tube(segments_along=p["along"], segments_around=max(p["along"] // 2, 3))
+    view = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=p["width"], height=3 * p["width"] // 4)
+    options = {"device": device, "threads": p["threads"]}
+    small = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
+    few = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=32, height=24)
+    # Loads libraries and most kernels.
+    tiny = wd.meshes.tube(segments_along=16, segments_around=8)
+    wd.shade(tiny, small, wd.DirectionalLight((0.0, 1.0, 1.0)), few, **options)
+    before = most_memory()
+    begin = time.perf_counter()
+    # Of patches that are small against the window no table keeps the tolerance.
+    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
+
+    def frame(k: int) -> float:
+        lights = [wd.DirectionalLight((0.1 + 0.02 * k + 0.1 * i, 0.9, 1.2)) for i in range(p["lights"])]
+        start = time.perf_counter()
+        wd.shade(mesh, hf, lights, view, plan=plan, footprint=plan.nodes > 0, **options)
+        return time.perf_counter() - start
+
+    frame(0)
+    prepared = time.perf_counter() - begin
+    taken = [frame(k + 1) for k in range(FRAMES)]
+    return {
+        "before_s": prepared - float(np.median(taken)),
+        "frame_s": [float(np.median(taken)), min(taken), max(taken)],
+        "megabytes": most_memory() - before,
+    }
+
+
+def measure(setting: Setting) -> dict[str, Any]:
+    """All series; a quick run takes the first, the middle and the last value of two of them."""
+    found = {}
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for name, (parameter, values, _) in SERIES.items():
+        if setting.quick and name not in ("pixels", "lights"):
+            continue
+        chosen: tuple[Any, ...] = values[:: max(len(values) // 2, 1)] if setting.quick else values
+        if name == "threads":
+            chosen = tuple(each for each in values if each <= cores)
+            if setting.device not in (None, "cpu") or len(chosen) < 2:
+                continue
+        setting.say(f"scaling: {name}")
+        points = []
+        for value in chosen:
+            # The first of two compiles what the height field needs; its times are not kept.
+            for _ in range(2 if name in ("heights", "window", "patch") else 1):
+                result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
+            points.append({"x": x_of(name, value), **result})
+        found[name] = points
+    return found
+
+
+def _in_process(parameters: dict[str, Any], setting: Setting) -> dict[str, Any]:
+    code = "import sys, json; from warpdiff.bench.suite import scaling; "
+    code += "print(json.dumps(scaling.point(json.loads(sys.argv[1]), json.loads(sys.argv[2]))))"
+    command = [sys.executable, "-W", "ignore", "-c", code, json.dumps(parameters), json.dumps(setting.device)]
+    made = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ)
+    return dict(json.loads(made.stdout.splitlines()[-1]))
+
+
+def exponent(x: list[float], y: list[float]) -> float:
+    """Slope of log y over log x."""
+    return float(np.polyfit(np.log(x), np.log(np.maximum(y, 1e-9)), 1)[0])
+
+
+def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+    """Figures by name: [value, least, most, unit]."""
+    result: dict[str, list[Any]] = {}
+    for name, points in found.items():
+        for each in points:
+            key = f"scaling/{name}/{each['x']:.4g}"
+            result[f"{key}/frame"] = [*each["frame_s"], "s"]
+            result[f"{key}/before"] = [each["before_s"]] * 3 + ["s"]
+            result[f"{key}/memory"] = [each["megabytes"]] * 3 + ["MB"]
+    return result
+
+
+def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
+    """A panel a series: seconds on the left, megabytes on the right, with fitted exponents."""
+    plt = figures.pyplot()
+    columns = min(len(found), 4)
+    rows = -(-len(found) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(4.4 * columns, 3.7 * rows), squeeze=False)
+    slopes = {}
+    for axis in axes.flat[len(found) :]:
+        axis.set_axis_off()
+    for axis, (name, points) in zip(axes.flat, found.items(), strict=False):
+        x = [each["x"] for each in points]
+        curves = {
+            "frame [s]": ([each["frame_s"][0] for each in points], figures.BLUE, "o"),
+            "before the first [s]": ([each["before_s"] for each in points], figures.VERMILION, "s"),
+            "memory [GB]": ([each["megabytes"] / 1024.0 for each in points], figures.GREEN, "^"),
+        }
+        for title, (y, colour, marker) in curves.items():
+            y_drawn = np.maximum(y, 1e-3)
+            slope = exponent(x, list(y_drawn))
+            slopes[name, title] = slope
+            axis.plot(x, y_drawn, color=colour, marker=marker, markersize=5, label=f"{title}: x^{slope:.2f}")
+        spread = np.array([each["frame_s"] for each in points])
+        axis.fill_between(x, spread[:, 1], spread[:, 2], color=figures.BLUE, alpha=0.2, linewidth=0.0)
+        axis.set(xscale="log", yscale="log", xlabel=SERIES[name][2])
+        axis.set_xticks(x, [f"{each:.3g}" if each < 1e3 else f"{each:,.0f}" for each in x], fontsize=8.5)
+        axis.minorticks_off()
+        low, high = axis.get_ylim()
+        axis.set_ylim(low, high * (high / low) ** 0.45)
+        axis.legend(frameon=False, fontsize=8.5, loc="upper left")
+        axis.grid(color="#00000014", linewidth=0.8)
+        axis.set_title(name)
+    figure.tight_layout()
+    figures.save(figure, folder, "scaling")
+    frame = {name: slopes[name, "frame [s]"] for name in found}
+    text = "A frame's time goes as " + ", ".join(f"{name}^{slope:.2f}" for name, slope in frame.items())
+    costly = max(found, key=lambda name: max(each["before_s"] for each in found[name]))
+    most = max(each["before_s"] for each in found[costly])
+    return {"scaling": f"{text}. What comes before the first frame is the most, {most:.1f} s, at the end of {costly}."}

@@ -1,0 +1,138 @@
+"""The scenes of the charts: what is timed, what is judged, and what the previews show are the pixels of one picture."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff import meshes
+from warpdiff.bench import inputs
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.optics import reflectance_factors
+from warpdiff.render.frame import Frame
+from warpdiff.scene.mesh_import import prepare_surface
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+IOR = 1.5
+# Of the pictures whose pixels are timed.
+WIDTH = 960
+# What a frame has, for what comes before the first one to be shared by.
+FRAME_PIXELS = 150_000
+
+
+class Directions(NamedTuple):
+    """Directions to the light, deflections (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
+
+    to_lights: np.ndarray
+    deflections: np.ndarray
+    gains: np.ndarray
+
+    def some(self, count: int) -> Directions:
+        """So many of them, evenly, in their order."""
+        chosen = np.linspace(0, len(self.gains) - 1, min(count, len(self.gains))).astype(int)
+        return Directions(*(each[chosen] for each in self))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A body with a surface, under one light.
+
+    Attributes:
+        name: Short, for files.
+        title: For charts.
+        make: The height field; a new object each time, which remembers nothing.
+        mesh: The body.
+        light: The light.
+        eye, target, fov_y_deg: The camera.
+        coherences: The forms that it is charted in.
+    """
+
+    name: str
+    title: str
+    make: Callable[[], wd.HeightField]
+    mesh: Any
+    light: wd.DirectionalLight
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fov_y_deg: float
+    coherences: tuple[wd.Coherence, ...]
+
+    @functools.cached_property
+    def hf(self) -> wd.HeightField:
+        """The height field."""
+        return self.make()
+
+    def view(self, width: int) -> wd.View:
+        """The camera, for so wide a picture."""
+        return wd.View(self.eye, self.target, fov_y_deg=self.fov_y_deg, width=width, height=3 * width // 4)
+
+    def seen(self, coherence: wd.Coherence, width: int = WIDTH) -> tuple[Directions, np.ndarray]:
+        """What the lit pixels of a picture see, and which pixels (n,) these are."""
+        return seen(self.mesh, self.light, self.view(width), self.hf, coherence)
+
+
+def seen(
+    mesh: Any, light: wd.DirectionalLight, view: wd.View, hf: wd.HeightField, coherence: wd.Coherence
+) -> tuple[Directions, np.ndarray]:
+    """What the lit pixels of a picture see, and which pixels (n,) these are."""
+    frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
+    frame.light_up([light], coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
+    frame.survey(hf, coherence)
+    deflections, to_lights, gains = frame.directions()
+    lit = np.flatnonzero(gains > 0.0)
+    return Directions(np.float64(to_lights[lit]), deflections[lit], np.float64(gains[lit])), lit
+
+
+def scenes(data: Path | None) -> list[Scene]:
+    """All scenes; without the scan, fingers take its place where a form has no other."""
+    tube = meshes.tube(segments_along=128, segments_around=64)
+    on_tube: dict[str, Any] = {
+        "mesh": tube,
+        "light": wd.DirectionalLight((0.1, 0.9, 1.2)),
+        "eye": (0.0, 1.6, 3.1),
+        "target": (0.0, 0.0, 0.0),
+        "fov_y_deg": 27.0,
+    }
+    on_disc: dict[str, Any] = {
+        "mesh": meshes.disc(),
+        "light": wd.DirectionalLight((0.15, 0.9, 1.0)),
+        "eye": (0.0, -1.9, 2.3),
+        "target": (0.0, -0.05, 0.0),
+        "fov_y_deg": 40.0,
+    }
+    averaged, centred = wd.Coherence(), wd.Coherence("centred")
+    source = wd.Coherence("source", angular_diameter_deg=0.53)
+
+    def fingers() -> wd.HeightField:
+        return wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
+
+    def disc() -> wd.HeightField:
+        # As long as the scan, or the window would see the same pits again.
+        return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
+
+    def blazed() -> wd.HeightField:
+        return wd.gratings.blazed(2.5, 0.25)
+
+    measured = inputs.scan(data)
+    made = [
+        Scene(
+            "fingers", "synthetic fingers, 25.6 µm", fingers, **on_tube,
+            coherences=(averaged,) if measured else (averaged, centred, source),
+        ),
+        Scene("disc", "compact disc, 64 µm", disc, **on_disc, coherences=(averaged,)),
+        Scene(
+            "blazed", "blazed grating, 2.5 µm, 10 periods", blazed, **on_disc,
+            coherences=(wd.Coherence("replicas", copies=(1, 10)),),
+        ),
+    ]  # fmt: skip
+    if measured:
+        skin = functools.partial(measured.levelled, order=2)
+        made.insert(0, Scene("skin", "scan of skin, 65 µm", skin, **on_tube, coherences=(averaged, centred, source)))
+    return made

@@ -1,0 +1,521 @@
+"""Where each method breaks, and that the automatic choice does not: eight regimes, one panel each, and a table.
+
+Errors are the design's, the 99th percentile over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) where a
+panel is of spectra, f a thousandth of the 99th percentile of Y or ρ. Float32 is the library's kernel, float64 the same
+series in NumPy; truth is the float64 reference, the direct sum, or a closed form.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.bench.suite import figures
+from warpdiff.bench.truth import numpy_methods as methods
+from warpdiff.bench.truth import reference
+from warpdiff.fourier import direct_sum
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from warpdiff.bench.suite.runner import Setting
+
+TOLERANCE = 1e-2
+# Of a regime's points.
+ALL = slice(None)
+# What a method is asked for where its own limit is to be seen.
+FINEST = 1e-5
+WAVELENGTHS_UM = np.array([0.4, 0.45, 0.55, 0.65, 0.75])
+AUTOMATIC = "automatic, asked for 1e-2"
+AUTOMATIC_SOURCE = "automatic, source of 0.53°"
+AUTOMATIC_CENTRED = "automatic, centred window"
+SERIES = {
+    "taylor-uncentred": "Taylor, uncentred",
+    "taylor": "Taylor, centred",
+    "jacobi-anger": "Jacobi–Anger",
+    "power": "power",
+    "low-rank": "low-rank",
+}
+PUBLISHED = "Taylor, 37 terms as published"
+STEPS = {5.0: "fixed steps of 5 nm", 1.0: "fixed steps of 1 nm"}
+FLOOR, ROUNDED = "3 × 3 found by floor", "3 × 3 found by rounding"
+SINGLE = "everything in float32"
+FACING = "source not foreshortened"
+ORDER_WISE = "one point an order"
+SAMPLED = "any method on the samples"
+RESAMPLED = "resampled to 0.02 µm first"
+PQ, PQ64 = "p, q as published", "p, q as published, float64"
+PLAIN = "sin Nx / N sin x in float32"
+NEAREST = "7 nearest orders"
+EQUAL, CUBICS = "equal steps in λ, plain sum", "as many in 1/λ, by cubics"
+SMALL = ", small patch"
+FLOAT64 = ", float64"
+
+
+class Panel(NamedTuple):
+    """A regime: where, what, and how it is written beside the axis."""
+
+    title: str
+    axis: str
+    x: np.ndarray
+    curves: dict[str, list[float]]  # errors at each x; NaN where a method is not tried
+    note: str
+    ticks: tuple[float, ...]
+    told: dict[str, list[int]]  # where an automatic choice refuses or warns: what it gives all the same is shown
+
+
+class Points:
+    """Errors by curve and point, and where an automatic choice refuses or warns."""
+
+    def __init__(self) -> None:
+        self._points: list[dict[str, float]] = []
+        self.told: dict[str, list[int]] = {}
+
+    def start(self) -> None:
+        """Begin a point."""
+        self._points.append({})
+
+    def add(self, name: str, error: float) -> None:
+        """Set a curve's error at this point, or raise it to this."""
+        self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
+
+    def automatic(
+        self, hf: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence, exact: np.ndarray,
+        name: str = AUTOMATIC,
+    ) -> None:  # fmt: skip
+        """Set the error of the automatic choice."""
+        arguments = {"coherence": coherence, "tolerance": TOLERANCE}
+        xyz, message = methods.outcome(wd.reflectance, hf, lights, views, **arguments)
+        if message:
+            xyz = methods.best_effort(wd.reflectance, hf, lights, views, **arguments)
+            at = len(self._points) - 1
+            print(f"point {at}, {name}: {message}")
+            self.told.setdefault(name, [])
+            self.told[name] += [at] if at not in self.told[name] else []
+        self.add(name, methods.colour_error(xyz, exact))
+
+    def fixed_steps(
+        self, hf: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence, exact: np.ndarray
+    ) -> None:
+        """Set the errors of wavelengths 5 nm and 1 nm apart."""
+        for step, label in STEPS.items():
+            found = methods.fixed_step_colour(hf, lights, views, step, coherence)
+            self.add(label, methods.colour_error(found, exact))
+
+    def neighbourhoods(
+        self, hf: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
+    ) -> None:
+        """Set the errors of 3 × 3 coefficients against all of them, on the same wavelengths."""
+        wavelengths, weights = methods.fixed_steps(step_nm)
+
+        def colour(**keywords: Any) -> np.ndarray:
+            found = methods.series_reflectance(hf, lights, views, wavelengths * 1e-3, sigma=sigma, **keywords)
+            return np.asarray(found @ weights)
+
+        exact = colour()
+        self.add(FLOOR, methods.colour_error(colour(reach=1, floor=True), exact))
+        self.add(ROUNDED, methods.colour_error(colour(reach=1), exact))
+
+    def panel(self, title: str, axis: str, x: Any, note: str, ticks: tuple[float, ...]) -> Panel:
+        """All of them."""
+        names = dict.fromkeys(name for point in self._points for name in point)
+        curves = {name: [point[name] for point in self._points] for name in names}
+        return Panel(title, axis, np.asarray(x), curves, note, ticks, self.told)
+
+
+def height_range(which: slice = ALL) -> Panel:
+    """Every series in both arithmetics."""
+    sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
+    flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
+    x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
+    for height in x:
+        points.start()
+        hf = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
+        exact = reference.reference_spectral(hf, lights, views, WAVELENGTHS_UM, window)
+        request = {"hf": hf, "to_light": lights, "to_view": views, "wavelengths_nm": 1e3 * WAVELENGTHS_UM}
+        for name, label in SERIES.items():
+            singles = methods.best_effort(
+                wd.spectral_reflectance, **request, coherence=window, method=name, tolerance=FINEST
+            )
+            terms = methods.most_terms(hf, name, 2.0 / WAVELENGTHS_UM[0])
+            doubles = methods.series_reflectance(
+                hf, lights, views, WAVELENGTHS_UM, sigma=sigma, method=name, terms=terms
+            )
+            points.add(label, methods.spectral_error(singles, exact))
+            points.add(label + FLOAT64, methods.spectral_error(doubles, exact))
+        published = methods.series_reflectance(
+            hf, lights, views, WAVELENGTHS_UM, sigma=sigma, method="taylor-uncentred", terms=methods.PUBLISHED_TERMS,
+            dtype=np.float32,
+        )  # fmt: skip
+        points.add(PUBLISHED, methods.spectral_error(published, exact))
+        found = wd.spectral_reflectance(**request, coherence=window, tolerance=TOLERANCE)
+        points.add(AUTOMATIC, methods.spectral_error(found, exact))
+    ticks = (0.05, 0.1, 0.2, 0.5, 1, 2, 5)
+    return points.panel("height range", "height range [µm]", x, "fingers, spectra", ticks)
+
+
+def window_width(which: slice = ALL) -> Panel:
+    """Neighbourhoods fail under short windows, fixed wavelengths under long ones."""
+    hf, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
+    x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
+    for sigma in x.tolist():
+        points.start()
+        window, centred = wd.Coherence(sigma_um=sigma), wd.Coherence("centred", sigma)
+        exact = reference.reference_reflectance(hf, lights, views, window)
+        points.fixed_steps(hf, lights, views, window, exact)
+        points.neighbourhoods(hf, lights, views, sigma, min(1.0, 10.0 / sigma))
+        points.automatic(hf, lights, views, window, exact)
+        exact = reference.reference_reflectance(hf, lights, views, centred)
+        points.automatic(hf, lights, views, centred, exact, AUTOMATIC_CENTRED)
+    return points.panel("window", "σ of the window [µm]", x, "line of 25.6 µm", (1, 10, 100, 1000))
+
+
+def patch_size(which: slice = ALL) -> Panel:
+    """Of a large patch nine coefficients are too few; orders of any pass between wavelengths 5 nm apart."""
+    lights, views = (tilted_up(each) for each in methods.hemisphere_pairs(48))
+    window, x, points = wd.Coherence(), (2.0, 3.0, 5.0, 8.0, 12.5, 20.0, 32.0, 50.0, 70.0, 100.0)[which], Points()
+    for size in x:
+        points.start()
+        hf = wd.gratings.fingers(size_um=size, pitch_um=0.09, length_um=min(3.0, size), seed=4)
+        exact = reference.reference_reflectance(hf, lights, views, window)
+        points.fixed_steps(hf, lights, views, window, exact)
+        points.neighbourhoods(hf, lights, views, 16.25, 1.0)
+        points.automatic(hf, lights, views, window, exact)
+    return points.panel("patch", "side of the patch [µm]", x, "fingers, σ = 16.25 µm", (2, 5, 10, 20, 50, 100))
+
+
+def tilted_up(directions: np.ndarray) -> np.ndarray:
+    """Directions within 30° of the normal, for patches whose coefficients are many."""
+    moved = directions * [0.5, 0.5, 1.0]
+    moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
+    return moved
+
+
+def lateral(which: slice = ALL) -> Panel:
+    """Fixed wavelengths fail far from the mirror direction, one point an order close to it."""
+    x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
+    hf, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
+    for seed, across in enumerate(x):
+        points.start()
+        lights, views = methods.with_lateral(64, across, seed)
+        exact = reference.reference_reflectance(hf, lights, views, window)
+        points.fixed_steps(hf, lights, views, window, exact)
+        one_point = methods.order_wise_colour(hf, lights, views, sigma=16.25)
+        points.add(ORDER_WISE, methods.colour_error(one_point, exact))
+        points.automatic(hf, lights, views, window, exact)
+    ticks = (0.01, 0.03, 0.1, 0.3, 1, 2)
+    return points.panel("distance from the mirror", "|(u, v)|", x, "fingers, 25.6 µm", ticks)
+
+
+def grazing(which: slice = ALL) -> Panel:
+    """1 + ωi·ωr cancels at the mirror direction towards the horizon, and a source is foreshortened without end."""
+    window, source = wd.Coherence(), wd.Coherence("source")
+    hf = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)
+    x, points = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 45.0)[which], Points()
+    wavelengths, weights = methods.fixed_steps(1.0)
+    for seed, elevation in enumerate(x):
+        points.start()
+        # The mirror direction's brightness would hide all others: the worse of two calls.
+        for spread in (0.1, None):
+            lights, views = methods.at_elevation(48, elevation, spread, seed)
+            same = reference.reference_spectral(hf, lights, views, wavelengths * 1e-3, window)
+            single = methods.single_precision(hf, lights, views, wavelengths * 1e-3, sigma=16.25)
+            points.add(SINGLE, methods.colour_error(single @ weights, same @ weights))
+            exact = reference.reference_reflectance(hf, lights, views, window)
+            points.fixed_steps(hf, lights, views, window, exact)
+            points.automatic(hf, lights, views, window, exact)
+            exact = reference.reference_reflectance(hf, lights, views, source)
+            if spread is not None:
+                facing = methods.unforeshortened_colour(hf, lights, views, source)
+                points.add(FACING, methods.colour_error(facing, exact))
+            points.automatic(hf, lights, views, source, exact, AUTOMATIC_SOURCE)
+    axis, ticks = "both so far above the horizon [°]", (0.1, 0.3, 1, 3, 10, 45)
+    return points.panel("grazing light and view", axis, x, "fingers, 6.4 µm", ticks)
+
+
+def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
+    """XYZ of a sine that no sample stands for: |H_m|² = J_m(πκ·depth)², in the plane of incidence."""
+    tau, weights = reference.quadrature(512, "D65")
+    deflections = -(lights + views)
+    total = np.zeros((len(lights), len(tau)))
+    theta = 2.0 * math.pi * np.arange(256) / 256
+    wave = np.exp(1j * math.pi * depth * deflections[:, 2][:, None, None] * tau[:, None] * np.sin(theta))
+    orders = np.fft.fft(wave, axis=-1) / len(theta)
+    for m in range(-40, 41):
+        away = deflections[:, :1] * tau - m / period
+        total += np.abs(orders[..., m]) ** 2 * np.exp(-4.0 * (math.pi * sigma * away) ** 2)
+    return np.asarray(reference.gain(lights, views)[:, None] * total @ weights)
+
+
+def pitch(which: slice = ALL) -> Panel:
+    """What the samples alias, no method on them can tell; finer samples can."""
+    period, depth, sigma = 1.6, 0.3, 3.0
+    window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
+    exact = sine_colour(period, depth, lights, views, sigma)
+    samples, points = (80, 56, 40, 32, 26, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4)[which], Points()
+    for count in samples:
+        points.start()
+        hf = wd.gratings.sinusoidal(period, depth, samples=count)
+        points.add(SAMPLED, methods.colour_error(reference.reference_reflectance(hf, lights, views, window), exact))
+        points.automatic(hf.resampled(0.02), lights, views, window, exact, RESAMPLED)
+        points.automatic(hf, lights, views, window, exact)
+    limit = 0.38 / (2.0 * np.abs((lights + views)[:, 0]).max())
+    note, ticks = f"sine; limit {limit:.2f} µm", (0.02, 0.05, 0.1, 0.2, 0.4)
+    return points.panel("pitch at its limit", "pitch [µm]", period / np.array(samples), note, ticks)
+
+
+def copies(which: slice = ALL) -> Panel:
+    """A thousand copies near whole turns from one to the next."""
+    count, wavelength = 1000, 0.5
+    hf, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", copies=(1, count))
+    x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
+    for away in x.tolist():
+        points.start()
+        lights, views = methods.near_resonance(hf, away, wavelength)
+        deflections, gain = -(lights + views), reference.gain(lights, views)
+        # As the vectors have it, to the last digit.
+        turns = deflections[:, 0] / wavelength * hf.size_um[1]
+        exact, patch = (
+            direct_sum.window_power(hf, each, deflections, np.array([wavelength]))[:, 0]
+            for each in (coherence, wd.Coherence("replicas", copies=(1, 1)))
+        )
+        nearest = np.array([methods.nearest_orders_power(hf, each, wavelength, 3) for each in deflections])
+        found = wd.spectral_reflectance(hf, lights, views, 1e3 * wavelength, coherence=coherence, tolerance=TOLERANCE)
+        for name, power in {
+            PQ: methods.published_copies(turns, count, np.float32) * patch,
+            PQ64: methods.published_copies(turns, count) * patch,
+            PLAIN: methods.plain_copies(turns, count, np.float32) * patch,
+            NEAREST: nearest * (exact / patch),
+            AUTOMATIC: found[:, 0] / gain,
+        }.items():
+            points.add(name, methods.spectral_error(power, exact))
+    axis, ticks = "distance from a resonance [orders]", (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
+    return points.panel(f"{count} copies near resonance", axis, x, "line of 6.4 µm, spectra", ticks)
+
+
+def wavelength_steps(which: slice = ALL) -> Panel:
+    """Plain sums in equal steps against the plan's quadrature, as many wavelengths each."""
+    lights, views = methods.hemisphere_pairs(64)
+    x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
+    for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):
+        hf, window = wd.gratings.fingers(size_um=size, pitch_um=0.09, seed=4), wd.Coherence(sigma_um=sigma)
+        cases.append((name, hf, window, reference.reference_reflectance(hf, lights, views, window)))
+    for step in x:
+        points.start()
+        for name, hf, window, exact in cases:
+            fixed = methods.fixed_step_colour(hf, lights, views, step, window)
+            equal = methods.wavenumber_colour(hf, lights, views, round(400.0 / step) + 1, window)
+            points.add(EQUAL + name, methods.colour_error(fixed, exact))
+            points.add(CUBICS + name, methods.colour_error(equal, exact))
+            # It has no steps to be told: a level line, the worse of both.
+            points.automatic(hf, lights, views, window, exact)
+    return points.panel(
+        "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
+    )
+
+
+REGIMES = (height_range, window_width, patch_size, lateral, grazing, pitch, copies, wavelength_steps)
+
+# Colours of ColorBrewer and their kind: a family of methods has a family of hues.
+RED, ORANGE, BLUE, TEAL, PURPLE = "#b2182b", "#e08214", "#1b6cb5", "#1a9879", "#7b4fa3"
+BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
+    "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",
+)  # fmt: skip
+DOTTED, DASHED = (0, (1, 1.2)), (0, (4, 2))
+# The legend, group by group: the first is what all the others are measured by.
+STYLES: dict[str, dict[str, dict[str, object]]] = {
+    "Automatic choice": {
+        AUTOMATIC: {"color": "black", "linewidth": 3.0, "zorder": 10},
+        AUTOMATIC_CENTRED: {"color": "black", "linewidth": 2.0, "linestyle": (0, (4, 1.2)), "zorder": 9},
+        AUTOMATIC_SOURCE: {"color": "black", "linewidth": 2.2, "linestyle": DOTTED, "zorder": 9},
+    },
+    "Series (a)": {
+        SERIES["taylor-uncentred"]: {"color": RED},
+        PUBLISHED: {"color": RED, "linestyle": DOTTED, "linewidth": 1.6},
+        SERIES["taylor"]: {"color": ORANGE},
+        SERIES["jacobi-anger"]: {"color": BLUE},
+        SERIES["power"]: {"color": TEAL},
+        SERIES["low-rank"]: {"color": PURPLE},
+    },
+    "Wavelengths (b, c, d, e, h)": {
+        STEPS[5.0]: {"color": BROWN},
+        STEPS[1.0]: {"color": SAND},
+        ORDER_WISE: {"color": CYAN},
+        EQUAL: {"color": BROWN, "linewidth": 2.4},
+        EQUAL + SMALL: {"color": BROWN, "linestyle": DOTTED},
+        CUBICS: {"color": BLUE},
+        CUBICS + SMALL: {"color": BLUE, "linestyle": DOTTED},
+    },
+    "Neighbours, geometry (b, c, e, f)": {
+        FLOOR: {"color": GREEN},
+        ROUNDED: {"color": LIME},
+        SINGLE: {"color": PINK},
+        FACING: {"color": CYAN},
+        SAMPLED: {"color": GREY, "linestyle": DASHED, "linewidth": 1.2},
+        RESAMPLED: {"color": BLUE},
+    },
+    "Copies (g)": {
+        PQ: {"color": PINK},
+        PQ64: {"color": PINK, "linestyle": DASHED, "linewidth": 1.2},
+        PLAIN: {"color": ROSE},
+        NEAREST: {"color": CYAN},
+    },
+}
+LEAST, MOST = 1e-9, 30.0
+TINT = "#fbe3e0"
+
+
+def style_of(name: str) -> dict[str, object]:
+    """How a curve is drawn; dashed where it is the float64 one of a series."""
+    styles = {label: style for group in STYLES.values() for label, style in group.items()}
+    if name in styles:
+        return {"linewidth": 1.9, **styles[name]}
+    return {**styles[name.removesuffix(FLOAT64)], "linestyle": DASHED, "linewidth": 1.2}
+
+
+def draw(panels: list[Panel], folder: Path) -> None:
+    """Write the figure."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    figure, axes = figures.pyplot().subplots(2, 4, figsize=(17.0, 10.4), sharey=True)
+    for letter, axis, panel in zip("abcdefgh", axes.flat, panels, strict=True):
+        axis.set(xscale="log", yscale="log", xlim=(panel.x.min(), panel.x.max()), ylim=(LEAST, MOST))
+        axis.axhspan(TOLERANCE, MOST, color=TINT, zorder=-1, linewidth=0)
+        axis.axhline(TOLERANCE, color="#c0392b", linewidth=1.2, zorder=1)
+        for name, values in panel.curves.items():
+            curve(axis, panel, np.array(values), style_of(name), panel.told.get(name, []))
+        axis.set_title(f"{letter}   {panel.title}", loc="left", pad=8)
+        axis.set_xlabel(panel.axis)
+        axis.set_xticks(panel.ticks, [written(tick) for tick in panel.ticks])
+        axis.minorticks_off()
+        axis.text(
+            0.98, 0.025, panel.note, transform=axis.transAxes, ha="right", va="bottom", fontsize=8.5, color=GREY,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5, "alpha": 0.8}, zorder=12,
+        )  # fmt: skip
+        axis.grid(which="major", color="#00000014", linewidth=0.8)
+        axis.set_axisbelow(True)
+    powers = range(-9, 2, 2)
+    axes[0, 0].set_yticks([10.0**power for power in powers], [f"$10^{{{power}}}$" for power in powers])
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error, 99th percentile")
+    marks = [
+        Line2D([], [], label="library, float32", color=GREY, linewidth=1.9),
+        Line2D([], [], label="the same in float64", color=GREY, linestyle=DASHED, linewidth=1.2),
+        Line2D([], [], label="off the scale, infinite, NaN", color=GREY, linestyle="", marker="x"),
+        Line2D([], [], label="warned or refused", color="black", linewidth=1.0, marker="o", mfc="white"),
+        Patch(facecolor=TINT, edgecolor="#c0392b", label="error above 1e-2: fails"),
+    ]
+    groups = {
+        title: [Line2D([], [], label=name, **style_of(name)) for name in styles] for title, styles in STYLES.items()
+    }
+    groups["Marks"] = marks
+    for left, (title, handles) in zip((0.03, 0.185, 0.355, 0.55, 0.725, 0.855), groups.items(), strict=True):
+        legend = figure.legend(
+            handles=handles, title=title, loc="upper left", bbox_to_anchor=(left, 0.188), frameon=False, fontsize=9,
+            title_fontproperties={"weight": "bold", "size": 9.5}, alignment="left", handlelength=2.4,
+        )  # fmt: skip
+        legend.set_in_layout(False)
+    figure.tight_layout(rect=(0.0, 0.19, 1.0, 1.0), w_pad=1.4, h_pad=2.0)
+    figures.save(figure, folder, "stability")
+
+
+def written(tick: float) -> str:
+    """A number beside an axis."""
+    return f"{tick:g}" if tick >= 2e-3 else f"$10^{{{round(math.log10(tick))}}}$"
+
+
+def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object], told: list[int]) -> None:
+    """One line of a panel; crosses on the upper edge stand for what is beyond it."""
+    x = panel.x
+    beyond = errors >= MOST
+    drawn = np.clip(errors, LEAST * 1e-3, MOST)
+    if told:
+        axis.plot(x, drawn, color=style["color"], linewidth=1.0, zorder=9)
+        axis.plot(
+            x[told], np.minimum(drawn[told], MOST / 1.5), "o", mfc="white", mec="black", markersize=5.5, zorder=11
+        )
+        drawn[told] = np.nan
+    axis.plot(x, drawn, solid_capstyle="round", **style)
+    if beyond.any() and not told:
+        edge = np.full(np.count_nonzero(beyond), MOST / 1.4)
+        axis.plot(x[beyond], edge, "x", color=style["color"], markersize=5, markeredgewidth=1.4, zorder=8)
+
+
+def measure(setting: Setting) -> dict[str, Any]:
+    """The panels; a quick run takes every fifth point, without the ends, which may take minutes."""
+    found = {}
+    for regime in REGIMES:
+        setting.say(f"stability: {regime.__name__}")
+        panel = regime(slice(2, None, 5) if setting.quick else ALL)
+        found[regime.__name__] = panel._replace(x=np.asarray(panel.x).tolist())._asdict()
+    return found
+
+
+def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+    """The automatic choice's errors by name: [value, least, most, unit]."""
+    return {
+        f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]
+        for regime, panel in found.items()
+        for name in (AUTOMATIC, AUTOMATIC_CENTRED, AUTOMATIC_SOURCE)
+        for x, error in zip(panel["x"], panel["curves"].get(name, []), strict=False)
+    }
+
+
+def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
+    """All panels in one figure."""
+    panels = [Panel(**{**each, "x": np.array(each["x"])}) for each in found.values()]
+    draw(panels, folder)
+    worst, told, points = 0.0, 0, 0
+    for panel in panels:
+        for name in (AUTOMATIC, AUTOMATIC_CENTRED, AUTOMATIC_SOURCE):
+            warned = panel.told.get(name, [])
+            kept = [error for at, error in enumerate(panel.curves.get(name, [])) if at not in warned]
+            worst, told, points = max([worst, *kept]), told + len(warned), points + len(kept)
+    text = (
+        f"Every other method fails somewhere; asked for 1e-2, the automatic choice errs by {worst:.1e} at most in "
+        f"{points} points, and warns or refuses in {told} more."
+    )
+    return {"stability": text}
+
+
+def table(panel: Panel) -> str:
+    """The numbers of a panel, in Markdown."""
+    rows = [
+        f"\n{panel.title} ({panel.note})\n",
+        "| " + panel.axis + " | " + " | ".join(f"{x:.3g}" for x in panel.x) + " |",
+        "| --- " * (len(panel.x) + 1) + "|",
+    ]
+    rows += [f"| {name} | " + " | ".join(f"{e:.1e}" for e in errors) + " |" for name, errors in panel.curves.items()]
+    for name, told in panel.told.items():
+        rows.append(f"{name}: refuses or warns at " + ", ".join(f"{panel.x[at]:.3g}" for at in told))
+    return "\n".join(rows)
+
+
+def main() -> int:
+    """Print the numbers; ``warpdiff bench --filter stability`` draws them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", choices=[each.__name__ for each in REGIMES], help="one regime")
+    options = parser.parse_args()
+    failed = []
+    for regime in REGIMES:
+        if options.only not in (None, regime.__name__):
+            continue
+        panel = regime()
+        print(table(panel), flush=True)
+        for name in (AUTOMATIC, AUTOMATIC_CENTRED, AUTOMATIC_SOURCE):
+            for at, error in enumerate(panel.curves.get(name, [])):
+                if at not in panel.told.get(name, []) and not error <= TOLERANCE:
+                    failed.append(f"{panel.title}, {panel.axis} {panel.x[at]:.3g}: {name}: {error:.1e}")
+    for line in failed:
+        print(f"beyond its tolerance: {line}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,331 @@
+"""Random calls that judge plans: surfaces, coherence, tolerances and what is looked at, each from its index and a seed.
+
+Coherence forms and tolerances take turns, so that every run of ``len(STRATA)`` indices has one of each; all else is
+drawn. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; BRDF maps;
+and frames of a mesh. ``warpdiff.bench.truth.judge`` evaluates and judges them.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+
+KINDS = ("averaged", "centred", "source", "replicas")
+# Copies have lobes that only a spectrum resolves: two tolerances are asked of them.
+STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
+SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
+GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
+LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
+WAYS = ("random", "mirror", "orders", "grazing", "mixed")
+ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
+SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
+MAP_SIZES = (48, 70, 128, 256, 512)
+FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
+# Fewer than these are judged on all their directions.
+FEW = 4096
+MOST = 262_144
+# Where no table serves, a direction takes a tenth of a millisecond or more.
+MOST_SAMPLED = 32_768
+MOST_COPIES = 8_192
+STEEPEST_DEG = 85.0
+LOWEST = math.cos(math.radians(STEEPEST_DEG))
+# Just within what 380 nm and |(u, v)| = 2 ask for.
+COARSEST_PITCH_UM = 0.0945
+# The reference sums a patch of copies sample by sample, and their lobes one by one.
+MOST_PATCH_SAMPLES = 1 << 14
+MOST_IN_STEP_UM = 3000.0
+MAP_LIGHT_DEG = 75.0
+
+
+class Picture(NamedTuple):
+    """A frame of a body."""
+
+    body: str
+    light: wd.DirectionalLight
+    view: wd.View
+
+    @property
+    def mesh(self):
+        return body(self.body)
+
+
+class Configuration(NamedTuple):
+    """One call, and in words what it is."""
+
+    index: int
+    seed: int
+    hf: wd.HeightField
+    coherence: wd.Coherence
+    tolerance: float
+    illuminant: str
+    surface: str
+    layout: str
+    words: str
+    to_light: np.ndarray | None = None  # (n, 3), or (3,) for a map
+    to_view: np.ndarray | None = None  # (n, 3)
+    size: int = 0  # of a map
+    picture: Picture | None = None
+
+    @property
+    def stratum(self):
+        return self.coherence.kind, self.tolerance
+
+    def __str__(self):
+        pitch = " × ".join(f"{p:.3g}" for p in self.hf.pitch_um)
+        size = " × ".join(f"{s:.3g}" for s in self.hf.size_um)
+        return (
+            f"{self.surface}, {size} µm, pitch {pitch}, height range {self.hf.height_range_um:.3g} µm; {self.coherence}"
+            f"; tolerance {self.tolerance:g}; {self.words}; {self.illuminant}"
+        )
+
+
+def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
+    """The configuration of an index; a scan is a height field to crop, without which fingers stand in for it."""
+    rng = np.random.default_rng([seed, index])
+    kind, tolerance = STRATA[index % len(STRATA)]
+    layout = layouts[rng.integers(len(layouts))]
+    names = GRATINGS if layout == "map" else SURFACES
+    hf, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
+    coherence = a_coherence(rng, kind, hf)
+    illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
+    case = Configuration(index, seed, hf, coherence, tolerance, illuminant, name, layout, "")
+    most = MOST_COPIES if kind == "replicas" else MOST_SAMPLED if tolerance < 1e-2 else MOST
+    if layout == "frame":
+        return a_frame(rng, case, most)
+    if layout == "map":
+        return a_map(rng, case, most)
+    if layout == "grid":
+        return a_grid(rng, case, most)
+    return a_list(rng, case, most)
+
+
+def log_uniform(rng, low, high):
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def surface(rng, name, scan, *, small=False):
+    """A height field of a kind, of a height range of 0.001 to 3 µm, and its name; small ones have few samples."""
+    seed = int(rng.integers(1 << 30))
+    if name == "scan" and scan is not None:
+        size = log_uniform(rng, 2.0, 60.0)
+        place = tuple(rng.uniform(0.0, length - size - 0.1) for length in scan.size_um)
+        hf = scan.cropped(size, offset_um=place)
+        if rng.random() < 0.3 or hf.heights_um.size > MOST_PATCH_SAMPLES >= (size / COARSEST_PITCH_UM) ** 2:
+            hf = hf.resampled(rng.uniform(hf.pitch_um[0], 0.09) if not small else 0.09)
+    elif name in {"scan", "fingers", "diagonal"}:
+        name = "fingers" if name == "scan" else name
+        period, length = log_uniform(rng, 0.8, 2.0), log_uniform(rng, 1.0, 5.0)
+        size = tuple(max(log_uniform(rng, 2.0, 30.0), least) for least in (1.1 * length, 1.1 * period))
+        pitch = 0.09 if small else rng.uniform(0.05, 0.09)
+        if name == "diagonal":
+            size = (max(size), max(size))
+        hf = wd.gratings.fingers(size_um=size, pitch_um=pitch, period_um=period, length_um=length, seed=seed)
+        if name == "diagonal":
+            hf = diagonal(rng, hf)
+    elif name in {"sinusoidal", "blazed"}:
+        hf = getattr(wd.gratings, name)(log_uniform(rng, 0.5, 20.0), 1.0)
+    elif name == "lamellar":
+        hf = wd.gratings.lamellar(log_uniform(rng, 0.5, 20.0), 1.0, duty=rng.uniform(0.1, 0.9))
+    elif name == "disc":
+        kind = ("CD", "DVD", "Blu-ray")[rng.integers(3)]
+        track, least, pitch = {"CD": (1.6, 12.3, 0.09), "DVD": (0.74, 5.9, 0.09), "Blu-ray": (0.32, 2.4, 0.064)}[kind]
+        tracks, length = max(1, round(log_uniform(rng, 2.0, 25.6) / track)), log_uniform(rng, least, 25.6)
+        if not small:
+            pitch = rng.uniform(0.04, pitch)
+        hf = wd.gratings.disc(kind, tracks=tracks, length_um=length, pitch_um=pitch, seed=seed)
+        name = f"disc {kind}"
+    elif name == "rough":
+        hf = rough(rng)
+    else:
+        length, width = log_uniform(rng, 0.3, 3.0), log_uniform(rng, 0.3, 3.0)
+        apart = (1.0, 3.0) if name == "bumps" else (5.0, 12.0)
+        spacing = tuple(min(each * log_uniform(rng, *apart), 25.0) for each in (length, width))
+        pitch = rng.uniform(0.04, 0.09)
+        hf = wd.gratings.bumps(width_um=width, length_um=length, spacing_um=spacing, pitch_um=pitch)
+    heights, pitch = hf.heights_um, hf.pitch_um
+    if small:
+        heights = fewer(heights)
+    scale = np.ptp(heights)
+    if scale == 0.0:
+        heights, scale = heights + np.cos(2.0 * np.pi * np.arange(heights.shape[1]) / heights.shape[1]), 2.0
+    return wd.HeightField.of_known_scale(heights * (log_uniform(rng, 0.001, 3.0) / scale), pitch), name
+
+
+def diagonal(rng, hf):
+    """Ridges along the diagonal of a square patch, which stays periodic, with some roughness on them."""
+    n = min(hf.shape)
+    rows, columns = np.mgrid[:n, :n]
+    ridges = hf.heights_um[rows, (columns + rows) % n]
+    return wd.HeightField.of_known_scale(ridges + 0.1 * np.ptp(ridges) * rng.normal(size=(n, n)), hf.pitch_um)
+
+
+def rough(rng):
+    """Gaussian noise of a Gaussian or an exponential spectrum."""
+    shape = tuple(int(n) for n in rng.integers(32, 257, size=2))
+    pitch = rng.uniform(0.04, 0.09)
+    fy, fx = (np.fft.fftfreq(n, pitch) for n in shape)
+    f = 2.0 * np.pi * np.hypot(fy[:, None], fx) * log_uniform(rng, 0.05, 1.0)
+    power = np.exp(-(f**2) / 4.0) if rng.random() < 0.5 else (1.0 + f**2) ** -1.5
+    heights = np.fft.ifft2(np.fft.fft2(rng.normal(size=shape)) * np.sqrt(power)).real
+    return wd.HeightField.of_known_scale(heights, pitch)
+
+
+def fewer(heights):
+    """A corner of the heights with no more samples than the reference sums over."""
+    ny, nx = heights.shape
+    while ny * nx > MOST_PATCH_SAMPLES:
+        ny, nx = (ny - ny // 8, nx) if ny >= nx else (ny, nx - nx // 8)
+    return heights[:ny, :nx]
+
+
+def a_coherence(rng, kind, hf):
+    """A window, source or number of copies."""
+    if kind == "source":
+        return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
+    if kind == "replicas":
+        most = [max(1.0, min(3000.0, MOST_IN_STEP_UM / length)) for length in hf.size_um]
+        return wd.Coherence(kind, copies=tuple(max(1, round(log_uniform(rng, 1.0, each))) for each in most))
+    centre = None
+    if kind == "centred" and rng.random() < 0.5:
+        centre = tuple(float(rng.uniform(0.0, length)) for length in hf.size_um)
+    # The default half of the time.
+    sigma = 16.25 if rng.random() < 0.5 else log_uniform(rng, 3.0, 65.0)
+    return wd.Coherence(kind, sigma, centre_um=centre)
+
+
+def a_light(rng, count=1, steepest_deg=STEEPEST_DEG):
+    """Directions uniform in the angle of incidence, (count, 3)."""
+    theta, phi = np.radians(rng.uniform(0.0, steepest_deg, count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+
+
+def a_list(rng, case, most):
+    """Pairs of directions in any order."""
+    low, high = {"few": (16, 128), "some": (129, FEW - 1), "many": (FEW, most)}[case.layout]
+    count = round(log_uniform(rng, low, high))
+    way = WAYS[rng.integers(len(WAYS))]
+    one = rng.random() < 0.5
+    lights = np.broadcast_to(a_light(rng, 1 if one else count), (count, 3)).copy()
+    spread = math.radians(log_uniform(rng, 0.3, 30.0))
+    views = np.zeros((count, 3))
+    ways = np.array(WAYS[:4])[rng.integers(4, size=count)] if way == "mixed" else np.full(count, way)
+    for each in np.unique(ways):
+        views[ways == each] = some_views(rng, each, lights[ways == each], spread, case.hf, case.coherence)
+    order = ("as drawn", "sorted by u", "sorted by w")[rng.integers(3)]
+    if order != "as drawn":
+        by = np.argsort((lights + views)[:, 0 if order == "sorted by u" else 2], kind="stable")
+        lights, views = lights[by], views[by]
+    words = {
+        "random": "views anywhere",
+        "mirror": f"views within some {math.degrees(spread):.2g}° of the mirror direction",
+        "orders": "views by orders",
+        "grazing": "views within 15° of the horizon",
+        "mixed": f"views anywhere, grazing, by orders and within some {math.degrees(spread):.2g}° of the mirror",
+    }
+    words = f"{count} directions, {'one light' if one else 'a light a view'}, {words[way]}, {order}"
+    return case._replace(to_light=lights, to_view=views, words=words)
+
+
+def some_views(rng, way, lights, spread, hf, coherence):
+    """A unit vector not beyond the steepest view for each light."""
+    views = np.zeros_like(lights)
+    left = np.arange(len(lights))
+    while len(left):
+        light = lights[left]
+        low, high = (LOWEST, math.cos(math.radians(75.0))) if way == "grazing" else (LOWEST, 1.0)
+        z, phi = rng.uniform(low, high, len(left)), rng.uniform(0.0, 2.0 * np.pi, len(left))
+        s = np.sqrt(1.0 - z * z)
+        found = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+        if way == "mirror":
+            # The mirror direction may itself lie at the steepest one; half of its neighbours do not.
+            found = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(left), 3))
+            found /= np.linalg.norm(found, axis=1, keepdims=True)
+        elif way == "orders":
+            found = by_an_order(rng, light, found, hf, coherence)
+        fine = found[:, 2] >= LOWEST
+        views[left[fine]] = found[fine]
+        left = left[~fine]
+    return views
+
+
+def by_an_order(rng, lights, views, hf, coherence):
+    """Views by the order that is nearest at a random wavelength, some widths of its lobe away; z = −1 below."""
+    wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
+    lengths = np.array([hf.size_um[1], hf.size_um[0]])
+    orders = np.rint(-(lights + views)[:, :2] / wavelength * lengths)
+    # An axis of one sample is constant: it has no order but 0.
+    orders[:, [hf.shape[1] == 1, hf.shape[0] == 1]] = 0.0
+    if coherence.kind == "replicas":
+        width = wavelength / (lengths * np.array(coherence.copies[::-1]))
+    elif coherence.kind == "source":
+        width = coherence.spread
+    else:
+        width = wavelength / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
+    across = -lights[:, :2] - wavelength * orders / lengths + width * rng.normal(size=(len(lights), 2))
+    height2 = 1.0 - np.sum(across**2, axis=1)
+    return np.column_stack([across, np.where(height2 > 0.0, np.sqrt(np.maximum(height2, 0.0)), -1.0)])
+
+
+def a_grid(rng, case, most):
+    """Views on a grid, in row order, under one light; what leaves the disc of directions is below the horizon."""
+    sides = [side for side in SIDES if side * side <= max(most, 64 * 64) * (4 if most == MOST else 1)]
+    side = sides[rng.integers(len(sides))]
+    light = a_light(rng)[0]
+    extent = log_uniform(rng, 0.05, 2.0)
+    middle = -light[:2] if rng.random() < 0.5 else rng.uniform(-0.5, 0.5, 2)
+    turn = rng.uniform(0.0, 2.0 * np.pi) if rng.random() < 0.5 else 0.0
+    a = extent * ((np.arange(side) + 0.5) / side - 0.5)
+    x, y = np.meshgrid(a, -a)
+    x, y = middle[0] + np.cos(turn) * x - np.sin(turn) * y, middle[1] + np.sin(turn) * x + np.cos(turn) * y
+    square = (x * x + y * y).ravel()
+    above = square < 1.0
+    if not above.any():
+        return a_grid(rng, case, most)
+    z = np.where(above, np.sqrt(np.maximum(1.0 - square, 0.0)), -0.5)
+    views = np.column_stack([x.ravel(), y.ravel(), z])
+    words = f"a grid of {side} × {side} views over {extent:.2g}, turned by {math.degrees(turn):.0f}°"
+    return case._replace(to_light=np.broadcast_to(light, views.shape), to_view=views, words=words)
+
+
+def a_map(rng, case, most):
+    sizes = [size for size in MAP_SIZES if 0.785 * size * size <= max(most, 4000)]
+    size = int(sizes[rng.integers(len(sizes))])
+    light = a_light(rng, steepest_deg=MAP_LIGHT_DEG)[0] if rng.random() < 0.7 else np.array([0.0, 0.0, 1.0])
+    words = f"a map of {size} × {size}, incidence {math.degrees(math.acos(min(light[2], 1.0))):.0f}°"
+    return case._replace(to_light=light, size=size, words=words)
+
+
+@functools.cache
+def body(name):
+    """A mesh by name."""
+    if name == "snake":
+        return wd.meshes.snake(segments=2)
+    if name == "disc":
+        return wd.meshes.disc()
+    return wd.meshes.tube(segments_along=128, segments_around=64)
+
+
+def a_frame(rng, case, most):
+    name = ("snake", "tube", "disc")[rng.integers(3)]
+    sizes = [size for size in FRAMES if size[0] * size[1] <= 4 * most] or [(128, 96)]
+    width, height = sizes[rng.integers(len(sizes))]
+    theta, phi = math.radians(rng.uniform(5.0, 80.0)), rng.uniform(0.0, 2.0 * np.pi)
+    up = np.array([0.0, 0.0, 1.0] if name == "disc" else [0.0, 1.0, 0.0])
+    along = np.array([1.0, 0.0, 0.0])
+    other = np.cross(up, along)
+
+    def direction(theta, phi):
+        return math.cos(theta) * up + math.sin(theta) * (math.cos(phi) * along + math.sin(phi) * other)
+
+    target = 0.3 * rng.normal(size=3) * (1.0 - up)
+    eye = target + log_uniform(rng, 1.5, 5.0) * direction(theta, phi)
+    light = direction(math.radians(rng.uniform(0.0, 70.0)), rng.uniform(0.0, 2.0 * np.pi))
+    view = wd.View(eye, target, up=tuple(direction(math.pi / 2.0, phi + 0.3)), width=width, height=height)
+    picture = Picture(name, wd.DirectionalLight(tuple(light), illuminant=case.illuminant), view)
+    words = f"a frame of the {name}, {width} × {height}, seen {math.degrees(theta):.0f}° from above"
+    return case._replace(picture=picture, words=words)

@@ -1,0 +1,172 @@
+"""What judges calls: directions that their plans never read, the float64 reference, and the design's error.
+
+A call of fewer directions than ``configurations.FEW`` is judged on all that are lit. Of a larger one, at least
+``COUNT`` lit directions are drawn, none of which its plan has seen; those that come out bright are drawn more often
+where they are few, and weigh less.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.bench.suite import scenes
+from warpdiff.bench.truth import reference
+from warpdiff.bench.truth.configurations import FEW, Configuration
+from warpdiff.bench.truth.errors import FLOOR, brightness, percentile
+from warpdiff.kernels.limits import HORIZON
+from warpdiff.planning import trial
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+COUNT = 2000
+# Of these, at least so many bright ones, if there are.
+BRIGHT = 600
+# What is asked of the reference is half of a call's tolerance, and half of this at most.
+TRUTH_TOLERANCE = 1e-3
+# A source nearer to the horizon is foreshortened so much that its truth takes half a million wavelengths; left out.
+LOWEST_SOURCE = 0.02
+# The reference settles to this share of a mirror's Y, and f is no smaller.
+LEAST = 1e-10
+
+
+class Result(NamedTuple):
+    """What a call makes of its lit directions, and which of them its plan read."""
+
+    xyz: np.ndarray  # (n, 3)
+    to_light: np.ndarray  # (n, 3)
+    to_view: np.ndarray  # (n, 3)
+    read: np.ndarray  # (n,)
+    plan: wd.Plan
+    warned: str
+
+    @property
+    def white(self) -> float:
+        """Y* of all directions, as the call has it."""
+        return brightness(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
+
+
+class Figure(NamedTuple):
+    """The error of a call: percentiles 99 of e over all, over bright ones (Y >= f), and over the others."""
+
+    whole: float
+    bright: float
+    dim: float
+    share_dim: float
+    white: float  # Y*
+    errors: np.ndarray  # of each direction
+
+    @property
+    def value(self) -> float:
+        """What the tolerance bounds."""
+        return max(self.whole, self.bright)
+
+
+@contextmanager
+def witnessed() -> Iterator[list[np.ndarray]]:
+    """Record (u, v, w) of all directions that plans read."""
+    seen: list[np.ndarray] = []
+
+    class Witness(trial.Trial):
+        def __init__(self, plan: Any, hf: Any, scope: Any, sample: Any, *others: Any, **options: Any) -> None:
+            seen.append(sample.deflections)
+            super().__init__(plan, hf, scope, sample, *others, **options)
+
+    original, trial.Trial = trial.Trial, Witness  # type: ignore[misc]
+    try:
+        yield seen
+    finally:
+        trial.Trial = original  # type: ignore[misc]
+
+
+def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
+    """Make the call, as a user would."""
+    arguments: dict[str, Any] = {
+        "tolerance": case.tolerance, "coherence": case.coherence, "threads": threads, "strict": strict,
+    }  # fmt: skip
+    with witnessed() as seen, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", wd.WarpdiffWarning)
+        if case.picture is not None:
+            picture = case.picture
+            image = wd.shade(
+                picture.mesh, case.hf, picture.light, picture.view, footprint=False, pigment=0.0, **arguments
+            )
+            directions, lit = scenes.seen(picture.mesh, picture.light, picture.view, case.hf, case.coherence)
+            xyz, plan = image.xyz.reshape(-1, 3)[lit], image.plan
+            lights, views = directions.to_lights, -directions.deflections - directions.to_lights
+        elif case.size:
+            image = wd.brdf_map(case.hf, case.to_light, size=case.size, illuminant=case.illuminant, **arguments)
+            xyz, plan = image.xyz[image.mask], image.plan
+            axis = (2.0 * np.arange(case.size) + 1.0) / case.size - 1.0
+            x, y = np.meshgrid(axis, -axis)
+            x, y = x[image.mask], y[image.mask]
+            views = np.stack([x, y, np.sqrt(1.0 - (x * x + y * y))], axis=1)
+            lights = np.broadcast_to(case.to_light, views.shape)
+        else:
+            given = case.hf, case.to_light, case.to_view
+            xyz = wd.reflectance(*given, illuminant=case.illuminant, **arguments)
+            warnings.simplefilter("ignore", wd.WarpdiffWarning)
+            plan = wd.plan(*given, illuminant=case.illuminant, **arguments)
+            lights, views = case.to_light, case.to_view
+    lowest = LOWEST_SOURCE if case.coherence.kind == "source" else HORIZON
+    lit = (lights[:, 2] > lowest) & (views[:, 2] > HORIZON)
+    deflections = -(lights + views)[lit]
+    known = {row.tobytes() for each in seen for row in np.round(each + 0.0, 9)}
+    read = np.array([row.tobytes() in known for row in np.round(deflections + 0.0, 9)], dtype=bool)
+    told = "; ".join(dict.fromkeys(str(each.message) for each in caught))
+    return Result(np.asarray(xyz)[lit], lights[lit], views[lit], read, plan, told)
+
+
+def drawn(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Which of a call's directions judge it, and for how many of all each of them stands."""
+    count = len(result.xyz)
+    if count < FEW:
+        return np.arange(count), np.ones(count)
+    luminance = np.nan_to_num(result.xyz[:, 1].astype(np.float64), nan=np.inf, posinf=np.inf)
+    bright = luminance >= 0.5 * FLOOR * brightness(np.where(np.isinf(luminance), 0.0, luminance), np.ones(count))
+    unread = ~result.read
+    chosen, weights = [], []
+    groups = [np.flatnonzero(unread & bright), np.flatnonzero(unread & ~bright)]
+    share = round(COUNT * len(groups[0]) / max(sum(map(len, groups)), 1))
+    first = min(max(share, BRIGHT, COUNT - len(groups[1])), len(groups[0]))
+    for group, among, most in zip(groups, (bright, ~bright), (first, COUNT - first), strict=True):
+        if len(group):
+            some = rng.permutation(group)[:most]
+            chosen.append(some)
+            weights.append(np.full(len(some), np.count_nonzero(among) / max(len(some), 1)))
+    return np.concatenate(chosen), np.concatenate(weights)
+
+
+def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: float = 1.0) -> np.ndarray:
+    """XYZ by the reference of some directions."""
+    tolerance = 0.5 * min(case.tolerance, TRUTH_TOLERANCE) / closer
+    return np.asarray(
+        reference.reference_reflectance(
+            case.hf, result.to_light[chosen], result.to_view[chosen], case.coherence, tolerance=tolerance,
+            illuminant=case.illuminant,
+        )
+    )  # fmt: skip
+
+
+def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
+    """The design's error of a picture, of XYZ against the truth, both (n, 3) and all lit, but for f's lower limit.
+
+    Y* is that of the truth, or that of the whole call if it is smaller: a part may see a mirror that is not to be seen
+    from elsewhere.
+    """
+    weights = np.ones(len(exact)) if weights is None else weights
+    moved = np.linalg.norm(xyz - exact, axis=1)
+    moved[~np.isfinite(moved)] = math.inf
+    white = min(brightness(exact[:, 1], weights), white)
+    floor = max(FLOOR * white, LEAST)
+    errors = moved / np.maximum(np.linalg.norm(exact, axis=1), floor)
+    above = exact[:, 1] >= floor
+    whole, bright, dim = (percentile(errors[some], weights[some], 0.99) for some in (slice(None), above, ~above))
+    share_dim = float(weights[~above].sum() / max(weights.sum(), 1e-300))
+    return Figure(whole, bright, dim, share_dim, white, errors)

@@ -1,0 +1,568 @@
+"""The second tier of truth: colours of directions and of pixels in NumPy and float64; shares no code with the library.
+
+Under a window or a source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ and is interpolated between
+them to rounding; all coefficients within nine widths of a direction count. Of whole copies, the sum over one patch is
+explicit at Chebyshev nodes in 1/λ and interpolated between them to rounding, which its length and height allow, and
+what the copies make of it is in closed form. The integral over λ is refined until it settles. What a test proves
+against ``direct`` is fast enough to judge whole pictures and sweeps.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from warpdiff.bench.truth.brute_force import intersect, pixel_rays, shading_frame
+from warpdiff.bench.truth.errors import FLOOR, brightness
+
+WIDTHS = 9.0
+# A Gaussian exp(−WIDTHS²/2) is what is left out.
+DEPTH = WIDTHS**2 / 2.0
+# Wavenumbers 1/λ [1/µm] of the visible range, over which every integral goes.
+REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
+# Nodes of Gauss and Legendre in a cell of the quadrature; a cell resolves so many standard deviations of a Gaussian
+# and so many periods of an oscillation at first, before it is halved to see whether that was enough.
+POINTS = 8
+WIDTHS_PER_CELL = 6.0
+PERIODS_PER_CELL = 1.2
+FEWEST_CELLS = 8
+MOST_CELLS = 1 << 19
+# Coefficients are looked up for so many nodes at a time: few enough that these lie near each other.
+BLOCK = 128
+# Copies are evaluated at so many nodes at a time, and samples of a patch summed so many at a time: that saves memory.
+MOST_NODES = 1 << 16
+MOST_SAMPLES = 1 << 14
+# A mirror has Y = 1. What lies nine widths from everything ends in a step that no quadrature resolves.
+LEAST = 1e-10
+# IEC 61966-2-1.
+XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+
+
+class Step(NamedTuple):
+    """What keeps the light in step: the same attributes as a ``wd.Coherence``, which may stand in its place."""
+
+    kind: str = "averaged"
+    sigma_um: float | None = None
+    spread: float = 0.0
+    copies: tuple[int, int] | None = None
+    centre_um: tuple[float, float] | None = None
+
+
+def step_of(coherence, sigma, centre):
+    """The kind by name with σ [µm] and centre (y, x) [µm], or an object that has it all."""
+    return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
+
+
+def sum_for(hf, step, deflections, shortest, longest):
+    """What evaluates ⟨|P|²⟩ of these deflections (n, 3) between two wavelengths [µm]."""
+    return Copies(hf, step) if step.kind == "replicas" else Coefficients(hf, step, deflections, shortest, longest)
+
+
+def chebyshev_nodes(count):
+    """Chebyshev's nodes of the first kind on (−1, 1)."""
+    return np.cos(math.pi * (np.arange(count) + 0.5) / count)
+
+
+def chebyshev_cardinals(position, count):
+    """The polynomials that are 1 at one Chebyshev node and 0 at the others, at positions (m,): shape (m, count)."""
+    order = np.arange(count)
+    transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
+    transform[0] /= 2.0
+    return np.cos(np.arccos(np.clip(position, -1.0, 1.0))[:, None] * order) @ transform
+
+
+def chebyshev_terms(argument):
+    """Terms that hold exp(ix) for |x| up to the argument to rounding."""
+    return math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 10.0)
+
+
+class Coefficients:
+    """H_rs(κ) of a height field, under a window or a source."""
+
+    def __init__(self, hf, step, deflections, shortest, longest):
+        self.step = step
+        self.shape, pitch = hf.shape, tuple(float(d) for d in hf.pitch_um)
+        self.lengths = tuple(n * d for n, d in zip(self.shape, pitch, strict=True))
+        kappas = np.outer([deflections[:, 2].min(), deflections[:, 2].max()], [1.0 / shortest, 1.0 / longest])
+        self.low = kappas.min()
+        self.half = max(np.ptp(kappas) / 2.0, 1e-9)
+        heights = np.asarray(hf.heights_um, dtype=np.float64)
+        # Mid-range, whose phase is common to all coefficients, off: the argument in κ is then the least.
+        heights = heights - (heights.max() + heights.min()) / 2.0
+        self.height = np.abs(heights).max()
+        self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
+        # Only coefficients that any direction comes near are kept, and where each of them is.
+        reach = math.sqrt(DEPTH / self.rate(1.0 / shortest))
+        kept, self.places = [], []
+        for n, length, across in zip(self.shape, self.lengths, (deflections[:, 1], deflections[:, 0]), strict=True):
+            most = math.ceil((np.abs(across).max() / shortest + reach) * length) + 1
+            kept.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
+            self.places.append(np.zeros(n, dtype=np.int64))
+            self.places[-1][kept[-1]] = np.arange(len(kept[-1]))
+        # Rows are coefficients; in each the real parts at all nodes, then the imaginary ones.
+        self.rows = np.empty((len(kept[0]), len(kept[1]), 2, self.terms))
+        for node, at in enumerate(chebyshev_nodes(self.terms)):
+            sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[np.ix_(*kept)]
+            self.rows[:, :, 0, node], self.rows[:, :, 1, node] = sampled.real, sampled.imag
+        centre = step.centre_um
+        if centre is None:
+            centre = tuple((n // 2) * d for n, d in zip(self.shape, pitch, strict=True))
+        self.centre = centre
+
+    def metric(self, to_light):
+        """The matrix A of the exponent a(τ) · (q − q_rs)ᵀ A (q − q_rs)."""
+        if self.step.kind != "source":
+            return np.eye(2)
+        # A disc in the sky is an ellipse on the surface, cos θi as long towards the light.
+        across = to_light[:2]
+        return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
+
+    def rate(self, tau):
+        """The factor a(τ) of the exponent [µm²]."""
+        if self.step.kind == "source":
+            return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
+        falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
+        return np.full(np.shape(tau), falloff)
+
+    def resolution(self, deflection, to_light):
+        """The largest cell in τ that resolves all coefficients on a direction's way, and the least size that counts."""
+        across = deflection[:2]
+        length = math.sqrt(across @ self.metric(to_light) @ across)
+        if self.step.kind == "source":
+            # The width in λ is in proportion to λ; the nearest coefficients may lie a few widths beyond the direction.
+            width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
+        else:
+            # Of centred windows too: the power of a sum of Gaussians holds products of two.
+            width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
+        turns = 2.0 * abs(deflection[2]) * self.height
+        return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
+
+    def power(self, deflection, to_light, tau):
+        """⟨|P|²⟩ of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        order = np.argsort(tau)
+        result = np.empty(len(tau))
+        for start in range(0, len(tau), BLOCK):
+            block = order[start : start + BLOCK]
+            result[block] = self._power(deflection, self.metric(to_light), tau[block])
+        return result
+
+    def _power(self, deflection, metric, tau):
+        """The same for few τ in ascending order: every coefficient near any of them, for all of them."""
+        across = deflection[:2]
+        reach = math.sqrt(DEPTH / self.rate(tau).min())
+        along_axis = np.sqrt(np.diag(np.linalg.inv(metric)))
+        ends = np.outer([tau[0], tau[-1]], across)
+        bounds = []
+        for axis in (0, 1):
+            length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
+            first = math.ceil((low - reach * along_axis[axis]) * length)
+            last = math.floor((high + reach * along_axis[axis]) * length)
+            # An axis of one sample is constant: it has no order but 0.
+            bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
+        r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
+        q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
+        # The distance of a coefficient from the way, in the metric of the exponent.
+        square = across @ metric @ across
+        nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
+        away = q - nearest[:, None] * across
+        near = np.einsum("ki,ij,kj->k", away, metric, away) <= reach**2
+        if not near.any():
+            return np.zeros(len(tau))
+        r, s, q = r[near], s[near], q[near]
+        # (τU − q)ᵀ A (τU − q), as a square about the nearest point and what is left across.
+        foot = q @ metric @ across / max(square, 1e-30)
+        away = q - foot[:, None] * across
+        left = np.einsum("ki,ij,kj->k", away, metric, away)
+        gaussian = np.exp(-self.rate(tau) * (left[:, None] + square * (tau - foot[:, None]) ** 2))
+        basis = chebyshev_cardinals((deflection[2] * tau - self.low) / self.half - 1.0, self.terms)
+        rows = self.rows[self.places[0][s % self.shape[0]], self.places[1][r % self.shape[1]]].reshape(-1, self.terms)
+        value = (rows @ basis.T).reshape(len(r), 2, len(tau))
+        if self.step.kind != "centred":
+            return np.einsum("ckm,ckm,cm->m", value, value, gaussian)
+        turns = s * self.centre[0] / self.lengths[0] + r * self.centre[1] / self.lengths[1]
+        phase = np.exp(-2j * math.pi * (turns % 1.0))
+        amplitude = np.sum((value[:, 0] + 1j * value[:, 1]) * phase[:, None] * gaussian, axis=0)
+        return np.abs(amplitude) ** 2
+
+
+class Copies:
+    """A number of whole copies of a height field in step with each other."""
+
+    def __init__(self, hf, step):
+        (ny, nx), (dy, dx) = hf.shape, (float(d) for d in hf.pitch_um)
+        heights = np.asarray(hf.heights_um, dtype=np.float64)
+        # The origin in the middle: that is a phase common to all samples, and the arguments are then the least.
+        x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
+        y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
+        z = heights - (heights.max() + heights.min()) / 2.0
+        self.samples = np.stack([x.ravel(), y.ravel(), z.ravel()])
+        self.reach = np.abs(self.samples).max(axis=1)
+        self.lengths, self.copies = (nx * dx, ny * dy), (step.copies[1], step.copies[0])
+        self.latest = None, None
+
+    def resolution(self, deflection, to_light):  # noqa: ARG002
+        """The largest cell in τ that resolves the lobes of the copies, and the least size that counts."""
+        turns = 2.0 * abs(deflection[2]) * self.reach[2]
+        turns += sum(
+            abs(u) * n * length for u, n, length in zip(deflection[:2], self.copies, self.lengths, strict=True)
+        )
+        return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.copies) ** 2
+
+    def power(self, deflection, to_light, tau):  # noqa: ARG002
+        """|P|² of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        low, high = tau.min(), tau.max()
+        span = max(high - low, 1e-9)
+        key = (*deflection, low, high)
+        if key != self.latest[0]:
+            self.latest = key, self._panels(deflection, low, span)
+        parts = np.array_split((tau - low) / span, math.ceil(len(tau) / MOST_NODES))
+        result = np.abs(np.concatenate([self._patch(part) for part in parts])) ** 2
+        for u, n, length in zip(deflection[:2], self.copies, self.lengths, strict=True):
+            turns = u * length * tau
+            part = math.pi * (turns - np.rint(turns))
+            whole = np.abs(part) < 1e-12
+            safe = np.where(whole, 1.0, part)
+            result *= np.where(whole, 1.0, np.sin(n * safe) / (n * np.sin(safe))) ** 2
+        return result
+
+    def _patch(self, position):
+        """The mean of exp(2πiτ(ux + vy + wh)) over the patch, but for a common phase, at positions 0 to 1 in τ."""
+        at_nodes = self.latest[1]
+        panels, terms = at_nodes.shape
+        panel = np.clip((position * panels).astype(np.int64), 0, panels - 1)
+        basis = chebyshev_cardinals(2.0 * (position * panels - panel) - 1.0, terms)
+        return np.einsum("mk,mk->m", basis, at_nodes[panel])
+
+    def _panels(self, deflection, low, span):
+        """The mean over the patch at Chebyshev's nodes in panels of equal length from low on, shape (panels, nodes)."""
+        argument = math.pi * span * (np.abs(deflection) @ self.reach)
+        panels = max(1, math.ceil(argument / 5.0))
+        terms = chebyshev_terms(argument / panels)
+        step = span / panels
+        offsets = chebyshev_nodes(terms)[: (terms + 1) // 2] * step / 2.0
+        at_nodes = np.zeros((panels, terms), dtype=complex)
+        turns = deflection @ self.samples
+        for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
+            # All nodes are sums of a panel's middle and an offset, all exponentials products: of the middles, each
+            # of which is one step further, and of the offsets, whose second half is the first one's negative.
+            to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
+            middles = np.empty((panels, len(part)), dtype=complex)
+            for panel in range(panels):
+                middles[panel] = to_middles
+                to_middles = to_middles * to_next
+            first = exp_i(2.0 * math.pi * np.outer(offsets, part))
+            both = np.concatenate([first, first[: terms // 2][::-1].conj()])
+            at_nodes += middles @ both.T
+        return at_nodes / len(turns)
+
+
+def exp_i(phase):
+    """exp(i·phase), faster than NumPy's complex exponential."""
+    result = np.empty(phase.shape, dtype=complex)
+    np.cos(phase, out=result.real)
+    np.sin(phase, out=result.imag)
+    return result
+
+
+def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
+    """C·M of unit vectors (n, 3) in the local frame, over cos θi for a source; 0 where one is not above the surface."""
+    lit = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
+    result = np.zeros(len(lit))
+    i, r = to_light[lit], to_view[lit]
+    half = (i + r) / np.linalg.norm(i + r, axis=1, keepdims=True)
+    cos_d = np.sum(r * half, axis=1)
+    result[lit] = fresnel(cos_d, ior) / fresnel(1.0, ior) * (1.0 + np.sum(i * r, axis=1)) ** 2
+    result[lit] /= (i[:, 2] + r[:, 2]) ** 2 * r[:, 2]
+    if masking:
+        shadowing = 2.0 * half[:, 2] * np.minimum(r[:, 2], i[:, 2]) / cos_d
+        result[lit] *= np.minimum(1.0, shadowing)
+    if source:
+        result[lit] /= i[:, 2]
+    return result
+
+
+def fresnel(cosine, ior):
+    """Schlick's power reflectance."""
+    normal = 1.0 if math.isinf(ior) else ((ior - 1.0) / (ior + 1.0)) ** 2
+    return normal + (1.0 - normal) * (1.0 - cosine) ** 5
+
+
+@functools.cache
+def products(illuminant):
+    """S·x̄ȳz̄ at 380, 381, … 780 nm over ΣSȳ, shape (401, 3), from colour-science itself."""
+    import colour
+
+    shape = colour.SpectralShape(380, 780, 1)
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
+    values = observer * colour.SDS_ILLUMINANTS[illuminant].copy().align(shape).values[:, None]
+    return values / values[:, 1].sum()
+
+
+@functools.lru_cache(maxsize=24)
+def quadrature(cells, illuminant):
+    """Wavenumbers τ [1/µm] and weights (m, 3) of cells of equal length in τ, and of the end points at full weight.
+
+    In each cell it integrates the polynomial in τ through its nodes, times the linear interpolant of the products, over
+    λ: the interpolant's kinks need no nodes of their own.
+    """
+    x, _ = np.polynomial.legendre.leggauss(POINTS)
+    edges = np.linspace(REDDEST, BLUEST, cells + 1)
+    half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
+    # Between neighbouring edges and kinks everything is smooth.
+    pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
+    middle = (pieces[:-1] + pieces[1:]) / 2.0
+    cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)
+    to_cardinals = np.linalg.inv(np.polynomial.legendre.legvander(x, POINTS - 1))
+    table = products(illuminant)
+    weights = np.zeros((3, cells, POINTS))
+    for at, share in zip(*np.polynomial.legendre.leggauss(6), strict=True):
+        places = middle + at * np.diff(pieces) / 2.0
+        measure = share * np.diff(pieces) / 2.0
+        cardinals = np.polynomial.legendre.legvander((1e3 / places - middles[cell]) / half, POINTS - 1) @ to_cardinals
+        for c in range(3):
+            curve = np.interp(places, np.arange(380, 781), table[:, c]) * measure
+            for point in range(POINTS):
+                weights[c, :, point] += np.bincount(cell, curve * cardinals[:, point], cells)
+    nodes = (middles[:, None] + half * x).ravel()
+    return np.append(nodes, [BLUEST, REDDEST]), np.concatenate([weights.reshape(3, -1).T, table[[0, -1]] / 2.0])
+
+
+def reference_spectral(
+    hf, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, masking=True, centre=None
+):
+    """ρ of unit vectors (n, 3) in the local frame, shape (n, m); the coherence by name with sigma, or an object."""
+    step = step_of(coherence, sigma, centre)
+    wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
+    gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
+    result = np.zeros((len(gains), len(wavelengths)))
+    lit = np.flatnonzero(gains)
+    if lit.size == 0:
+        return result
+    deflections = -to_light - to_view
+    sums = sum_for(hf, step, deflections[lit], wavelengths.min(), wavelengths.max())
+    for i in lit:
+        result[i] = gains[i] * sums.power(deflections[i], to_light[i], 1.0 / wavelengths)
+    return result
+
+
+def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65"):
+    """∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ of deflections (n, 3), shape (n, 3).
+
+    The step is halved until XYZ moves by less than a twentieth of the tolerance.
+    """
+    result = np.zeros((len(deflections), 3))
+    if len(deflections) == 0:
+        return result
+    sums = sum_for(hf, step, deflections, 0.38, 0.78)
+    for index, (deflection, light) in enumerate(zip(deflections, to_light, strict=True)):
+        # What is returned resolves everything, so that nothing narrow falls between its nodes unseen: it is the finer
+        # one of two that agree. Numbers of cells are powers of 2, so that few quadratures are ever made.
+        largest, least = sums.resolution(deflection, light)
+        cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)
+        before = None
+        while True:
+            if cells > MOST_CELLS:
+                why = "settle" if before is not None else f"fit in {MOST_CELLS} cells"
+                raise AssertionError(f"the integral over λ does not {why} for {deflection}, to light {light}")
+            tau, weights = quadrature(cells, illuminant)
+            now = sums.power(deflection, light, tau) @ weights
+            size = max(np.linalg.norm(now), least)
+            if before is not None and np.linalg.norm(now - before) <= tolerance / 20.0 * size:
+                break
+            before, cells = now, 2 * cells
+        result[index] = now
+    return result
+
+
+def reference_reflectance(
+    hf, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
+    masking=True, centre=None,
+):  # fmt: skip
+    """XYZ of unit vectors (n, 3) in the local frame, shape (n, 3); the coherence by name with sigma, or an object."""
+    step = step_of(coherence, sigma, centre)
+    gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
+    result = np.zeros((len(gains), 3))
+    lit = gains > 0.0
+    found = colours(hf, -(to_light + to_view)[lit], to_light[lit], step, tolerance=tolerance, illuminant=illuminant)
+    result[lit] = gains[lit, None] * found
+    return result
+
+
+class Body(NamedTuple):
+    """A mesh in world coordinates with its vertex fields; the texture is sRGB, 8 bits, row 0 at v = 1."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    tangents: np.ndarray
+    handedness: np.ndarray
+    uvs: np.ndarray
+    texture: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, surface, texture=None):
+        """The arrays of a prepared surface, which are inputs here as the height field is."""
+        fields = (getattr(surface, name) for name in ("normals", "tangents", "handedness", "uvs"))
+        place = surface.vertices.astype(np.float64) * surface.radius + surface.centre
+        return cls(place, surface.faces, *(field.astype(np.float64) for field in fields), texture)
+
+
+class Pixels(NamedTuple):
+    """XYZ of pixels (k, 3); which are hit; which are lit by any light; where float32 may well decide otherwise."""
+
+    xyz: np.ndarray
+    hit: np.ndarray
+    lit: np.ndarray
+    unsure: np.ndarray
+    cos_geometric: np.ndarray  # of the last light, on the viewer's side
+
+
+def bilinear(texture, uv):
+    """Linear RGB of an sRGB texture (h, w, 3) that repeats, at (k, 2)."""
+    encoded = np.asarray(texture, dtype=np.float64) / 255.0
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    height, width = linear.shape[:2]
+    x, y = uv[:, 0] * width - 0.5, (1.0 - uv[:, 1]) * height - 0.5
+    total = 0.0
+    for dy in (0, 1):
+        for dx in (0, 1):
+            column, row = np.floor(x).astype(int) + dx, np.floor(y).astype(int) + dy
+            weight = (1.0 - np.abs(x - column)) * (1.0 - np.abs(y - row))
+            total = total + weight[:, None] * linear[row % height, column % width]
+    return total
+
+
+def pigment_colour(base, to_light, to_view, hf, step, illuminant, ior):
+    """XYZ of linear base colours (k, 3) under the diffraction layer."""
+    grid = np.arange(380, 781) * 1e-3
+    if step.kind == "source":
+        weight = np.full(len(grid), 2.0 * step.spread**2)
+    elif step.kind == "replicas":
+        patch = math.prod(hf.shape) * float(hf.pitch_um[0]) * float(hf.pitch_um[1])
+        weight = grid**2 / (math.pi * patch * math.prod(step.copies))
+    else:
+        weight = grid**2 / (4.0 * math.pi**2 * step.sigma_um**2)
+    white = weight @ products(illuminant)
+    xyz = (base * (XYZ_TO_RGB @ white)) @ np.linalg.inv(XYZ_TO_RGB).T
+    under = (1.0 - fresnel(to_light[:, 2], ior)) * (1.0 - fresnel(to_view[:, 2], ior)) * to_light[:, 2]
+    return (under / fresnel(1.0, ior))[:, None] * xyz
+
+
+def reference_picture(
+    body, hf, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5, masking=True,
+    pigment=1.0, shadows=True, smooth=True, chunk=64,
+):  # fmt: skip
+    """The given pixels of a picture, by index along rows from the top left.
+
+    Args:
+        body: A ``Body``.
+        hf: The height field.
+        lights: Objects with ``to_light``, ``illuminant`` and ``power``.
+        view: The camera.
+        pixels: Indices, shape (k,).
+        coherence: Its kind by name, or an object with all of it.
+        sigma: Of the coherence [µm], where it is given by name.
+        tolerance: The integral over λ settles to a twentieth of it.
+        ior: Index of refraction.
+        masking: Whether to mask.
+        pigment: Strength of the texture.
+        shadows: Whether to cast shadow rays.
+        smooth: Whether to interpolate normals.
+        chunk: Rays that meet all faces at a time.
+    """
+    step = step_of(coherence, sigma, None)
+    fov = None if view.extent_y else view.fov_y_deg
+    size = {"width": view.width, "height": view.height, "fov_y_deg": fov, "extent_y": view.extent_y}
+    origins, directions = (a[pixels] for a in pixel_rays(view.eye, view.target, view.up, **size))
+    _, face, bary, margin = intersect(origins, directions, body.vertices, body.faces, chunk)
+    hit = face >= 0
+    unsure = margin < 1e-5
+    face, bary, directions = face[hit], bary[hit], directions[hit]
+    fields = {"normals": body.normals, "tangents": body.tangents, "handedness": body.handedness}
+    t, b, n = shading_frame(face, bary, directions, body.vertices, body.faces, **fields, smooth=smooth)
+    corners = body.faces[face]
+    places = body.vertices[corners]
+    point = np.einsum("kc,kcd->kd", bary, places)
+    geometric = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
+    geometric /= np.linalg.norm(geometric, axis=1, keepdims=True)
+    side = np.where(np.sum(geometric * directions, axis=1) > 0.0, -1.0, 1.0)[:, None]
+    start = point
+    if smooth:
+        # The shadow terminator of Hanika 2021: onto the tangent planes of the corners where the surface is convex.
+        outward = side[:, :, None] * body.normals[corners]
+        below = np.minimum(np.sum((point[:, None] - places) * outward, axis=2), 0.0)
+        start = np.einsum("kc,kcd->kd", bary, point[:, None] - below[:, :, None] * outward)
+    extent = np.linalg.norm(np.ptp(body.vertices, axis=0)) / 2.0
+    start = start + 1e-5 * extent * side * geometric
+    to_view = np.stack([np.sum(axis * -directions, axis=1) for axis in (t, b, n)], axis=1)
+
+    xyz = np.zeros((len(pixels), 3))
+    any_lit = np.zeros(len(pixels), dtype=bool)
+    cos_geometric = np.zeros(len(pixels))
+    for light in lights:
+        world = np.asarray(light.to_light)
+        to_light = np.stack([axis @ world for axis in (t, b, n)], axis=1)
+        lit = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
+        doubt = np.abs(to_light[:, 2]) < 1e-5
+        if shadows:
+            rays = np.broadcast_to(world, (np.count_nonzero(lit), 3))
+            occluded, _, _, nearness = intersect(start[lit], rays, body.vertices, body.faces, chunk)
+            doubt[lit] |= nearness < 1e-4
+            lit[lit] = ~np.isfinite(occluded)
+        contribution = np.zeros((len(face), 3))
+        contribution[lit] = reference_reflectance(
+            hf, to_light[lit], to_view[lit], step, tolerance=tolerance, illuminant=light.illuminant, ior=ior,
+            masking=masking,
+        )  # fmt: skip
+        if pigment > 0.0 and body.texture is not None:
+            base = bilinear(body.texture, np.einsum("kc,kcd->kd", bary, body.uvs[corners])[lit])
+            under = pigment_colour(base, to_light[lit], to_view[lit], hf, step, light.illuminant, ior)
+            contribution[lit] += pigment * under
+        xyz[hit] += light.power * contribution
+        any_lit[hit] |= lit
+        unsure[hit] |= doubt
+        cos_geometric[hit] = (side * geometric) @ world
+    return Pixels(xyz, hit, any_lit, unsure, cos_geometric)
+
+
+class PictureError(NamedTuple):
+    """The design's error of a picture, on a sample of its pixels."""
+
+    median: float
+    p99: float
+    below: float  # 99th percentile of ‖ΔXYZ‖ / f of the lit pixels with Y < f
+    share_below: float
+    lit: int
+    unsure: int
+
+    def __str__(self):
+        return (
+            f"median {self.median:.1e}, P99 {self.p99:.1e}; {100.0 * self.share_below:.1f} % of {self.lit} lit pixels "
+            f"below f, there P99 {self.below:.1e}; {self.unsure} left out at edges"
+        )
+
+
+def stratified(mask, count, seed=0):
+    """Indices of ``count`` pixels of a mask, one drawn from each of as many runs of equal length along the rows."""
+    inside = np.flatnonzero(mask)
+    edges = np.linspace(0.0, len(inside), count + 1)
+    places = np.random.default_rng(seed).uniform(edges[:-1], edges[1:]).astype(int)
+    return inside[np.unique(np.minimum(places, len(inside) - 1))]
+
+
+def picture_error(xyz, truth):
+    """The error of XYZ (k, 3) against ``Pixels``, over the lit ones."""
+    use = truth.lit & ~truth.unsure
+    exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
+    floor = FLOOR * brightness(exact[:, 1])
+    above = exact[:, 1] >= floor
+    error = moved[above] / np.maximum(np.linalg.norm(exact[above], axis=1), floor)
+    below = np.percentile(moved[~above] / floor, 99.0) if not above.all() else 0.0
+    unsure = int(np.count_nonzero(truth.unsure & truth.hit))
+    return PictureError(
+        float(np.median(error)), float(np.percentile(error, 99.0)), float(below), float(np.mean(~above)), len(exact),
+        unsure,
+    )  # fmt: skip

@@ -1,0 +1,164 @@
+"""Lists of pixels to be split, made and worked off where the picture is: no host has a part in it."""
+
+import warp as wp
+
+from warpdiff.kernels import cell_levels, limits, spectral_sum
+from warpdiff.kernels.snippets import take_number
+
+wp.set_module_options(spectral_sum.OPTIONS)
+
+# Luminances are told apart by the bits of their float32 above so many: sign, exponent, and seven bits of the fraction,
+# a 128th. Groups of these bins are counted, too, so that one thread finds a bin among them.
+BELOW = wp.constant(wp.uint32(16))
+GROUPS = wp.constant(512)
+BINS = wp.constant(64)
+FLOOR = wp.constant(wp.float32(limits.FLOOR))
+EXCEEDED_BY = wp.constant(wp.float32(cell_levels.EXCEEDED_BY))
+TINY = wp.constant(wp.float32(limits.TINY))
+
+
+@wp.kernel
+def tally(
+    # In:
+    colours: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+    apart: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    tallies_out: wp.array(dtype=wp.int32),
+):
+    """How often luminances occur among every so many pixels that are lit: by groups, and then by bins."""
+    for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        i = k * apart
+        if gains[i] > 0.0:
+            luminance = wp.max(colours[i][1], wp.float32(0.0))
+            place = wp.int32(wp.cast(luminance, wp.uint32) >> BELOW)
+            take_number(tallies_out, place // BINS)
+            take_number(tallies_out, GROUPS + place)
+
+
+@wp.kernel
+def find_floor(
+    # In:
+    tallies: wp.array(dtype=wp.int32),
+    # Out:
+    floor_out: wp.array(dtype=wp.float32),
+):
+    """A picture's floor, by one thread."""
+    total = wp.int32(0)
+    for k in range(GROUPS):
+        total += tallies[k]
+    left = EXCEEDED_BY * wp.float32(total)
+    group = wp.int32(GROUPS - 1)
+    while group > 0 and wp.float32(tallies[group]) <= left:
+        left -= wp.float32(tallies[group])
+        group -= 1
+    place = wp.int32((group + 1) * BINS - 1)
+    while place > group * BINS and wp.float32(tallies[GROUPS + place]) <= left:
+        left -= wp.float32(tallies[GROUPS + place])
+        place -= 1
+    # The middle of the bin.
+    bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
+    floor_out[0] = wp.max(FLOOR * bright, TINY)
+
+
+@wp.kernel
+def count_up(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """Add how many pixels are marked."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if marks[i] != wp.uint8(0):
+            take_number(counts_out, 0)
+
+
+@wp.kernel
+def keep_larger(
+    # In:
+    counts: wp.array(dtype=wp.int32),
+    begins: wp.bool,
+    # Out:
+    most_out: wp.array(dtype=wp.int32),
+):
+    """Keep the larger of each of some counts and of those before, if there are any."""
+    i = wp.tid()
+    most_out[i] = wp.where(begins, counts[i], wp.max(counts[i], most_out[i]))
+
+
+@wp.kernel
+def mark_around(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    width: wp.int32,
+    height: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    marks_out: wp.array(dtype=wp.uint8),
+):
+    """Mark the pixels that are marked and those around them."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        column = i % width
+        row = i // width
+        mark = wp.uint8(0)
+        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+                mark = wp.max(mark, marks[y * width + x])
+        marks_out[i] = mark
+
+
+@wp.kernel
+def list_up(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    pixels_out: wp.array(dtype=wp.int32),
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """The pixels that are marked, in whatever order: none depends on those beside it."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if marks[i] != wp.uint8(0):
+            pixels_out[take_number(counts_out, 0)] = i
+
+
+@wp.kernel
+def take(
+    # In:
+    pixels: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    taken: wp.array(dtype=wp.int32),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    pixels_out: wp.array(dtype=wp.int32),
+):
+    """The next pixels of a list, and −1 where there are no more."""
+    for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        place = taken[0] + k
+        pixels_out[k] = -1
+        if place < counts[0]:
+            pixels_out[k] = pixels[place]
+
+
+@wp.kernel
+def go_on(
+    # In:
+    counts: wp.array(dtype=wp.int32),
+    count: wp.int32,
+    # Out:
+    taken_out: wp.array(dtype=wp.int32),
+    left_out: wp.array(dtype=wp.int32),
+):
+    """Count those that were taken, and tell whether any are left."""
+    taken_out[0] += count
+    left_out[0] = wp.int32(0)
+    if taken_out[0] < counts[0]:
+        left_out[0] = wp.int32(1)

@@ -1,0 +1,288 @@
+"""The command line, run as a user would: exit codes, files, messages, progress."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import pytest
+
+from warpdiff.app import cli, demo
+from warpdiff.core import disk_cache
+
+SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
+
+
+def test_render_writes_a_picture(tmp_path, capsys):
+    target = tmp_path / "disc.exr"
+    assert cli.main(["render", "disc", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target)]) == 0
+    spec = oiio.ImageInput.open(str(target)).spec()
+    assert (spec.width, spec.height) == (24, 16)
+    out = capsys.readouterr().out
+    assert str(target) in out
+    assert "Low-rank basis" in out
+
+
+def test_render_of_files(tmp_path, fuze_path):
+    heights = tmp_path / "h.npy"
+    np.save(heights, 0.1 * np.sin(2.0 * np.pi * np.arange(32) / 32)[None, :] * np.ones((32, 1)))
+    target = tmp_path / "fuze.png"
+    arguments = [
+        "render",
+        str(fuze_path),
+        str(heights),
+        "--pixel-um",
+        "0.05",
+        *SMALL,
+        "--width",
+        "20",
+        "--height",
+        "30",
+    ]
+    more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--flat"]
+    assert cli.main([*arguments, *more, "-o", str(target)]) == 0
+    pixels = oiio.ImageBuf(str(target)).get_pixels(oiio.FLOAT)
+    assert 0.05 < pixels[..., 3].mean() < 0.9
+
+
+def test_brdf_writes_a_map(tmp_path):
+    target = tmp_path / "map.png"
+    arguments = ["brdf", "sinusoidal", "--period-um", "1.5", "--depth-um", "0.1", "--incidence-deg", "20", *SMALL]
+    assert cli.main([*arguments, "--size", "32", "-o", str(target)]) == 0
+    assert oiio.ImageInput.open(str(target)).spec().width == 32
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
+        (["--coherence", "source"], "source of 0.53° in diameter"),
+        (["--coherence", "source", "--angular-diameter-deg", "2"], "source of 2° in diameter"),
+        (["--coherence", "replicas", "--copies", "1", "12"], "1 × 12 copies in step"),
+        (["--method", "power"], "Chebyshev series of the powers"),
+    ],
+)
+def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
+    arguments = ["brdf", "blazed", "--tolerance", "0.1", "--size", "6", *options]
+    assert cli.main([*arguments, "-o", str(tmp_path / "map.exr")]) == 0
+    assert said in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", [name for name in cli.GRATINGS if name not in ("dvd", "blu-ray", "cd")])
+def test_info_describes_each_grating(name, capsys):
+    assert cli.main(["info", name, "--tolerance", "0.1"]) == 0
+    out = capsys.readouterr().out
+    assert "pitch" in out
+    assert "hemisphere" in out
+
+
+def test_info_of_the_scan(scan_path, capsys):
+    arguments = ["info", str(scan_path), "--extent-um", "65", "--height-range-um", "0.375", "--crop-um", "20"]
+    assert cli.main([*arguments, "--level", "2", "--despike", "--periodic"]) == 0
+    assert "410 × 410 samples" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "nothing.png"], "there is no file 'nothing.png'"),
+        (["info", "blazed", "--period-um", "-1"], "period_um"),
+        (["info", "blazed", "--tolerance", "7"], "tolerance"),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "laser"],
+            "kind must be one of 'averaged', 'centred', 'source', 'replicas'",
+        ),
+        (["brdf", "blazed", "-o", "x.png", "--coherence", "replicas"], "copies must be given for kind='replicas'"),
+        (["brdf", "blazed", "-o", "x.png", "--copies", "1", "2"], "copies is for kind='replicas', not 'averaged'"),
+        (["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"], "sigma_um is for"),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--angular-diameter-deg", "0"],
+            "angular_diameter_deg must be",
+        ),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
+            "method='power' expands powers",
+        ),
+        (["brdf", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
+        (["brdf", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
+        (["brdf", "blazed", "--incidence-deg", "90", "-o", "map.png"], "to_light"),
+        (["render", "nothing.obj", "blazed", "-o", "x.png"], "mesh"),
+        (["render", "tube", "blazed", "--width", "0", "-o", "x.png"], "width"),
+        (["render", "tube", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "to_light"),
+        (["render", "tube", "blazed", "--device", "tpu", "-o", "x.png"], "device"),
+        (["demo", "--data", "no/such/folder"], "does not exist"),
+        (["demo", "--scale", "0"], "scale"),
+    ],
+)
+def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+@pytest.mark.parametrize(
+    "arguments",
+    [["brdf", "blazed", "-o", "map.png"], ["render", "tube", "blazed", "-o", "tube.exr"], ["demo"], ["bench"]],
+)
+def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
+    # Matplotlib is asked for earlier still.
+    monkeypatch.setattr("warpdiff.app.cli.importlib.util.find_spec", lambda _name: True)
+    monkeypatch.chdir(tmp_path)
+    # Nothing is denied to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr("warpdiff.compute.device.load", lambda *_: pytest.fail("kernels are loaded"))
+    assert cli.main(arguments) == 2
+    assert "may not be written to; name another one" in capsys.readouterr().err
+
+
+def test_unknown_options_are_2():
+    for arguments in ([], ["paint"], ["info"], ["info", "blazed", "--colour", "red"]):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments)
+        assert stopped.value.code == 2
+
+
+def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
+    def fail(*_args, **_options):
+        raise OSError("disk full")
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    arguments = ["brdf", "blazed", "--size", "4", "-o", str(tmp_path / "map.png")]
+    monkeypatch.setattr("warpdiff.Image.save", fail)
+    assert cli.main(arguments) == 1
+    assert "disk full" in capsys.readouterr().err
+    monkeypatch.setattr("warpdiff.Image.save", interrupt)
+    assert cli.main(arguments) == 130
+
+
+def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
+
+    def shown(*options):
+        assert cli.main(["cache", *options]) == 0
+        return capsys.readouterr().out
+
+    assert f"{tmp_path / 'kept'}: 0 files, 0.0 MiB" in shown()
+    for index in range(4):
+        disk_cache.kept_on_disk(index, np.zeros(1), lambda: {"rows": np.zeros(2**17)})
+    (tmp_path / "kept" / "mine.npz").touch()
+    assert "4 files, 4.0 MiB" in shown()
+    assert "2 files, 2.0 MiB" in shown("--trim-mib", "2.5")
+    assert "0 files, 0.0 MiB" in shown("--clear")
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["mine.npz"]
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    assert "nothing is kept" in shown()
+    assert cli.main(["cache", "--trim-mib", "-1"]) == 2
+
+
+def run_without_home(code, folder, **environment):
+    """Run code where a user has no folder."""
+    names = {
+        key: value for key, value in os.environ.items() if key not in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
+    }
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=names | {"TMPDIR": str(folder)} | environment,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+def test_a_user_without_a_home_is_served(tmp_path):
+    done = run_without_home(
+        "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
+        "from warpdiff.compute.device import resolve_device; resolve_device(None); import warp\n"
+        "from pathlib import Path; assert Path(warp.config.kernel_cache_dir).is_absolute()", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "the user has no home folder" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
+    (tmp_path / "file").touch()
+    code = "import sys; from warpdiff.app import cli; sys.exit(cli.main(['info', 'lamellar']))"
+    done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
+    assert done.returncode == 1
+    assert "Warp cannot keep compiled kernels" in done.stderr
+    assert "WARP_CACHE_PATH" in done.stderr
+    assert "device must" not in done.stderr
+
+
+def test_help_teaches(capsys):
+    for command in ("demo", "render", "brdf", "info", "cache"):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main([command, "--help"])
+        assert stopped.value.code == 0
+        assert "example:\n  warpdiff " + command in capsys.readouterr().out
+
+
+def test_warnings_are_one_line(tmp_path, capsys):
+    heights = tmp_path / "h.npy"
+    np.save(heights, np.zeros((8, 8)))
+    assert cli.main(["info", str(heights), "--pixel-um", "0.5"]) == 0
+    error = capsys.readouterr().err
+    assert error.startswith("warpdiff: warning: a pitch of 0.5 µm")
+    assert error.count("\n") == 1
+
+
+def test_progress_bar_waits_a_second(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    bar = cli.Bar("render")
+    bar(0.3)
+    assert capsys.readouterr().err == ""
+    now[0] = 1.5
+    bar(0.5)
+    assert " 50 %" in capsys.readouterr().err
+    bar(1.0)
+    assert capsys.readouterr().err.endswith("\x1b[K")
+
+
+# Pictures of 18 pixels across.
+TINY = pytest.mark.filterwarnings("ignore:.*settle to tolerance")
+
+
+@TINY
+def test_demo_without_the_data(tmp_path, monkeypatch):
+    empty = tmp_path / "data"
+    empty.mkdir()
+    lines: list[str] = []
+    written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
+    assert len(written) == 6
+    assert all(path.is_file() for path in written)
+    assert "synthetic gratings only" in lines[0]
+    monkeypatch.setenv("WARPDIFF_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match="WARPDIFF_DATA"):
+        demo.data_folder()
+
+
+@TINY
+def test_demo_with_the_data(tmp_path, fuze_path, scan_path):
+    assert scan_path.is_file()
+    written = demo.run(tmp_path, data=fuze_path.parent, scale=0.03)
+    assert {path.stem for path in written} >= {"snake_elaphe", "map_elaphe", "fuze_elaphe"}
+
+
+def test_the_module_runs(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "warpdiff", "info", "lamellar"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": "utf-8"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "dominant periods" in done.stdout

@@ -1,0 +1,192 @@
+"""CUDA: every kernel compiles for sm_90 on a machine without a GPU, and with one computes what the CPU does."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere
+
+import warpdiff as wd
+from warpdiff import kernels
+from warpdiff.kernels import (
+    adaptive,
+    bvh,
+    colour_lookup,
+    ray_hits,
+    scattering,
+    shadow_grid,
+    spectral_sum,
+    spectrum_sampling,
+    work_queues,
+)
+
+SM = 90
+# Ampere, too, for what every frame launches.
+SMS = (80, 90)
+# Modules of functions alone are compiled with the kernels that call them.
+FUNCTIONS_ONLY = {"rasterize", "footprints", "snippets", "structs", "shading_frames"}
+CPU_ONLY = {"launch_slices"}
+# Numbers that hosts need, too.
+WITHOUT_WARP = {"cell_levels", "limits"}
+KERNELS = {
+    "bvh": {"cast"},
+    "ray_hits": {"cover", "meet", "scatter", "stand"},
+    "shadow_grid": {"count", "fill", "hide", "project"},
+    "scattering": {"deflect_pixels", "pick", "spread_pixels", "sum_up"},
+    "adaptive": {"accumulate", "choose", "collect", "estimate", "share_out"},
+    "spectral_sum": {"integrate", "sample"},
+    "work_queues": {"count_up", "find_floor", "go_on", "keep_larger", "list_up", "mark_around", "take", "tally"},
+    "colour_lookup": {"blur", "integrate", "interpolate"},
+    "spectrum_sampling": {"gather", "project", "project_lines", "resample"},
+}
+# Rows of powers or of amplitudes, as each form has them.
+FORMS = [
+    (8, "averaged", True),
+    (24, "averaged", False),
+    (24, "centred", False),
+    (8, "source", True),
+    (24, "source", False),
+    (24, "replicas", False),
+]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiler():
+    """Warp's compiler for CUDA, which its packages for Linux and Windows carry."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+    missing = set(SMS) - set(wp.get_cuda_supported_archs())
+    if missing:
+        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{missing.pop()}")
+
+
+@pytest.fixture
+def cuda() -> str:
+    """The first CUDA device."""
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    return "cuda"
+
+
+def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
+    """PTX of a Python module's kernels, or of a Warp module."""
+    paths = wp.compile_aot_module(module, device=None, arch=arch, module_dir=folder, use_ptx=True)
+    assert [path.suffix for path in paths] == [".ptx"]
+    ptx = Path(paths[0]).read_text()
+    assert f".target sm_{arch}" in ptx
+    return ptx
+
+
+def entry_points(ptx: str) -> set[str]:
+    """Names of the kernels in PTX, without their hashes and their enclosing function's name."""
+    found = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
+    assert "_cuda_kernel_backward" not in ptx, "enable_backward is to be off"
+    return {name.rpartition("locals__")[2] for name in found}
+
+
+def test_every_kernel_module_is_compiled_here():
+    folder = Path(kernels.__file__).parent
+    names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert names == set(KERNELS) | FUNCTIONS_ONLY | CPU_ONLY | WITHOUT_WARP, (
+        "a kernel module was added: compile it here"
+    )
+    for name in names - CPU_ONLY:
+        declared = re.findall(r"@wp\.kernel.*\n\s*def (\w+)", (folder / f"{name}.py").read_text())
+        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
+
+
+@pytest.mark.parametrize("arch", SMS)
+@pytest.mark.parametrize(
+    "module", [bvh, ray_hits, scattering, adaptive, shadow_grid, work_queues], ids=lambda each: each.__name__
+)
+def test_modules_compile(module, arch, tmp_path):
+    assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
+
+
+@pytest.mark.parametrize(("lanes", "form", "powers"), FORMS)
+@pytest.mark.parametrize("name", sorted(KERNELS["spectral_sum"]))
+def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, powers, tmp_path):
+    ptx = compile_to_ptx(getattr(spectral_sum.kernels(lanes, form, powers), name).module, tmp_path)
+    assert entry_points(ptx) == {name}
+    # A basis indexed by a variable would live in local memory, which PTX shows; what ptxas spills does not. The seven
+    # words are those of CUDA's sine for large arguments, which the copies' factor never has.
+    depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
+    assert depots == (["28"] if form == "replicas" else [])
+
+
+@pytest.mark.parametrize("arch", SMS)
+@pytest.mark.parametrize("source", [False, True])
+@pytest.mark.parametrize("name", sorted(KERNELS["colour_lookup"]))
+def test_kernels_of_a_table_compile_and_stay_in_registers(name, source, arch, tmp_path):
+    ptx = compile_to_ptx(getattr(colour_lookup.lookup(8, source), name).module, tmp_path, arch)
+    assert entry_points(ptx) == {name}
+    assert "__local_depot" not in ptx
+
+
+@pytest.mark.parametrize(("lanes", "powers", "nodes"), [(8, True, 8), (8, False, 16)])
+def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
+    resample = spectrum_sampling.resampler(lanes, powers, nodes).resample
+    assert entry_points(compile_to_ptx(resample.module, tmp_path)) == {"resample"}
+    assert entry_points(compile_to_ptx(spectrum_sampling.gatherer(nodes).gather.module, tmp_path)) == {"gather"}
+    for name in ("project", "project_lines"):
+        ptx = compile_to_ptx(getattr(spectrum_sampling.projector(nodes, 8), name).module, tmp_path)
+        assert entry_points(ptx) == {name}
+        assert "__local_depot" not in ptx
+
+
+@pytest.mark.parametrize(
+    "coherence",
+    [
+        wd.Coherence("averaged", 3.25),
+        wd.Coherence("centred", 3.25),
+        wd.Coherence("source", angular_diameter_deg=2.0),
+        wd.Coherence("replicas", copies=(2, 5)),
+    ],
+    ids=lambda each: each.kind,
+)
+def test_reflectance_is_that_of_the_cpu(coherence, cuda, rng):
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
+    plan = wd.plan(hf, coherence=coherence)
+    expected = wd.reflectance(hf, lights, views, plan=plan, device="cpu")
+    found = wd.reflectance(hf, lights, views, plan=plan, device=cuda)
+    scale = np.maximum(np.linalg.norm(expected, axis=1), 1e-3 * np.percentile(expected[:, 1], 99.0))
+    assert np.max(np.linalg.norm(found - expected, axis=1) / scale) < 1e-3
+
+
+def test_shade_is_that_of_the_cpu(cuda):
+    mesh = wd.meshes.tube(segments_along=64, segments_around=32)
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    coherence = wd.Coherence(sigma_um=3.25)
+    light = wd.DirectionalLight((0.3, 0.5, 1.0))
+    view = wd.View((0.0, 0.0, 8.0), (0.0, 0.0, 0.0), width=64, height=48)
+    expected = wd.shade(mesh, hf, light, view, coherence=coherence)
+    found = wd.shade(mesh, hf, light, view, device=cuda, plan=expected.plan)
+    # A ray that grazes an edge may fall on either side of it.
+    assert np.mean(found.mask != expected.mask) < 0.01
+    both = found.mask & expected.mask
+    floor = 1e-3 * np.percentile(expected.xyz[both][:, 1], 99.0)
+    scale = np.maximum(np.linalg.norm(expected.xyz[both], axis=1), floor)
+    assert np.percentile(np.linalg.norm(found.xyz[both] - expected.xyz[both], axis=1) / scale, 99.0) < 1e-2
+
+
+def test_replayed_pictures_are_those_of_shade(cuda):
+    mesh = wd.meshes.tube(segments_along=64, segments_around=32)
+    hf = wd.gratings.fingers(size_um=12.8, seed=4)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
+    light = wd.DirectionalLight((0.1, 0.9, 1.2))
+    renderer = wd.Renderer(mesh, hf, light, view, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2, device=cuda)
+    assert renderer.plan.footprint
+    for angle in (0.3, -0.2):
+        light = wd.DirectionalLight((0.1 + angle, 0.9, 1.2))
+        view = dataclasses.replace(view, eye=(3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)))
+        assert renderer.draw(light, view).device.is_cuda
+        found = renderer.image()
+        expected = wd.shade(mesh, hf, light, view, plan=renderer.plan, device=cuda)
+        np.testing.assert_array_equal(found.xyz, expected.xyz)
+        np.testing.assert_array_equal(found.lit, expected.lit)

@@ -1,0 +1,226 @@
+"""Processes that are forked, or spawned, from one that renders: each draws the same picture, or says that it cannot."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.core.thread_pool import Work
+
+if not hasattr(os, "fork"):
+    pytest.skip("this system has no forks", allow_module_level=True)
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
+    pytest.mark.permanent("forks, pools, callbacks that render or raise"),
+]
+_MOST_S = 30.0
+HERE = Path(__file__).parent
+
+
+def picture(angle=0.0):
+    """A tiny one, with tables, means and shadows, on two threads."""
+    return _scene()(wd.View((3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)), (0.0, 0.0, 0.0), width=40, height=30))
+
+
+@functools.cache
+def _scene():
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    mesh = wd.meshes.tube(segments_along=24, segments_around=16)
+    light = wd.DirectionalLight((0.1, 0.9, 1.2))
+    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 0.2, "threads": 2}
+    return lambda view: wd.shade(mesh, hf, light, view, **options).xyz
+
+
+def in_child(work):
+    """The exit code of a forked child that does some work: 0 if that is true; it is killed if it hangs."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            code = 0 if work() else 2
+        finally:
+            os._exit(code)
+    for _ in range(int(_MOST_S / 0.02)):
+        found, status = os.waitpid(child, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.02)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    pytest.fail("the child hangs")
+
+
+def test_a_child_draws_what_its_parent_draws():
+    expected = picture()
+    assert in_child(lambda: np.array_equal(picture(), expected)) == 0
+    np.testing.assert_array_equal(picture(), expected)
+
+
+def save_on_both_sides_of_forks(folder):
+    """Twice, as the second fork finds what the first files have left."""
+    colours = np.random.default_rng(0).random((64, 64, 3)).astype(np.float32)
+    seen, error = np.ones((64, 64), dtype=np.bool_), np.zeros((64, 64), dtype=np.float32)
+    plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
+    image = wd.Image(xyz=colours, mask=seen, lit=seen, coverage=seen.astype(np.float32), error=error, plan=plan)
+    for suffix in (".exr", ".png"):
+        parents, childs = Path(folder) / f"parent{suffix}", Path(folder) / f"child{suffix}"
+        for _ in range(2):
+            image.save(parents)
+            assert in_child(lambda path=childs: image.save(path)) == 0
+        assert childs.stat().st_size == parents.stat().st_size
+
+
+def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
+    """In a process of its own: other tests read EXR files by OpenEXR's threads, which no child has."""
+    code = "import sys, test_forks as t; t.save_on_both_sides_of_forks(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
+
+
+def test_a_child_may_be_the_first_to_draw():
+    """Without any kernel loaded, and in turn forked."""
+    code = (
+        "import test_forks as t\n"
+        "first = lambda: t.in_child(lambda: t.picture().any()) == 0 and t.picture().any()\n"
+        "assert t.in_child(first) == 0"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_pools_of_any_method_draw_the_same(method):
+    angles = (0.0, 0.3)
+    expected = [picture(angle) for angle in angles]
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        found = pool.map_async(picture, angles).get(timeout=_MOST_S)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_forks_while_other_threads_draw():
+    expected = picture()
+    ended = threading.Event()
+
+    def draw():
+        while not ended.is_set():
+            picture(0.2)
+
+    threads = [threading.Thread(target=draw) for _ in range(2)]
+    for each in threads:
+        each.start()
+    try:
+        for _ in range(3):
+            assert in_child(lambda: np.array_equal(picture(), expected)) == 0
+    finally:
+        ended.set()
+        for each in threads:
+            each.join()
+
+
+_WHILE_COMPILING = """
+import sys, threading, time
+import test_forks as t
+import warp as wp
+from warpdiff.compute import device; from warpdiff.core import fork_safety as forks
+
+class Slow:
+    loaded = threading.Event()
+    def load(self, *_):
+        self.loaded.wait(20.0)
+
+def refused():
+    began = time.monotonic()
+    try:
+        t.picture()
+    except RuntimeError as error:
+        return "'spawn'" in str(error) and time.monotonic() - began < 1.0
+    return False
+
+t.picture()
+slow = type("Kernel", (), {"module": Slow()})
+device.load([slow], wp.get_device("cpu"))
+began = time.monotonic()
+assert t.in_child(refused) == 0
+assert time.monotonic() - began < 3.0
+Slow.loaded.set()
+assert t.in_child(lambda: t.picture().any()) == 0
+"""
+
+
+def test_a_child_of_a_process_that_compiles_is_told_to_spawn():
+    subprocess.run([sys.executable, "-c", _WHILE_COMPILING], cwd=HERE, check=True, timeout=_MOST_S)
+
+
+def test_a_fork_waits_for_imports_and_kernels():
+    """A thread begins from nothing meanwhile."""
+    code = (
+        "import threading, time\n"
+        "import test_forks as t\n"
+        "thread = threading.Thread(target=t.picture)\n"
+        "thread.start()\n"
+        "time.sleep({})\n"
+        "def drawn():\n"
+        "    try:\n"
+        "        return t.picture().any()\n"
+        "    except RuntimeError as error:\n"
+        "        return \"'spawn'\" in str(error)\n"
+        "assert t.in_child(drawn) == 0\n"
+        "thread.join()"
+    )
+    for after in (0.05, 0.7):
+        command = [sys.executable, "-c", code.format(after)]
+        subprocess.run(command, cwd=HERE, check=True, timeout=_MOST_S)
+
+
+def test_work_that_is_cut_in_two_ends_in_the_child():
+    done = []
+
+    def refused():
+        try:
+            cut.finish()
+        except RuntimeError as error:
+            return "'spawn'" in str(error)
+        return False
+
+    def slowly(item):
+        time.sleep(0.1)
+        done.append(item)
+
+    cut = Work(slowly, range(4), threads=2)
+    assert in_child(refused) == 0
+    cut.finish()
+    assert sorted(done) == [0, 1, 2, 3]
+
+
+_THREADS_AT_FORK = """
+import os
+import OpenImageIO as oiio
+
+# What is registered first is called last.
+os.register_at_fork(before=lambda: found.append(len(os.listdir("/proc/self/task"))))
+import warpdiff.core.fork_safety
+
+oiio.attribute("threads", 8)
+found = []
+child = os.fork()
+if child == 0:
+    os._exit(oiio.get_int_attribute("threads"))
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == oiio.get_int_attribute("threads") == 8
+assert found == [1], found
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="this system does not list threads")
+def test_threads_of_image_files_end_before_a_fork():
+    """One that just begins holds a lock, for which a child that reads a file would wait for ever."""
+    subprocess.run([sys.executable, "-c", _THREADS_AT_FORK], cwd=HERE, check=True, timeout=_MOST_S)

@@ -1,0 +1,107 @@
+"""What takes more memory than there is, is refused before work begins, and what fits is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.core import free_memory
+
+SETTING = """
+import resource, time
+import numpy as np
+import warpdiff as wd
+
+hf = wd.gratings.fingers(size_um=6.4, seed=1)
+short = wd.Coherence(sigma_um=3.25)
+mesh = wd.meshes.tube(segments_along=24, segments_around=16)
+light = wd.DirectionalLight((0.1, 0.9, 1.2))
+
+def view(size):
+    return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), width=size, height=size)
+
+def shade(size):
+    return wd.shade(mesh, hf, light, view(size), coherence=short, tolerance=0.2, threads=1)
+
+def limit(size):
+    resource.setrlimit(resource.RLIMIT_AS, (int(size), -1))
+"""
+LARGE = """
+limit(4 << 30)
+rough = wd.HeightField(np.random.default_rng(0).normal(size=(6000, 6000)) * 0.05, 0.05)
+calls = {
+    "picture of 16384 × 16384 pixels": lambda: shade(16384),
+    "picture of 16000 × 16000 pixels": lambda: wd.Renderer(mesh, hf, light, view(16000), coherence=short),
+    "map of 16384 × 16384 pixels": lambda: wd.brdf_map(hf, (0, 0, 1), size=16384),
+    "samples_per_pixel=256": lambda: wd.brdf_map(hf, (0, 0, 1), size=1024, samples_per_pixel=256),
+    "cell of 6000 × 6000 samples": lambda: wd.order_efficiencies(rough, (0, 0, 1), [500.0]),
+    "call of 50000 directions at 10000 wavelengths": lambda: wd.brdf(
+        hf, (0, 0, 1), np.ones((50000, 3)), np.linspace(400.0, 700.0, 10000)
+    ),
+}
+for message, call in calls.items():
+    began = time.monotonic()
+    try:
+        call()
+    except MemoryError as error:
+        assert message in str(error) and "GB are free: take" in str(error), error
+    else:
+        raise AssertionError(message)
+    assert time.monotonic() - began < 2.0, message
+shade(40)
+"""
+JUST = """
+from warpdiff.render import shade as render
+
+shade(64)
+taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+needed = render._BYTES_A_PIXEL * 900**2
+limit(taken + 0.95 * needed)
+try:
+    shade(900)
+except MemoryError as error:
+    assert "picture of 900 × 900 pixels" in str(error), error
+else:
+    raise AssertionError
+limit(taken + 1.15 * needed)
+shade(900)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="a system that does not tell what is free")
+@pytest.mark.parametrize("code", [LARGE, JUST], ids=["large", "just too large, and just not"])
+def test_what_does_not_fit_is_refused_at_once(code):
+    found = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", SETTING + code],
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stderr
+
+
+def test_absurd_sizes_are_refused():
+    with pytest.raises(ValueError, match="at most 2147483647 pixels, got 1000000000 × 3"):
+        wd.View((0, 0, 1), (0, 0, 0), width=10**9, height=3)
+    with pytest.raises(ValueError, match="at most 2147483647 directions, got 10000000000"):
+        wd.brdf_map(wd.HeightField(np.zeros((4, 4)), 0.05), (0, 0, 1), size=100_000)
+
+
+def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
+    hf = wd.gratings.fingers(size_um=6.4, seed=3)
+    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
+    fine = dataclasses.replace(plan, nodes=2 * plan.nodes)
+    monkeypatch.setattr(free_memory, "available", lambda: 1e5)
+    with pytest.raises(MemoryError, match=f"table of nodes={fine.nodes}"):
+        wd.reflectance(hf, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
+
+
+def test_systems_that_do_not_tell_have_enough(monkeypatch):
+    monkeypatch.setattr(Path, "read_text", lambda _: "")
+    assert free_memory.available() == math.inf

@@ -1,0 +1,147 @@
+"""Signals end the command line soon, with the right exit code and with nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from soaking import IS_SOAK
+
+if os.name != "posix":
+    pytest.skip("signals are POSIX", allow_module_level=True)
+
+ROW = "SIGINT, SIGTERM and SIGHUP, at many delays"
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+@pytest.fixture(autouse=True)
+def _heard():
+    """What runs tests in the background may ignore signals, as nohup does, and processes inherit that."""
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGHUP)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    for each, handler in before.items():
+        signal.signal(each, handler)
+
+
+def begun(arguments, folder):
+    """A process whose caches and temporary files lie in a folder of their own."""
+    names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "kept", "TMPDIR": "temporary"}
+    (folder / "temporary").mkdir()
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {name: str(folder / value) for name, value in names.items()},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def left_behind(folder):
+    """What is not whole: temporary files, and folders in which kernels are built."""
+    found = [*folder.rglob(".warpdiff-*"), *folder.rglob("*_p*_t*"), *(folder / "temporary").iterdir()]
+    return [path for path in found if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
+
+
+# While packages are imported, and while kernels are compiled.
+GRID = [
+    *((0.15, "SIGINT"), (0.25, "SIGTERM"), (0.4, "SIGHUP"), (0.6, "SIGINT")),
+    *((0.9, "SIGTERM"), (1.3, "SIGHUP"), (2.5, "SIGTERM")),
+]
+if IS_SOAK:
+    GRID = [(0.15 * 1.16**k, name) for k in range(20) for name in NAMES]
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize(("delay", "name"), GRID)
+def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
+    number = getattr(signal, name)
+    with begun(["-m", "warpdiff", "brdf", "blazed", "-o", "map.png"], tmp_path) as process:
+        time.sleep(delay)
+        process.send_signal(number)
+        begin = time.monotonic()
+        error = process.communicate(timeout=60)[1]
+    assert process.returncode == 128 + number, error
+    assert time.monotonic() - begin < 3.0
+    assert "Traceback" not in error
+    assert not left_behind(tmp_path)
+    assert not (tmp_path / "map.png").exists()
+
+
+# A command that swallows what is raised in it, as some packages do while they are imported.
+STUBBORN = """
+import sys, time
+from pathlib import Path
+from warpdiff import __main__; from warpdiff.app import cli
+from warpdiff.core.file_writing import replacing
+def command():
+    with replacing(Path("picture.png")) as unfinished:
+        unfinished.write_text("half")
+        print("begun", flush=True)
+        while True:
+            try:
+                time.sleep(60.0)
+            except BaseException:
+                pass
+cli.main = command
+sys.exit(__main__.main())
+"""
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_swallowed_interruption_is_none_the_less_one(name, tmp_path):
+    number = getattr(signal, name)
+    with begun(["-c", STUBBORN], tmp_path) as process:
+        assert process.stdout.readline() == "begun\n"
+        assert left_behind(tmp_path)
+        process.send_signal(number)
+        begin = time.monotonic()
+        process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert time.monotonic() - begin < 1.0
+    assert not left_behind(tmp_path)
+
+
+def test_a_signal_that_was_ignored_stays_so(tmp_path):
+    code = "import signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    code += "from warpdiff import __main__; from warpdiff.app import cli\n"
+    code += "cli.main = lambda: signal.raise_signal(signal.SIGHUP) or 3\nsys.exit(__main__.main())"
+    with begun(["-c", code], tmp_path) as process:
+        process.communicate(timeout=60)
+    assert process.returncode == 3
+
+
+def test_an_interruption_of_a_finalizer_is_one_and_says_nothing(tmp_path):
+    code = "import signal, sys, time; from warpdiff import __main__; from warpdiff.app import cli\nclass Last:\n"
+    code += "    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
+    code += "cli.main = lambda: Last() and time.sleep(60.0)\nsys.exit(__main__.main())"
+    with begun(["-c", code], tmp_path) as process:
+        error = process.communicate(timeout=60)[1]
+    assert (process.returncode, error) == (143, "")
+
+
+def test_a_signal_after_all_is_done_changes_nothing(tmp_path):
+    # Module globals go after what is registered for the end.
+    code = "import signal, sys\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\n"
+    code += "late = Late(); from warpdiff import __main__; sys.argv[1:] = ['cache']; sys.exit(__main__.main())"
+    with begun(["-c", code], tmp_path) as process:
+        out, error = process.communicate(timeout=60)
+    assert process.returncode == 0, error
+    assert "0 files" in out
+    assert not left_behind(tmp_path)
+
+
+def test_the_library_meets_no_signals(tmp_path):
+    code = "import signal; before = list(map(signal.getsignal, (2, 15, 1))); from warpdiff import *\n"
+    code += "reflectance(HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1], method='direct')\n"
+    code += "assert before == list(map(signal.getsignal, (2, 15, 1)))"
+    with begun(["-c", code], tmp_path) as process:
+        error = process.communicate(timeout=60)[1]
+    assert process.returncode == 0, error

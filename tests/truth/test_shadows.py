@@ -1,0 +1,255 @@
+"""Shadow rays: by grids in the light's view and by the hierarchy against brute force in float64."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+
+import warpdiff as wd
+from warpdiff import meshes
+from warpdiff.bench.truth.brute_force import intersect
+from warpdiff.compute.pipeline import launch
+from warpdiff.kernels.shading_frames import LIFT
+from warpdiff.kernels.shadow_grid import hide
+from warpdiff.kernels.structs import Pixels
+from warpdiff.render import frame
+from warpdiff.scene import shadow_grid
+from warpdiff.scene.device_mesh import SceneArrays, pixels_within
+from warpdiff.scene.mesh_import import prepare_surface
+
+
+def unit(vector):
+    return np.array(vector) / np.linalg.norm(vector)
+
+
+def given(mesh):
+    """A surface whose tangents are of no account."""
+    return prepare_surface(mesh, tangents=[[0.3, 0.5, 0.7]] * len(mesh.vertices))
+
+
+def box_on_floor():
+    """A floor of two faces with a body of 5,000 tiny ones on it, under a lid."""
+    floor = trimesh.creation.box((20.0, 20.0, 0.1))
+    body = trimesh.creation.icosphere(subdivisions=4).apply_translation((1.0, 2.0, 1.2))
+    return trimesh.util.concatenate([floor, body, lid(4.0).apply_translation((0.0, 0.0, 5.0))])
+
+
+def lid(size=1.0):
+    """A square in the plane z = 0."""
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
+    return trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def plates():
+    """A finely cut plane with a lid that floats above it."""
+    plane = lid(2.0)
+    for _ in range(4):
+        plane = plane.subdivide()
+    return trimesh.util.concatenate([plane, lid().apply_translation((0.1, 0.2, 0.5))])
+
+
+MESHES = {
+    "tube": lambda: meshes.tube(segments_along=40, segments_around=24),
+    "snake": lambda: meshes.snake(scale_rows=9, ventrals=20, segments=2),
+    "sphere": lambda: trimesh.creation.icosphere(subdivisions=3),
+    "large and tiny faces": box_on_floor,
+    "plates": plates,
+}
+
+
+def points_on(surface, light, count, rng):
+    """Points on a surface's faces, equally many on each, where shadow rays start on the side of the light."""
+    face = rng.integers(0, len(surface.faces), count)
+    shares = rng.dirichlet((1.0, 1.0, 1.0), count)
+    corners = surface.vertices[surface.faces[face]].astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal *= np.where(normal @ light < 0.0, -1.0, 1.0)[:, None] / np.linalg.norm(normal, axis=1, keepdims=True)
+    return (np.einsum("kc,kcd->kd", shares, corners) + float(LIFT) * normal).astype(np.float32)
+
+
+def hidden(grid, light, origins, threads=1):
+    """What the kernel finds of rays from origins that face the light."""
+    to_lights = wp.array([light], dtype=wp.vec3d, device="cpu")
+    pixels = Pixels()
+    pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
+    pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
+    pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
+    found = wp.empty(len(origins), dtype=wp.bool, device="cpu")
+    device = wp.get_device("cpu")
+    launch(hide, len(origins), [grid, to_lights, 0, pixels], [found], device=device, threads=threads, in_runs=True)
+    return found.numpy()
+
+
+def scene_of(surface):
+    return SceneArrays(surface, device="cpu")
+
+
+def grid_of(surface, scene, light, threads=1):
+    return shadow_grid.grid_for(surface, scene, light, device=wp.get_device("cpu"), threads=threads)
+
+
+@pytest.mark.parametrize("light", [(0.3, 0.5, 0.8), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.05, -1.0, 0.0)], ids=str)
+@pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
+def test_shadows_equal_brute_force(make, light, rng):
+    light = unit(light)
+    surface = given(make())
+    scene = scene_of(surface)
+    origins = points_on(surface, light, 600, rng)
+    rays = np.tile(light, (len(origins), 1))
+    t, _, _, margin = intersect(origins.astype(float), rays, surface.vertices.astype(float), surface.faces, 64)
+    # Rays that graze an edge may be rounded to either side of it.
+    sure = margin > 1e-4
+    assert np.count_nonzero(sure) > 0.99 * len(sure)
+    for grid in (grid_of(surface, scene, light), shadow_grid.no_grid(scene)):
+        np.testing.assert_array_equal(hidden(grid, light, origins)[sure], np.isfinite(t)[sure])
+
+
+def test_faces_leave_no_gap_where_they_meet(rng):
+    # A crumpled sheet in the way of rays to its vertices and to the middles of its edges, rounded to either side.
+    sheet = lid(2.0)
+    for _ in range(5):
+        sheet = sheet.subdivide()
+    inside = np.max(np.abs(sheet.vertices[:, :2]), axis=1) < 0.99
+    sheet.vertices[inside] += rng.uniform(-0.01, 0.01, (np.count_nonzero(inside), 3))
+    surface = given(sheet)
+    scene = scene_of(surface)
+    edges = sheet.edges_unique[inside[sheet.edges_unique].any(axis=1)]
+    for light in (unit((0.1, 0.2, 0.9)), unit((0.0, 0.0, 1.0))):
+        grid = grid_of(surface, scene, light)
+        assert grid.starts.shape[0] > 0
+        for places in (surface.vertices[inside], surface.vertices[edges].mean(axis=1)):
+            assert np.all(hidden(grid, light, places - 0.3 * light))
+            assert not np.any(hidden(grid, light, places + 0.3 * light))
+
+
+def test_pixels_do_not_hide_those_beside_them(rng):
+    # Points in the plane of a sheet are not hidden by it, whatever lies below them in the same cell.
+    sheet = lid(2.0)
+    for _ in range(4):
+        sheet = sheet.subdivide()
+    height = np.float32(0.1234567)
+    flat = given(sheet)
+    vertices = flat.vertices.copy()
+    vertices[:, 2] = height
+    surface = dataclasses.replace(flat, vertices=vertices)
+    light = unit((0.0, 0.0, 1.0))
+    grid = grid_of(surface, scene_of(surface), light)
+    assert grid.starts.shape[0] > 0
+    above = np.column_stack([rng.uniform(-0.5, 0.5, (4000, 2)), np.full(4000, height)]).astype(np.float32)
+    both = np.repeat(above, 2, axis=0)
+    both[1::2, 2] -= 0.1
+    assert not np.any(hidden(grid, light, above))
+    found = hidden(grid, light, both)
+    assert not np.any(found[::2])
+    assert np.all(found[1::2])
+
+
+def test_lists_of_many_faces_hide_what_is_below(rng):
+    # Sheets one above the other: more faces in a cell than are looked at together, and several pixels in it.
+    sheets = [lid(2.0).subdivide().subdivide().apply_translation((0.0, 0.0, 0.01 * k)) for k in range(5)]
+    surface = given(trimesh.util.concatenate(sheets))
+    light = unit((0.0, 0.0, 1.0))
+    scene = scene_of(surface)
+    grid = grid_of(surface, scene, light)
+    assert np.diff(grid.starts.numpy()).max() > 32
+    places = rng.uniform(-0.3, 0.3, (500, 3)).astype(np.float32)
+    found = hidden(grid, light, places)
+    assert 0 < np.count_nonzero(found) < len(found)
+    np.testing.assert_array_equal(found, hidden(shadow_grid.no_grid(scene), light, places))
+
+
+def test_rays_have_the_same_hierarchy_whatever_others_had():
+    scenes = [scene_of(given(trimesh.creation.icosphere(subdivisions=2))) for _ in range(2)]
+    for scene, order in zip(scenes, ((True, False), (False, True)), strict=True):
+        found = {few: scene.with_hierarchy(few=few).mesh_id for few in order}
+        assert found[True] != found[False]
+        assert {few: scene.with_hierarchy(few=few).mesh_id for few in order} == found
+
+
+def test_threads_make_the_same_grid(rng):
+    surface = given(meshes.tube(segments_along=96, segments_around=64))
+    light = unit((0.3, 0.5, 0.8))
+    origins = points_on(surface, light, 20_000, rng)
+    alone, others = (grid_of(surface, scene_of(surface), light, threads) for threads in (1, 3))
+    np.testing.assert_array_equal(alone.starts.numpy(), others.starts.numpy())
+    cells = np.repeat(np.arange(alone.columns * alone.rows), np.diff(alone.starts.numpy()))
+    listed = [set(zip(cells, grid.faces.numpy(), grid.tops.numpy(), strict=True)) for grid in (alone, others)]
+    assert listed[0] == listed[1]
+    np.testing.assert_array_equal(hidden(alone, light, origins), hidden(others, light, origins, threads=3))
+
+
+def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
+    light = unit((0.1, 0.2, 0.9))
+    body = trimesh.creation.icosphere(subdivisions=4)
+    assert grid_of(given(body), scene_of(given(body)), light).starts is not None
+    stadium = given(trimesh.util.concatenate([body, lid(300.0).apply_translation((0.0, 0.0, -2.0))]))
+    assert grid_of(stadium, scene_of(stadium), light).starts is None
+    needles = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, 3, 3))
+    needles[:, 1] = needles[:, 0] + 1e-3
+    bundle = given(trimesh.Trimesh(needles.reshape(-1, 3), np.arange(9000).reshape(-1, 3), process=False))
+    assert grid_of(bundle, scene_of(bundle), light).starts is None
+
+
+def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        shadow_grid, "_made", lambda *a, make=shadow_grid._made, **k: made.append(a[2]) or make(*a, **k)
+    )
+    mesh = meshes.tube(segments_along=24, segments_around=16)
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    light, other = wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))
+    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
+    for eye, lit_by in (((0.0, 1.0, 1.5), light), ((0.2, 1.0, 1.5), light), ((0.2, 1.0, 1.5), other)):
+        wd.shade(mesh, hf, lit_by, wd.View(eye, (0.0, 0.0, 0.0), width=96, height=72), plan=plan)
+    assert made == [light.to_light, other.to_light]
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
+    mesh = meshes.tube(segments_along=24, segments_around=16)
+    hf = wd.gratings.fingers(size_um=6.4, seed=1)
+    lights = [wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))]
+    view = wd.View((0.0, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72)
+    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 3e-2, "samples_per_pixel": samples}
+    made = []
+    monkeypatch.setattr(frame, "grid_for", lambda *a, **k: made.append(shadow_grid.grid_for(*a, **k)) or made[-1])
+    found = wd.shade(mesh, hf, lights, view, **options)
+    # One for each light, whatever the samples and tiles.
+    assert [grid.starts.shape[0] > 0 for grid in made] == [True, True]
+    monkeypatch.setattr(frame, "grid_pays", lambda *_: False)
+    expected = wd.shade(mesh, hf, lights, view, **options)
+    assert len(made) == 2
+    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    np.testing.assert_array_equal(found.lit, expected.lit)
+    unhidden = wd.shade(mesh, hf, lights, view, shadows=False, **options)
+    assert np.any(unhidden.xyz != found.xyz)
+
+
+def test_a_grid_is_for_more_rays_than_a_few():
+    assert shadow_grid.grid_pays(16_000, 150_000)
+    assert not shadow_grid.grid_pays(1_000_000, 1000)
+    assert not shadow_grid.grid_pays(12, 0)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_how_many_pixels_see_a_surface_is_known_before_rays_are_cast(orthographic):
+    mesh = meshes.tube(segments_along=24, segments_around=16)
+    surface = prepare_surface(mesh)
+    hf, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.3, 0.5, 1.0))
+    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
+    for distance in (0.6, 1.0, 4.0):
+        eye = (0.5 * distance, 1.0 * distance, 1.5 * distance)
+        size = {"width": 120, "height": 90}
+        view = (
+            wd.View.orthographic(eye, (0.1, 0.0, 0.0), extent_y=distance, **size)
+            if orthographic
+            else wd.View(eye, (0.1, 0.0, 0.0), **size)
+        )
+        met = np.count_nonzero(wd.shade(mesh, hf, light, view, plan=plan).mask)
+        assert met / 2.5 < pixels_within(surface, view) < 2.5 * met
+    # From within its box.
+    assert pixels_within(surface, wd.View((0.0, 0.0, 0.01), (1.0, 0.0, 0.0), width=120, height=90)) == 120 * 90

@@ -1,0 +1,162 @@
+"""Colour: white, quadratures, matrices and the transfer function."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.optics import colorimetry
+
+WHITE_D65 = (0.950423, 1.0, 1.088610)
+FLAT = wd.HeightField(np.zeros((8, 8)), 0.05)
+NORMAL = (0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def colour():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import colour
+    return colour
+
+
+def one_nm_sum(colour, illuminant, rho=1.0):
+    shape = colour.SpectralShape(380, 780, 1)
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
+    source = colour.SDS_ILLUMINANTS[illuminant].copy().align(shape).values
+    return (np.reshape(rho, (-1, 1)) * observer * source[:, None]).sum(axis=0) / (observer[:, 1] * source).sum()
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "A", "E", "FL2"])
+def test_white_is_the_one_nm_sum(colour, illuminant):
+    expected = one_nm_sum(colour, illuminant)
+    for wavelengths in (
+        colorimetry.wavelengths_uniform_in_wavenumber(227),
+        np.arange(380, 781),
+        [555.0],
+        [400, 500, 700],
+    ):
+        weights = colorimetry.quadrature_weights(wavelengths, illuminant)
+        assert weights.min() >= 0.0
+        np.testing.assert_allclose(weights.sum(axis=0), expected, rtol=1e-12)
+    if illuminant == "D65":
+        np.testing.assert_allclose(expected, WHITE_D65, atol=1e-6)
+
+
+@pytest.mark.parametrize("illuminant", sorted(colorimetry.KEPT))
+def test_what_is_kept_is_colour_sciences(illuminant):
+    """To be made anew by ``np.save`` where colour-science should change."""
+    expected = colorimetry.products_by_colour_science(illuminant)
+    np.testing.assert_allclose(colorimetry.colour_products(illuminant), expected, rtol=1e-12, atol=0.0)
+
+
+def test_daylight_needs_no_colour_science():
+    code = "import sys, warpdiff.optics.colorimetry as s; s.colour_products(); sys.exit('colour' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("geometric", [False, True])
+@pytest.mark.parametrize("illuminant", ["D65", "FL2"])
+@pytest.mark.parametrize("count", [2, 17, 227])
+def test_uniform_quadratures(colour, geometric, illuminant, count):
+    """Equal steps in 1/λ, or equal ratios, over the visible range; either way white is the 1 nm sum."""
+    wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
+    np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
+    steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert weights.min() >= 0.0
+    np.testing.assert_allclose(weights.sum(axis=0), one_nm_sum(colour, illuminant), rtol=1e-12)
+
+
+def test_flat_mirror_is_white(device):
+    finest = wd.reflectance(FLAT, NORMAL, NORMAL, tolerance=1e-5, device=device)
+    np.testing.assert_allclose(finest, WHITE_D65, atol=1e-6)
+
+
+def test_a_linear_reflectance(colour):
+    """To the sixth order in 1/λ; of a few samples, negative weights are shared out."""
+    rho = np.linspace(0.2, 0.9, 401)
+    exact = one_nm_sum(colour, "D65", rho)
+    for step, error in ((1, 1e-8), (5, 1e-8), (10, 1e-8), (25, 1e-7), (50, 1e-2)):
+        weights = colorimetry.quadrature_weights(np.arange(380, 781, step))
+        assert weights.min() >= 0.0
+        np.testing.assert_allclose(rho[::step] @ weights, exact, rtol=0.0, atol=error)
+
+
+def test_quadrature_converges_for_a_wave():
+    def colour_of(count):
+        nodes = colorimetry.wavelengths_uniform_in_wavenumber(count)
+        return (1.0 + np.cos(2e3 * np.pi * 3.0 / nodes)) @ colorimetry.quadrature_weights(nodes)
+
+    exact = colour_of(40_001)
+    errors = [np.linalg.norm(colour_of(count) - exact) for count in (26, 51, 101, 201)]
+    assert errors[-1] < 1e-8
+    assert all(later < 0.03 * before for before, later in itertools.pairwise(errors))
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "FL11", "HP1"])
+def test_orders_under_lines(illuminant):
+    """Orders pass as Gaussians of 1/λ; lines of an illuminant lie between samples as often as not."""
+    centres = np.linspace(1e3 / 780.0, 1e3 / 380.0, 101)
+
+    def colours(count):
+        wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant)
+        return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
+
+    exact = colours(4001)
+    scale = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(exact[:, 1], 99.0))
+    # Samples for each deviation: what bounds take at tolerances of 1e-2, 1e-3 and 1e-4, and a little less.
+    for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
+        error = np.linalg.norm(colours(count) - exact, axis=1) / scale
+        assert np.percentile(error, 99.0) < 0.5 * tolerance
+
+
+def test_matrices_agree_with_colour_science(colour):
+    reference = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB
+    np.testing.assert_allclose(colorimetry.XYZ_TO_RGB, reference, atol=1e-12)
+    np.testing.assert_allclose(colorimetry.xyz_to_rgb([WHITE_D65])[0], 1.0, atol=2e-3)
+    np.testing.assert_allclose(colorimetry.xyz_to_rgb(colorimetry.rgb_to_xyz([[0.2, -0.1, 0.7]]))[0], [0.2, -0.1, 0.7])
+
+
+def test_transfer_function(colour):
+    linear = np.linspace(0.0, 1.0, 1001)
+    np.testing.assert_allclose(colorimetry.srgb_encode(linear), colour.models.eotf_inverse_sRGB(linear), atol=1e-12)
+    np.testing.assert_allclose(colorimetry.srgb_decode(colorimetry.srgb_encode(linear)), linear, atol=1e-7)
+    np.testing.assert_allclose(colorimetry.srgb_encode([-0.5, 2.0]), [0.0, 1.0], atol=1e-15)
+
+
+def test_the_package_announces_nothing_of_colour_science():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        colorimetry.colour_products.cache_clear()
+        colorimetry.colour_products("D65")
+
+
+@pytest.mark.parametrize(
+    ("wavelengths", "message"),
+    [
+        ([500.0, 400.0], "strictly increasing"),
+        ([0.5, 0.6], "they are nanometres"),
+        ([], "shape"),
+        ([[400.0, 500.0]], "shape"),
+        ([np.nan], "finite"),
+        ("blue", "real numbers"),
+    ],
+)
+def test_bad_wavelengths(wavelengths, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        colorimetry.quadrature_weights(wavelengths)
+
+
+@pytest.mark.parametrize(
+    ("illuminant", "message"), [("D66", "one of"), (6500, "name of a CIE"), ("ISO 7589 Photographic Daylight", "cover")]
+)
+def test_bad_illuminants(illuminant, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        wd.reflectance(FLAT, NORMAL, NORMAL, illuminant=illuminant)

@@ -1,0 +1,97 @@
+"""The sample bodies: shape, seam, and which way t runs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from warpdiff import meshes
+from warpdiff.scene.mesh_import import prepare_surface
+
+
+def world(surface):
+    return surface.vertices.astype(np.float64) * surface.radius + surface.centre
+
+
+def test_disc_tangents_are_radial_and_normals_face_z():
+    surface = prepare_surface(meshes.disc(segments=96, rings=6))
+    points = world(surface)
+    radial = points / np.linalg.norm(points, axis=1, keepdims=True)
+    np.testing.assert_allclose(surface.tangents, radial, atol=2e-3)
+    np.testing.assert_array_equal(surface.normals, np.broadcast_to([0, 0, 1], points.shape))
+    np.testing.assert_array_equal(surface.handedness, 1.0)
+    assert not surface.has_base_colour
+
+
+def test_disc_area():
+    mesh = meshes.disc(inner_radius=0.25, outer_radius=2.0)
+    assert mesh.area == pytest.approx(math.pi * (4.0 - 0.0625), rel=1e-4)
+    assert len(mesh.faces) < 60_000
+    # Without a hole there are triangles in the middle, and no face without an area.
+    full = prepare_surface(meshes.disc(inner_radius=0.0, segments=64, rings=4))
+    assert len(full.faces) == 64 * (2 * 3 + 1)
+
+
+@pytest.mark.parametrize("tangent", ["around", "along"])
+def test_straight_tube(tangent):
+    mesh = meshes.tube(radius=0.1, length=2.0, bend_deg=0.0, tangent=tangent, segments_along=96, segments_around=48)
+    surface = prepare_surface(mesh)
+    points = world(surface)
+    # The cylindrical part: its axis is x.
+    body = (points[:, 0] > -0.7) & (points[:, 0] < 0.1)
+    outward = points[body] * [0.0, 1.0, 1.0] / 0.1
+    np.testing.assert_allclose(surface.normals[body], outward, atol=1e-5)
+    along = np.array([1.0, 0.0, 0.0])
+    expected = np.cross(along, outward) if tangent == "around" else np.broadcast_to(along, outward.shape)
+    # "around" is right-handed with the v axis, which runs along.
+    np.testing.assert_allclose(surface.tangents[body], expected, atol=1e-3)
+    np.testing.assert_array_equal(surface.handedness, 1.0)
+
+
+def test_default_tube():
+    mesh = meshes.tube()
+    surface = prepare_surface(mesh)
+    assert len(surface.faces) == len(mesh.faces) == 2 * 255 * 96 < 60_000
+    # Wound outwards.
+    volume = np.einsum("ij,ij->", mesh.triangles[:, 0], np.cross(mesh.triangles[:, 1], mesh.triangles[:, 2])) / 6.0
+    assert volume > 0.0
+    # Analytic normals agree with the facets around each vertex.
+    bare = type(mesh)(mesh.vertices, mesh.faces, visual=mesh.visual, process=False)
+    cosine = np.sum(surface.normals * prepare_surface(bare).normals, axis=1)
+    assert cosine.min() > math.cos(math.radians(3.0))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "axis"), [(meshes.tube(segments_along=48, segments_around=24), 0), (meshes.disc(segments=48), 1)]
+)
+def test_the_seam_is_invisible(mesh, axis):
+    surface = prepare_surface(mesh)
+    first, last = (np.flatnonzero(surface.uvs[:, axis] == end) for end in (0.0, 1.0))
+    assert len(first) == len(last) > 2
+    np.testing.assert_array_equal(surface.vertices[first], surface.vertices[last])
+    np.testing.assert_allclose(surface.normals[first], surface.normals[last], atol=1e-6)
+    np.testing.assert_allclose(surface.tangents[first], surface.tangents[last], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "given", "error", "message"),
+    [
+        (meshes.tube, {"radius": 0.0}, ValueError, "radius must be"),
+        (meshes.tube, {"length": 0.3}, ValueError, "length must be at least 5 radii"),
+        (meshes.tube, {"bend_deg": -1.0}, ValueError, "bend_deg must be"),
+        (meshes.tube, {"waves": 20.0}, ValueError, "bend_deg and waves must leave the bends wider"),
+        (meshes.tube, {"tangent": "up"}, ValueError, "tangent must be one of 'around', 'along'"),
+        (meshes.tube, {"segments_along": 3}, ValueError, "segments_along must be an integer >= 12"),
+        (meshes.tube, {"segments_around": 2.0}, TypeError, "segments_around must be an integer"),
+        (meshes.disc, {"inner_radius": 1.0}, ValueError, "inner_radius must be below outer_radius"),
+        (meshes.disc, {"inner_radius": -0.1}, ValueError, "inner_radius must be"),
+        (meshes.disc, {"outer_radius": math.nan}, ValueError, "outer_radius must be"),
+        (meshes.disc, {"segments": 2}, ValueError, "segments must be an integer >= 3"),
+        (meshes.disc, {"rings": 0}, ValueError, "rings must be an integer >= 1"),
+    ],
+)
+def test_bad_arguments(make, given, error, message):
+    with pytest.raises(error, match=message):
+        make(**given)

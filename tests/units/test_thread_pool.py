@@ -1,0 +1,126 @@
+"""Work on several threads: every item once, what this thread does meanwhile, and errors of either."""
+
+import threading
+import time
+
+import pytest
+
+from warpdiff.core.thread_pool import Work, cores, side_by_side
+
+THREADS = (1, 2, 5)
+
+
+@pytest.mark.parametrize("threads", THREADS)
+@pytest.mark.parametrize("count", [0, 1, 2, 40])
+def test_every_item_is_worked_on_once(threads, count):
+    done = []
+    side_by_side(done.append, range(count), threads=threads)
+    assert sorted(done) == list(range(count))
+    with Work(done.append, range(count), threads=threads):
+        done.append(-1)
+    assert sorted(done) == sorted([*range(count), *range(count), -1])
+
+
+def test_others_work_while_this_thread_does_something_else():
+    begun = threading.Event()
+    # Would wait in vain if items came after it.
+    with Work(lambda _: begun.set(), [0], threads=2):
+        assert begun.wait(60.0)
+
+
+@pytest.mark.parametrize("threads", THREADS)
+@pytest.mark.parametrize("where", ["work", "meanwhile"])
+def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads, where):
+    at_work = []
+
+    def work(index):
+        at_work.append(index)
+        time.sleep(0.01)
+        if where == "work" and index == 3:
+            raise ValueError("of an item")
+        at_work.remove(index)
+
+    def both():
+        with Work(work, range(8), threads=threads):
+            if where == "meanwhile":
+                raise ValueError("of this thread")
+
+    with pytest.raises(ValueError, match="of an item" if where == "work" else "of this thread"):
+        both()
+    assert at_work == ([3] if where == "work" else [])
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_an_error_ends_work(threads):
+    done = []
+
+    def work(index):
+        if index == 1:
+            raise KeyboardInterrupt
+        time.sleep(0.01)
+        done.append(index)
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side(work, range(1000), threads=threads)
+    assert len(done) < 20
+    abandoned = Work(work, range(2, 1000), threads=threads)
+    abandoned.abandon()
+    assert len(done) < 40
+
+
+def test_work_within_work_needs_no_free_thread():
+    """All threads that stay may wait for the one that begins more work."""
+    done = []
+
+    def work(_):
+        side_by_side(done.append, range(5), threads=cores() + 1)
+
+    ended = threading.Thread(target=lambda: side_by_side(work, range(20), threads=cores() + 1), daemon=True)
+    ended.start()
+    ended.join(60.0)
+    assert not ended.is_alive()
+    assert sorted(done) == sorted(20 * list(range(5)))
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_progress_is_told_by_one_at_a_time_which_may_work_itself(threads):
+    told, nested = [], []
+
+    def tell(done):
+        side_by_side(nested.append, range(4), threads=threads)
+        told.append(done)
+
+    Work(lambda _: None, range(8), threads=threads, progress=tell, joins=True).finish()
+    assert told == [(k + 1) / 8 for k in range(8)]
+    assert sorted(nested) == sorted(8 * list(range(4)))
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_progress_that_fails_ends_work(threads):
+    done = []
+
+    def fail(_):
+        raise KeyError("of progress")
+
+    def work(item):
+        time.sleep(0.01)
+        done.append(item)
+
+    with pytest.raises(KeyError, match="of progress"):
+        Work(work, range(1000), threads=threads, progress=fail, joins=True).finish()
+    assert len(done) < 20
+    side_by_side(done.append, [-1], threads=threads)
+    assert done[-1] == -1
+
+
+@pytest.mark.permanent("varied calls and thread counts: memory and threads that stay")
+def test_threads_do_not_pile_up(tries):
+    """Whatever numbers of them were asked for."""
+    before = threading.active_count()
+    tries.number = 39
+    for threads in range(1, 40):
+        side_by_side(lambda _: time.sleep(1e-4), range(threads), threads=threads)
+    most = time.monotonic() + 10.0
+    while threading.active_count() > before + cores() and time.monotonic() < most:
+        time.sleep(0.01)
+    assert threading.active_count() <= before + cores()

@@ -1,0 +1,6 @@
+"""The command line: options, signals, standard streams, the demonstration.
+
+In: arguments, signals.
+Out: files, messages, an exit code.
+May import: core, surface, scene, image, evaluate, render, the public names, bench.
+"""

@@ -1,0 +1,458 @@
+"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``bench`` and ``cache``.
+
+Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.util
+import inspect
+import math
+import sys
+import time
+import traceback
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import warpdiff as wd
+from warpdiff.core import checks
+from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.image.image import check_target
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+GRATINGS: dict[str, Callable[[argparse.Namespace], wd.HeightField]] = {
+    "sinusoidal": lambda a: wd.gratings.sinusoidal(a.period_um, a.depth_um),
+    "lamellar": lambda a: wd.gratings.lamellar(a.period_um, a.depth_um),
+    "blazed": lambda a: wd.gratings.blazed(a.period_um, a.depth_um),
+    "cd": lambda _: wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08),
+    "dvd": lambda _: wd.gratings.disc("DVD", tracks=87, length_um=64.0, pitch_um=0.06),
+    "blu-ray": lambda _: wd.gratings.disc("Blu-ray", tracks=100, length_um=32.0, pitch_um=0.04),
+    "bumps": lambda _: wd.gratings.bumps(),
+    "fingers": lambda _: wd.gratings.fingers(size_um=64.0, pitch_um=0.08),
+}
+_BODIES: dict[str, Callable[[], Any]] = {
+    "tube": wd.meshes.tube,
+    "tube-along": lambda: wd.meshes.tube(tangent="along"),
+    "disc": wd.meshes.disc,
+    "snake": wd.meshes.snake,
+}
+# What the file system says of a path that was given; a full disk is another matter.
+_BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
+_HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
+
+
+class Bar:
+    """A progress bar on a terminal's standard error, shown once something has taken a second."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._start = time.monotonic()
+        self._shown = False
+        self._enabled = sys.stderr.isatty()
+
+    def __call__(self, share: float) -> None:
+        """Show that a share of the work is done, 0 to 1."""
+        elapsed = time.monotonic() - self._start
+        if not self._enabled or (elapsed < 1.0 and not self._shown):
+            return
+        self._shown = True
+        left = elapsed * (1.0 - share) / max(share, 1e-3)
+        blocks = int(30 * share)
+        bar = "#" * blocks + "." * (30 - blocks)
+        sys.stderr.write(f"\r{self._name}  [{bar}] {100.0 * share:3.0f} %  {left:4.0f} s left ")
+        if share >= 1.0:
+            sys.stderr.write("\r\x1b[K")
+            self._shown = False
+        sys.stderr.flush()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", WarpdiffWarning)
+        warnings.showwarning = _show_warning
+        try:
+            options.run(options)
+        except KeyboardInterrupt:
+            _tell("\nwarpdiff: interrupted")
+            return 130
+        except BrokenPipeError:
+            # Whoever read the output has had enough.
+            return 1
+        except (ValueError, TypeError, *_BAD_PATHS) as error:
+            if options.debug:
+                traceback.print_exc()
+            _tell(f"warpdiff {options.command}: {error}")
+            return 2
+        except Exception as error:
+            if options.debug:
+                traceback.print_exc()
+            _tell(f"warpdiff {options.command}: failed: {type(error).__name__}: {error}")
+            return 1
+    return 0
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    _tell(f"warpdiff: warning: {message}")
+
+
+def _tell(line: str) -> None:
+    """Say something on standard error, if anyone listens."""
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="warpdiff",
+        description="Iridescent colours of diffraction gratings given as measured height fields.",
+        epilog="start with:\n  warpdiff demo\n  warpdiff render tube fingers -o tube.png\n  warpdiff render --help",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"warpdiff {wd.__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show the full traceback of an error")
+
+    demo = _add(
+        commands, common, "demo", _demo, "render a set of pictures and say where they are",
+        "warpdiff demo --output pictures",
+    )  # fmt: skip
+    demo.add_argument("-o", "--output", default="demo", metavar="FOLDER", help="where to put them (default: demo)")
+    demo.add_argument(
+        "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
+    )
+    demo.add_argument("--scale", type=float, default=1.0, help="factor on the pictures' sizes (default: 1)")
+
+    surface = _surface_options()
+    evaluation = _evaluation_options()
+
+    render = _add(
+        commands, common, "render", _render, "render a mesh whose surface carries a height field",
+        "warpdiff render snake.obj scan.png --extent-um 65 --height-range-um 0.375 \\\n"
+        "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png",
+        surface, evaluation,
+    )  # fmt: skip
+    render.add_argument(
+        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}"
+    )
+    render.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
+    render.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)"
+    )
+    render.add_argument(
+        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
+        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
+    )  # fmt: skip
+    render.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)")
+    render.add_argument(
+        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
+    )
+    render.add_argument(
+        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
+    )
+    render.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    render.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
+    render.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
+    render.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
+    render.add_argument(
+        "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
+    )
+    render.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
+    render.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
+    render.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
+
+    brdf = _add(
+        commands, common, "brdf", _brdf, "map the reflectance over all view directions, seen from above",
+        "warpdiff brdf blazed --period-um 2.5 --depth-um 0.25 --incidence-deg 20 -o blazed.png",
+        surface, evaluation,
+    )  # fmt: skip
+    brdf.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
+    brdf.add_argument("-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)")
+    brdf.add_argument("--incidence-deg", type=float, default=0.0, help="light's angle from the normal (default: 0)")
+    brdf.add_argument("--azimuth-deg", type=float, default=0.0, help="light's angle from the x axis (default: 0)")
+    brdf.add_argument("--size", type=int, default=512, help="width and height in pixels (default: 512)")
+
+    info = _add(
+        commands, common, "info", _info, "describe a height field, and what an evaluation of it would compute",
+        "warpdiff info scan.png --extent-um 65 --height-range-um 0.375 --level 2",
+        surface,
+    )  # fmt: skip
+    info.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
+    _add_tolerance(info)
+
+    bench = _add(
+        commands, common, "bench", _bench, "chart speed against accuracy, beside other programs",
+        "warpdiff bench --quick --output charts\n  warpdiff bench --compare before/results.json after/results.json",
+    )  # fmt: skip
+    bench.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
+    bench.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
+    bench.add_argument(
+        "--filter", nargs="+", metavar="PART", help="some parts: previews pareto frames rays scaling stability validity"
+    )
+    bench.add_argument(
+        "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
+    )
+    bench.add_argument("--device", help="cpu (default) or cuda")
+    bench.add_argument("--threads", type=int, help="threads on the CPU, of peers, too (default: one a core)")
+    bench.add_argument(
+        "--compare",
+        nargs=2,
+        metavar=("OLD", "NEW"),
+        help="which figures of two results.json moved by more than their noise",
+    )
+
+    cache = _add(
+        commands, common, "cache", _cache, "show, trim or clear what is kept on disk of height fields",
+        "warpdiff cache\n  warpdiff cache --trim-mib 200\n  warpdiff cache --clear",
+    )  # fmt: skip
+    less = cache.add_mutually_exclusive_group()
+    less.add_argument("--trim-mib", type=float, metavar="MIB", help="keep so much at most, of what was used last")
+    less.add_argument("--clear", action="store_true", help="delete all of it")
+    return parser
+
+
+def _add(
+    commands: Any,
+    common: argparse.ArgumentParser,
+    name: str,
+    run: Callable[[argparse.Namespace], None],
+    what: str,
+    example: str,
+    *parents: argparse.ArgumentParser,
+) -> argparse.ArgumentParser:
+    command: argparse.ArgumentParser = commands.add_parser(
+        name,
+        parents=[common, *parents],
+        help=what,
+        description=f"{what[0].upper()}{what[1:]}.",
+        epilog=f"example:\n  {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.set_defaults(run=run)
+    return command
+
+
+def _surface_options() -> argparse.ArgumentParser:
+    group_parser = argparse.ArgumentParser(add_help=False)
+    group = group_parser.add_argument_group("height field")
+    group.add_argument("--extent-um", type=float, help="width of a scan in x")
+    group.add_argument("--pixel-um", type=float, help="size of a scan's pixel, in place of --extent-um")
+    group.add_argument("--height-range-um", type=float, help="height that an integer image's full scale stands for")
+    group.add_argument("--level", type=int, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)")
+    group.add_argument("--despike", action="store_true", help="remove dust")
+    group.add_argument("--fill", action="store_true", help="fill missing samples from those around them")
+    group.add_argument("--crop-um", type=float, metavar="SIZE", help="keep a square of this size from the middle")
+    group.add_argument("--periodic", action="store_true", help="make opposite edges match")
+    group.add_argument(
+        "--period-um", type=float, default=2.0, help="period of sinusoidal, lamellar, blazed (default: 2)"
+    )
+    group.add_argument("--depth-um", type=float, default=0.25, help="depth of these, peak to valley (default: 0.25)")
+    return group_parser
+
+
+def _evaluation_options() -> argparse.ArgumentParser:
+    group_parser = argparse.ArgumentParser(add_help=False)
+    group = group_parser.add_argument_group("evaluation")
+    _add_tolerance(group)
+    group.add_argument(
+        "--method",
+        default="auto",
+        help="auto, low-rank, power, jacobi-anger, taylor, taylor-uncentred, or direct, which is slow and certain "
+        "(default: auto)",
+    )
+    group.add_argument(
+        "--coherence", default="averaged", help="averaged, centred, source or replicas (default: averaged)"
+    )
+    group.add_argument("--sigma-um", type=float, help="σ of a window, averaged or centred (default: 16.25)")
+    group.add_argument(
+        "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
+    )
+    group.add_argument("--copies", type=int, nargs=2, metavar=("NY", "NX"), help="copies of the patch, for replicas")
+    group.add_argument(
+        "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
+    )
+    group.add_argument(
+        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
+    )
+    group.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
+    group.add_argument("--exposure", type=float, help="linear factor (default for PNG: from the picture; for EXR: 1)")
+    group.add_argument("--device", help="cpu (default) or cuda")
+    group.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    return group_parser
+
+
+def _add_tolerance(group: Any) -> None:
+    default = inspect.signature(wd.shade).parameters["tolerance"].default
+    group.add_argument("--tolerance", type=float, default=default, help=f"error asked for (default: {default:g})")
+
+
+def _height_field(options: argparse.Namespace) -> wd.HeightField:
+    named = GRATINGS.get(options.heightfield.lower())
+    if named is not None:
+        hf = named(options)
+    else:
+        if not Path(options.heightfield).is_file():
+            raise FileNotFoundError(
+                f"HEIGHTFIELD: there is no file {options.heightfield!r}; "
+                f"a synthetic one is called by its name, one of {', '.join(GRATINGS)}"
+            )
+        hf = wd.HeightField.load(
+            options.heightfield,
+            extent_um=options.extent_um,
+            pitch_um=options.pixel_um,
+            height_range_um=options.height_range_um,
+        )
+    if options.crop_um is not None:
+        hf = hf.cropped(options.crop_um)
+    if options.level is not None:
+        hf = hf.levelled(order=options.level)
+    if options.despike:
+        hf = hf.despiked()
+    if options.fill:
+        hf = hf.filled()
+    if options.periodic:
+        hf = hf.periodic()
+    return hf
+
+
+def _shared(options: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "tolerance": options.tolerance,
+        "method": options.method,
+        "coherence": wd.Coherence(
+            options.coherence,
+            options.sigma_um,
+            angular_diameter_deg=options.angular_diameter_deg,
+            copies=options.copies and tuple(options.copies),
+        ),
+        "ior": options.ior,
+        "masking": not options.no_masking,
+        "device": options.device,
+        "threads": options.threads,
+        "progress": Bar(options.command),
+    }
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from warpdiff.app import demo
+
+    written = demo.run(options.output, data=options.data, scale=options.scale, say=print, progress=Bar)
+    print(f"{len(written)} pictures in {Path(options.output).resolve()}")
+
+
+def _bench(options: argparse.Namespace) -> None:
+    from warpdiff.bench.suite import runner
+
+    if options.compare:
+        print("\n".join(runner.compare(*map(Path, options.compare))))
+        return
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError("charts are drawn with matplotlib, which is not installed: pip install 'warpdiff[bench]'")
+    report = runner.run(
+        Path(options.output), quick=options.quick, parts=options.filter, device=options.device,
+        threads=options.threads, data=options.data and Path(options.data),
+    )  # fmt: skip
+    print(f"wrote {report.resolve()}, with results.json and results.csv beside it")
+
+
+def _render(options: argparse.Namespace) -> None:
+    # Before minutes are spent on what should go there.
+    check_target(options.output, "--output")
+    hf = _height_field(options)
+    body = _BODIES.get(options.mesh)
+    mesh = body() if body else options.mesh
+    eye, target = _frame(mesh, options)
+    view = wd.View(
+        eye, target, up=tuple(options.up), fov_y_deg=options.fov_y_deg, width=options.width, height=options.height
+    )
+    frame = view.frame()
+    directions = options.light or [list(frame.back + 0.6 * frame.up + 0.3 * frame.right)]
+    lights = [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
+    image = wd.shade(
+        mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
+        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine, **_shared(options),
+    )  # fmt: skip
+    _report(image, options)
+
+
+def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
+    """The eye and target given, or such that the mesh fills the picture, seen a little from above."""
+    import numpy as np
+
+    from warpdiff.scene.mesh_import import prepare_surface
+
+    for name in ("width", "height"):
+        checks.count(getattr(options, name), name)
+    checks.number(options.fov_y_deg, "fov_y_deg", above=0.0, most=179.0)
+    checks.directions(options.up, "up")
+    if options.eye is not None and options.target is not None:
+        return tuple(options.eye), tuple(options.target)
+    surface = prepare_surface(mesh)
+    target = np.asarray(surface.centre if options.target is None else options.target, dtype=np.float64)
+    if options.eye is not None:
+        return tuple(options.eye), tuple(target)
+    up = np.asarray(options.up) / np.linalg.norm(options.up)
+    # Any direction across `up` will do; +z where it can be.
+    front = np.array([0.0, 0.0, 1.0]) if abs(up[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
+    front = front - (front @ up) * up
+    half = math.radians(options.fov_y_deg) / 2.0
+    # The narrower of the two fields of view holds the bounding sphere.
+    half = min(half, math.atan(math.tan(half) * options.width / options.height))
+    distance = surface.radius / math.sin(half)
+    toward = front / np.linalg.norm(front) + 0.6 * up
+    return tuple(target + distance * toward / np.linalg.norm(toward)), tuple(target)
+
+
+def _brdf(options: argparse.Namespace) -> None:
+    # Before minutes are spent on what should go there.
+    check_target(options.output, "--output")
+    theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
+    to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
+    image = wd.brdf_map(
+        _height_field(options), to_light, size=options.size, illuminant=options.illuminant, **_shared(options)
+    )
+    _report(image, options)
+
+
+def _report(image: wd.Image, options: argparse.Namespace) -> None:
+    path = image.save(options.output, exposure=options.exposure)
+    print(image.plan)
+    print(path)
+
+
+def _info(options: argparse.Namespace) -> None:
+    hf = _height_field(options)
+    print(hf.summary())
+    if hf.missing.any():
+        print("\nTo be rendered, missing samples must be filled: --fill")
+    else:
+        print(f"\nFor the whole hemisphere: {wd.plan(hf, tolerance=options.tolerance, strict=False)}")
+
+
+def _cache(options: argparse.Namespace) -> None:
+    from warpdiff.core import disk_cache
+
+    if options.trim_mib is not None:
+        checks.number(options.trim_mib, "--trim-mib", least=0.0)
+    folder = disk_cache.cache_folder()
+    if folder is None:
+        print("nothing is kept: WARPDIFF_CACHE_DIR is empty, or the user has no home folder")
+        return
+    if options.clear:
+        disk_cache.clear(folder)
+    elif options.trim_mib is not None:
+        disk_cache.trim(folder, round(options.trim_mib * 2**20))
+    kept = disk_cache.entries(folder)
+    used = f", last used on {time.strftime('%Y-%m-%d', time.localtime(kept[0].used))}" if kept else ""
+    total = sum(each.size for each in kept)
+    print(
+        f"{folder}: {len(kept)} files, {total / 2**20:.1f} MiB of at most {disk_cache.MOST_BYTES / 2**20:.0f} MiB{used}"
+    )

@@ -1,0 +1,29 @@
+"""What was made lately and may be asked for again, as a light or a view that moves needs the same mesh and tables."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from warpdiff.core import fork_safety
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_T = TypeVar("_T")
+_lock = fork_safety.lock()
+
+
+def found_again(kept: dict[Any, _T], key: Any, make: Callable[[], _T], *, most: int) -> _T:
+    """What is kept under a key, or made now; of more than ``most``, what was not asked for longest goes."""
+    with _lock:
+        found = key in kept
+        if found:
+            kept[key] = result = kept.pop(key)
+    if not found:
+        # Others may make the same meanwhile: all get the first one's.
+        made = make()
+        with _lock:
+            result = kept.setdefault(key, made)
+            while len(kept) > most:
+                del kept[next(iter(kept))]
+    return result

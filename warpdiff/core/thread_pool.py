@@ -1,0 +1,153 @@
+"""Work on several threads, and what this thread does meanwhile."""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core import fork_safety
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+_MOST_WAIT_S = 3e-4
+_NONE = object()
+
+
+class Work:
+    """Some work for each item, which others begin with: the next one whenever a thread is free.
+
+    As a context it is finished where that ends, and in between this thread does what neither needs that work nor is
+    needed by it, and launches on this thread alone.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[Any], None],
+        items: Sequence[Any],
+        *,
+        threads: int,
+        progress: Callable[[float], None] | None = None,
+        joins: bool = False,
+    ) -> None:
+        """Begin on all threads but this one, to which the last item is left if it ``joins`` them at once."""
+        self._work, self._left, self._count, self._progress = work, iter(items), len(items), progress
+        self._lock, self._telling = threading.Lock(), threading.Lock()
+        self._done = 0
+        self._begun = threading.Event()
+        self._process = os.getpid()
+        others = min(threads - 1, len(items) - joins)
+        # More than stay end with the work.
+        self._own = ThreadPoolExecutor(others) if others > cores() else None
+        self._others: list[Future[None]] = []
+        self._others = [(self._own or _kept()).submit(self._help) for _ in range(others)]
+        if self._others and not joins:
+            try:
+                # Another thread does not get hold of the interpreter while this one goes on in it.
+                self._begun.wait(_MOST_WAIT_S)
+            except BaseException:
+                self.abandon()
+                raise
+
+    def _help(self) -> None:
+        """Begin on another thread."""
+        self._begun.set()
+        self._run()
+
+    def _run(self) -> None:
+        """Work until none is left."""
+        try:
+            while not self._is_cut_off:
+                with self._lock:
+                    item = next(self._left, _NONE)
+                if item is _NONE:
+                    return
+                self._work(item)
+                self._tell()
+        except BaseException:
+            self._drop()
+            raise
+
+    def _tell(self) -> None:
+        """Tell of progress, one thread at a time; meanwhile others begin with what is left."""
+        with self._telling:
+            self._done += 1
+            if self._progress is not None:
+                self._progress(self._done / self._count)
+
+    @property
+    def _is_cut_off(self) -> bool:
+        """Whether others were at it when this process was forked: they are in the parent."""
+        return bool(self._others) and os.getpid() != self._process
+
+    def _drop(self) -> None:
+        """Leave what nobody has begun with."""
+        if not self._is_cut_off:
+            with self._lock:
+                self._left = iter(())
+
+    def _await(self) -> None:
+        """Wait for those that have begun."""
+        if not self._is_cut_off:
+            # Those that have not begun may never do so: whatever keeps them from it may wait for this thread.
+            self._others = [other for other in self._others if not other.cancel()]
+            wait(self._others)
+            if self._own is not None:
+                self._own.shutdown(wait=False)
+
+    def finish(self) -> None:
+        """Take part in it until all is done, and raise what was raised; the first error ends it."""
+        try:
+            self._run()
+        finally:
+            self._await()
+        if self._is_cut_off:
+            raise RuntimeError(f"this process was forked in the midst of work on several threads: {fork_safety.REMEDY}")
+        for other in self._others:
+            other.result()
+
+    def abandon(self) -> None:
+        """End it where it is, whatever was raised."""
+        self._drop()
+        self._await()
+
+    def __enter__(self) -> Work:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            self.abandon()
+
+
+def side_by_side(work: Callable[[Any], None], items: Sequence[Any], *, threads: int) -> None:
+    """Do some work for each item, the next one whenever a thread is free."""
+    Work(work, items, threads=threads, joins=True).finish()
+
+
+def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
+    """Slices that get smaller, so that threads finish together."""
+    first = 0
+    while first < size:
+        end = min(first + min(max((size - first) // (2 * threads), least), most), size)
+        yield range(first, end)
+        first = end
+
+
+def cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@functools.cache
+def _kept() -> ThreadPoolExecutor:
+    """Threads that stay, one a core: to start them takes as long as a small launch."""
+    return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
+
+
+# A child has none of its parent's threads.
+fork_safety.at_fork(in_child=_kept.cache_clear)

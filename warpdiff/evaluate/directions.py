@@ -1,0 +1,476 @@
+"""The reflectance at arrays of directions: XYZ, spectra, the absolute BRDF, and maps over the hemisphere."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.compute.pipeline import launch
+from warpdiff.core import checks, free_memory
+from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.fourier import direct_sum
+from warpdiff.image.image import Image, relative_errors
+from warpdiff.kernels.limits import HORIZON
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.coherence import Coherence
+from warpdiff.planning.planner import broadcast_directions, check_request, plan_for, warn_outside
+from warpdiff.plans.direction_range import DirectionSample, Scope
+from warpdiff.plans.plan import Plan
+from warpdiff.tables.coefficient_table import table_for
+from warpdiff.tables.integrator import Integrator
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import warp as wp
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.surface.heightfield import HeightField
+
+# The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
+_DIRECT_SETTLED = 0.05
+_DIRECT_MOST_WAVELENGTHS = 20_000
+# What a direction takes, as measured, what each of its values at given wavelengths does, and a direction of a map.
+_BYTES_A_DIRECTION, _BYTES_A_VALUE, _BYTES_OF_MAP = 170, 16, 190
+
+
+def spectral_reflectance(
+    hf: HeightField,
+    to_light: ArrayLike,
+    to_view: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float = 1.5,
+    masking: bool = True,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[Any]:
+    """Relative reflectance ρ(λ): 1 for a flat mirror seen in the mirror direction at normal incidence.
+
+    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions.md``). It is a ratio of radiances,
+    without a further cosine, and is not bounded by 1.
+
+    Args:
+        hf: The height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
+        to_view: Directions to the viewer, the same; one and many broadcast.
+        wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
+        tolerance: Largest |Δρ| against max(ρ, 1e-3 · 99th percentile of the call).
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        masking: Whether V-cavity masking and shadowing is included.
+        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
+        strict: Raise where the tolerance cannot be met, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+
+    Returns:
+        ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
+        at or below the horizon.
+    """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
+    wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
+    call = _Call(
+        hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+        plan=plan, strict=strict, device=device, threads=threads, wavelengths_nm=wavelengths,
+    )  # fmt: skip
+    return call.single(call.spectra(wavelengths, progress=progress))
+
+
+def reflectance(
+    hf: HeightField,
+    to_light: ArrayLike,
+    to_view: ArrayLike,
+    *,
+    illuminant: str = "D65",
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float = 1.5,
+    masking: bool = True,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[Any]:
+    """Colour of the reflectance: ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
+
+    Args:
+        hf: The height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
+        to_view: Directions to the viewer, the same; one and many broadcast.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the call's directions and of the bright ones
+            (Y at least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        masking: Whether V-cavity masking and shadowing is included.
+        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
+        strict: Raise where the tolerance cannot be met, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+
+    Returns:
+        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
+        normal incidence gives the illuminant's white, Y = 1.
+    """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
+    colorimetry.check_illuminant(illuminant)
+    call = _Call(
+        hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+        plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
+    )  # fmt: skip
+    return call.single(call.colours(illuminant, progress=progress))
+
+
+def brdf_map(
+    hf: HeightField,
+    to_light: ArrayLike,
+    *,
+    size: int = 512,
+    illuminant: str = "D65",
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float = 1.5,
+    masking: bool = True,
+    samples_per_pixel: int = 1,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """Colour of the reflectance over all view directions, seen from above.
+
+    The picture is the unit disc of (sin θr cos φr, sin θr sin φr): x to the right, y up.
+
+    Args:
+        hf: The height field.
+        to_light: Direction to the light in the local frame, shape (3,), above the horizon.
+        size: Width and height of the picture [pixels].
+        illuminant: As in :func:`reflectance`.
+        tolerance: As in :func:`reflectance`; the disc's pixels are the directions of the call.
+        method: As in :func:`reflectance`.
+        coherence: As in :func:`reflectance`.
+        ior: As in :func:`reflectance`.
+        masking: As in :func:`reflectance`.
+        samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
+        plan: As in :func:`reflectance`.
+        strict: As in :func:`reflectance`.
+        device: As in :func:`reflectance`.
+        threads: As in :func:`reflectance`.
+        progress: As in :func:`reflectance`.
+
+    Returns:
+        The map; its mask is the inside of the disc.
+
+    Raises:
+        ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
+        MemoryError: More memory than is free; the message says what fits.
+    """
+    check_call(
+        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+        threads=threads, progress=progress,
+    )  # fmt: skip
+    colorimetry.check_illuminant(illuminant)
+    light, single = checks.directions(to_light, "to_light")
+    if not single:
+        raise ValueError(f"to_light must have shape (3,) for a map, got {np.shape(to_light)}")
+    if light[0, 2] <= HORIZON:
+        raise ValueError(f"to_light must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}")
+    size = checks.count(size, "size", least=2)
+    across = math.isqrt(checks.count(samples_per_pixel, "samples_per_pixel"))
+    if across * across != samples_per_pixel:
+        raise ValueError(f"samples_per_pixel must be a square number, for they lie on a grid, got {samples_per_pixel}")
+    count = across * size
+    if count * count > free_memory.MOST_ELEMENTS:
+        raise ValueError(
+            f"size² · samples_per_pixel must be at most {free_memory.MOST_ELEMENTS} directions, got {count * count}"
+        )
+    free_memory.require(
+        _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",
+        "take at most {side} times the size, or {share} of the samples",
+    )  # fmt: skip
+    axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
+    x, y = np.meshgrid(axis, -axis)
+    radius2 = x * x + y * y
+    inside = radius2 < 1.0
+    views = np.stack([x[inside], y[inside], np.sqrt(1.0 - radius2[inside])], axis=1)
+    call = _Call(
+        hf, light, views, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
+        strict=strict, device=device, threads=threads, illuminant=illuminant,
+    )  # fmt: skip
+    colours = np.zeros((count, count, 3), dtype=np.float32)
+    colours[inside] = call.colours(illuminant, progress=progress)
+    xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
+    coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
+    mask = coverage > 0.0
+    error = relative_errors(call.plan.error * np.linalg.norm(xyz, axis=-1), xyz, mask)
+    return Image(xyz=xyz, mask=mask, lit=mask, coverage=coverage, error=error, plan=call.plan)
+
+
+def brdf(
+    hf: HeightField,
+    to_light: ArrayLike,
+    to_view: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float = 1.5,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[Any]:
+    """Absolute BRDF [1/sr] (Stam 1999), never masked.
+
+    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times what the coherence makes of it: for a window 4πσ²/λ², the
+    whole then being |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²); for a source of covariance Σs 1/(2π √det Σs); for copies
+    of a patch of area A it is A N1 N2/λ². It is reciprocal, except for a source, which only the light has. Scalar
+    diffraction does not conserve energy exactly: the sum over the orders exceeds R a little for shallow profiles, and a
+    lot for short periods at grazing angles.
+
+    Args:
+        hf: The height field.
+        to_light: As in :func:`spectral_reflectance`.
+        to_view: As in :func:`spectral_reflectance`.
+        wavelengths_nm: As in :func:`spectral_reflectance`.
+        tolerance: As in :func:`spectral_reflectance`.
+        method: As in :func:`spectral_reflectance`.
+        coherence: As in :func:`spectral_reflectance`.
+        ior: As in :func:`spectral_reflectance`.
+        plan: As in :func:`spectral_reflectance`.
+        strict: As in :func:`spectral_reflectance`.
+        device: As in :func:`spectral_reflectance`.
+        threads: As in :func:`spectral_reflectance`.
+        progress: As in :func:`spectral_reflectance`.
+
+    Returns:
+        Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
+    """
+    relative = spectral_reflectance(
+        hf, to_light, to_view, wavelengths_nm, tolerance=tolerance, method=method, coherence=coherence, ior=ior,
+        masking=False, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+    )  # fmt: skip
+    lights, _, single = broadcast_directions(to_light, to_view)
+    used = plan.coherence if plan is not None else coherence or Coherence()
+    wavelengths_um = colorimetry.check_wavelengths(wavelengths_nm) * 1e-3
+    cos_light = np.where(lights[:, 2] > HORIZON, lights[:, 2], 1.0)
+    scale = reflectance_factors.brdf_scale(cos_light, wavelengths_um, used, hf.size_um[0] * hf.size_um[1])
+    scale *= reflectance_factors.normal_reflectance(ior)
+    return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))
+
+
+def check_call(
+    hf: Any,
+    *,
+    tolerance: Any,
+    method: Any,
+    coherence: Any,
+    masking: Any,
+    strict: Any,
+    device: Any,
+    threads: Any,
+    progress: Any,
+) -> None:
+    """Refuse what the evaluating functions have in common, before anything is computed."""
+    check_request(hf, tolerance=tolerance, method=method, coherence=coherence, strict=strict)
+    checks.flag(masking, "masking")
+    checks.callback(progress, "progress")
+    resolve_threads(threads)
+    resolve_device(device)
+
+
+def check_plan(plan: Plan, coherence: Coherence | None, *, colour: bool) -> Plan:
+    """Return an explicit plan if the call can use it."""
+    if not isinstance(plan, Plan):
+        raise TypeError(f"plan must be a warpdiff.Plan, such as warpdiff.plan(hf) returns, got {type(plan).__name__}")
+    if coherence is not None and coherence != plan.coherence:
+        raise ValueError("coherence differs from the one in plan=; give one of them, or dataclasses.replace the plan's")
+    if colour and plan.wavelengths == 0:
+        raise ValueError("plan has no wavelengths, it was made for given ones; make one with warpdiff.plan(hf)")
+    return plan
+
+
+class _Call:
+    """Pairs of directions with the plan for them."""
+
+    def __init__(
+        self,
+        hf: HeightField,
+        to_light: ArrayLike,
+        to_view: ArrayLike,
+        *,
+        tolerance: float,
+        method: str,
+        coherence: Coherence | None,
+        ior: float,
+        masking: bool,
+        plan: Plan | None,
+        strict: bool,
+        device: Any,
+        threads: int | None,
+        illuminant: str = "D65",
+        wavelengths_nm: NDArray[np.float64] | None = None,
+    ) -> None:
+        self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
+        directions = len(self._lights)
+        values = 0 if wavelengths_nm is None else len(wavelengths_nm)
+        free_memory.require(
+            directions * (_BYTES_A_DIRECTION + _BYTES_A_VALUE * values),
+            f"a call of {directions} directions" + f" at {values} wavelengths" * (values > 0),
+            "take at most {share} of them at a time",
+        )
+        self._hf = hf
+        self._device, self._threads = resolve_device(device), resolve_threads(threads)
+        if plan is not None:
+            check_plan(plan, coherence, colour=wavelengths_nm is None)
+        window = plan.coherence if plan is not None else coherence or Coherence()
+        self._deflections = -self._lights - self._views
+        normal, per_cosine = reflectance_factors.normal_reflectance(ior), window.kind == "source"
+        self._gains = reflectance_factors.gain(
+            self._lights, self._views, normal=normal, masking=masking, per_light_cosine=per_cosine
+        )
+        lit = self._gains > 0.0
+        self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
+        if plan is None:
+            sample = DirectionSample.among(self._deflections, self._lights, self._gains)
+            plan = plan_for(
+                hf, self._scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict,
+                count=float(np.count_nonzero(lit)), illuminants=(illuminant,), wavelengths_nm=wavelengths_nm,
+                device=self._device, threads=self._threads,
+            )  # fmt: skip
+        else:
+            warn_outside(plan, hf, self._scope)
+        self.plan = plan
+
+    def single(self, values: NDArray[Any]) -> NDArray[Any]:
+        """The values of a pair of single directions without the axis of directions."""
+        return np.asarray(values[0]) if self._is_single else values
+
+    def spectra(self, wavelengths_nm: NDArray[np.float64], *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+        """ρ, shape (n, m)."""
+        if self.plan.method == "direct":
+            result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
+            lit = self._gains > 0.0
+            power = direct_sum.window_power(
+                self._hf, self.plan.coherence, self._deflections[lit], wavelengths_nm * 1e-3,
+                to_lights=self._lights[lit], progress=progress,
+            )  # fmt: skip
+            result[lit] = self._gains[lit, None] * power
+            return result
+        import warp as wp
+
+        table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
+        wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._device)
+        values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._device)
+        launch(
+            table.sample, len(self._lights), [table.arguments, *self._deflect(), wavenumbers], [values],
+            device=self._device, threads=self._threads, progress=progress,
+        )  # fmt: skip
+        return np.asarray(values.numpy())
+
+    def colours(self, illuminant: str, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+        """XYZ, shape (n, 3)."""
+        if self.plan.method == "direct":
+            return direct_colour(
+                self._hf, self._deflections, self._lights, self._gains, self.plan, illuminant, progress=progress
+            )
+        import warp as wp
+
+        integrator = Integrator(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
+        xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._device)
+        integrator.add(*self._deflect(), illuminant, xyz, progress=progress)
+        return np.asarray(xyz.numpy())
+
+    def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Deflections, directions to the light and gains on the device."""
+        import warp as wp
+
+        return (
+            wp.array(self._deflections, dtype=wp.vec3d, device=self._device),
+            wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=self._device),
+            wp.array(self._gains.astype(np.float32), dtype=wp.float32, device=self._device),
+        )
+
+
+def direct_colour(
+    hf: HeightField,
+    deflections: NDArray[np.float64],
+    to_lights: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    plan: Plan,
+    illuminant: str,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.float64]:
+    """XYZ by the direct sum: the step in 1/λ is halved until XYZ settles to a twentieth of the tolerance.
+
+    The first step is the one of the plan's bounds, which no order slips through.
+    """
+    result = np.zeros((len(gains), 3))
+    lit = np.flatnonzero(gains > 0.0)
+    unsettled = 0
+
+    def powers(index: int, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        one = slice(index, index + 1)
+        found = direct_sum.window_power(
+            hf, plan.coherence, deflections[one], wavelengths_nm * 1e-3, to_lights=to_lights[one]
+        )
+        return np.asarray(found[0])
+
+    for done, i in enumerate(lit.tolist()):
+        count = plan.wavelengths * plan.subdivisions
+        wavelengths = colorimetry.wavelengths_uniform_in_wavenumber(count)
+        values = powers(i, wavelengths)
+        colour = values @ colorimetry.quadrature_weights(wavelengths, illuminant)
+        settled = False
+        while not settled and 2 * count < _DIRECT_MOST_WAVELENGTHS:
+            count = 2 * count - 1
+            finer = colorimetry.wavelengths_uniform_in_wavenumber(count)
+            refined = np.empty(count)
+            refined[::2] = values
+            refined[1::2] = powers(i, finer[1::2])
+            values, before = refined, colour
+            colour = values @ colorimetry.quadrature_weights(finer, illuminant)
+            change = float(np.linalg.norm(colour - before))
+            settled = change <= _DIRECT_SETTLED * plan.tolerance * float(np.linalg.norm(colour))
+        unsettled += not settled
+        result[i] = gains[i] * colour
+        if progress is not None:
+            progress((done + 1) / len(lit))
+    if unsettled:
+        warnings.warn(
+            f"the direct sum of {unsettled} of {len(lit)} directions has not settled at {_DIRECT_MOST_WAVELENGTHS} "
+            "wavelengths, the most it takes: ask for a larger tolerance, or for spectral_reflectance",
+            WarpdiffWarning,
+            stacklevel=4,
+        )
+    return result

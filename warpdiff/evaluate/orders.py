@@ -1,0 +1,153 @@
+"""Efficiencies of the orders of a periodic height field: where its light goes, in shares of what comes in.
+
+In order m a grating sends the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the power that falls on it,
+which is the absolute BRDF (Stam 1999) without a window and integrated over the order. Each order has a w, and so a κ =
+w/λ, of its own. In place of an FFT for each, there is one for each of a few κ and an interpolation between them.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import checks, free_memory
+from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.kernels.limits import HORIZON
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.surface.heightfield import check_whole
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.surface.heightfield import HeightField
+
+
+# What a sample of the cell takes, as measured, an order at a wavelength, and its terms.
+_BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
+
+
+@dataclass(frozen=True, eq=False)
+class OrderEfficiencies:
+    """What goes into which order; ``found[m_y, m_x]`` is the efficiency of one order at each wavelength, shape (m,).
+
+    Attributes:
+        wavelengths_nm: Wavelengths [nm], shape (m,).
+        orders: Pairs (m_y, m_x) of all orders that propagate at one of the wavelengths at least, shape (n, 2), sorted.
+        to_view: Unit vectors ωr along which they leave, shape (m, n, 3); NaN where an order is evanescent.
+        efficiencies: Shares of the incident power, shape (m, n); 0 where an order is evanescent.
+    """
+
+    wavelengths_nm: NDArray[np.float64]
+    orders: NDArray[np.int64]
+    to_view: NDArray[np.float64]
+    efficiencies: NDArray[np.float64]
+
+    def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
+        """The efficiency of order (m_y, m_x) at each wavelength, shape (m,); 0 for one that never propagates."""
+        pair = [checks.count(m, "order", least=-(2**31)) for m in order]
+        return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=1))
+
+
+def order_efficiencies(
+    hf: HeightField, to_light: ArrayLike, wavelengths_nm: ArrayLike, *, ior: float = 1.5
+) -> OrderEfficiencies:
+    """Absolute efficiencies of all propagating orders of a height field that repeats without end, in float64.
+
+    Order (m_y, m_x) leaves where ωi + ωr = (m_x λ/Lx, m_y λ/Ly) along x and y (the grating equation, sin θi + sin θr =
+    mλ/L), and its amplitude is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh). There is no masking. The
+    efficiencies sum to R only nearly, and to more for short periods at grazing angles: that is the scalar theory's.
+
+    Args:
+        hf: One period of the surface; an axis of one sample is constant and has no order but 0.
+        to_light: Direction to the light in the local frame, above the horizon, shape (3,).
+        wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+
+    Returns:
+        Orders, their directions and efficiencies.
+
+    Raises:
+        TypeError: ``hf`` is not a height field, or an argument is not numeric.
+        ValueError: An argument is out of its range, samples are missing, or the light is not above the horizon.
+        MemoryError: More memory than is free; the message says what fits.
+    """
+    check_whole(hf)
+    light = checks.directions(checks.vector(to_light, "to_light"), "to_light")[0]
+    if light[0, 2] <= HORIZON:
+        raise ValueError(f"to_light must be above the horizon, z > 0, got {to_light!r}")
+    wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
+    normal = reflectance_factors.normal_reflectance(ior)
+    # Along an axis |mλ/L − ωi| < 1 where an order propagates; pairs are (y, x).
+    ranges = []
+    for length, n, component in zip(hf.size_um, hf.shape, light[0, 1::-1], strict=True):
+        reach = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
+        ranges.append((math.ceil((component - 1.0) * reach), math.floor((component + 1.0) * reach) + 1))
+    samples, lines = hf.shape[0] * hf.shape[1], math.prod(end - begin for begin, end in ranges)
+    terms = _term_count(math.pi * hf.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
+    free_memory.require(
+        _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
+        f"a cell of {hf.shape[0]} × {hf.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
+        "take at most {share} of the area, or fewer wavelengths at a time",
+    )
+    orders = np.stack(np.meshgrid(*(np.arange(*each) for each in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
+    tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / hf.size_um[::-1]) - light[0, :2]
+    upward = 1.0 - np.sum(tangential**2, axis=-1)
+    lives = upward > HORIZON**2
+    seen = lives.any(axis=0)
+    orders, tangential, upward, lives = orders[seen], tangential[:, seen], upward[:, seen], lives[:, seen]
+    _warn_of_aliasing(hf, orders)
+    to_view = np.full((*lives.shape, 3), np.nan)
+    to_view[lives] = np.column_stack([tangential[lives], np.sqrt(upward[lives])])
+    efficiencies = np.zeros(lives.shape)
+    for row, wavelength in enumerate(wavelengths * 1e-3):
+        live = lives[row]
+        views = to_view[row, live]
+        lights = np.broadcast_to(light, views.shape)
+        powers = np.abs(_coefficients(hf, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
+        gains = reflectance_factors.gain(lights, views, normal=normal, masking=False, per_light_cosine=True)
+        efficiencies[row, live] = normal * gains * powers
+    return OrderEfficiencies(wavelengths, orders, to_view, efficiencies)
+
+
+def _coefficients(hf: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """H_rs(κ) up to a phase, each at a κ of its own, to some 1e-13; indices are pairs (s, r), shape (n, 2)."""
+    heights = hf.heights_um - (hf.heights_um.max() + hf.heights_um.min()) / 2.0
+    # The mirror's order always propagates, so there is one; alone, it has no range of κ.
+    middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
+    # As a function of κ the exponential is that of Jacobi and Anger, whose Chebyshev terms end beyond its argument.
+    argument = math.pi * half * hf.height_range_um
+    count = _term_count(argument)
+    nodes = np.cos(math.pi * (np.arange(count) + 0.5) / count)
+    chebyshev = np.polynomial.chebyshev.chebvander
+    terms = chebyshev(np.clip((kappas - middle) / half, -1.0, 1.0), count - 1) * (2.0 / count)
+    terms[:, 0] /= 2.0
+    weights = terms @ chebyshev(nodes, count - 1).T
+    rows, columns = (indices % hf.shape).T
+    result = np.zeros(len(kappas), dtype=np.complex128)
+    for node, weight in zip(nodes, weights.T, strict=True):
+        spectra = np.fft.ifft2(np.exp(2j * math.pi * (middle + half * node) * heights))
+        result += weight * spectra[rows, columns]
+    return result
+
+
+def _term_count(argument: float) -> int:
+    """Chebyshev terms of an exponential of a range of so much."""
+    return math.ceil(argument + 10.0 * math.cbrt(argument)) + 16
+
+
+def _warn_of_aliasing(hf: HeightField, orders: NDArray[np.int64]) -> None:
+    """Warn of orders beyond half the samples of an axis, which repeat those within."""
+    for name, axis in (("y", 0), ("x", 1)):
+        largest = int(np.max(np.abs(orders[:, axis]), initial=0))
+        if 2 * largest > hf.shape[axis] > 1:
+            warnings.warn(
+                f"orders up to {largest} propagate along {name}, and {hf.shape[axis]} samples carry half as many: "
+                "those beyond repeat those within; scan at a finer pitch, or use HeightField.resampled() where the "
+                "surface is known to be smooth",
+                WarpdiffWarning,
+                stacklevel=3,
+            )

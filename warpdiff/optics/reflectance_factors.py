@@ -1,0 +1,141 @@
+"""Everything in the reflectance that does not depend on the height field, in NumPy float64.
+
+Directions are unit vectors in the local frame, away from the surface: x along the tangent, z along the normal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import checks
+from warpdiff.kernels.limits import HORIZON
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.coherence import Coherence
+
+
+def normal_reflectance(ior: Any) -> float:
+    """R(0) = ((n − 1)/(n + 1))² of an index of refraction n > 1; infinity is a perfect mirror, 1."""
+    if isinstance(ior, (int, float, np.integer, np.floating)) and not isinstance(ior, bool) and ior == math.inf:
+        return 1.0
+    try:
+        index = checks.number(ior, "ior", above=1.0)
+    except ValueError:
+        raise ValueError(
+            f"ior must be an index of refraction > 1, or math.inf for a perfect mirror, got {ior!r}"
+        ) from None
+    return ((index - 1.0) / (index + 1.0)) ** 2
+
+
+def schlick(cosine: NDArray[np.float64], normal: float) -> NDArray[np.float64]:
+    """Schlick's power reflectance R0 + (1 − R0)(1 − cos θ)⁵."""
+    return np.asarray(normal + (1.0 - normal) * (1.0 - cosine) ** 5)
+
+
+def gain(
+    to_light: NDArray[np.float64],
+    to_view: NDArray[np.float64],
+    *,
+    normal: float,
+    masking: bool,
+    per_light_cosine: bool = False,
+) -> NDArray[np.float64]:
+    """The factor C·M between ⟨|P|²⟩ and the relative reflectance ρ; 0 where a direction is at or below the horizon.
+
+    C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is Single 2014, eq. 3.15, with Schlick's power
+    reflectance used once; M is the V-cavity masking and shadowing of Cook and Torrance (1982). For a light of a size
+    it is C·M/cos θi: in the mirror direction a flat mirror shows the radiance of the source, ρ = R(θi)/R(0).
+
+    Args:
+        to_light: Unit vectors, shape (n, 3).
+        to_view: Unit vectors, shape (n, 3).
+        normal: R(0).
+        masking: Whether to include M.
+        per_light_cosine: Whether to divide by cos θi, as for a coherence of kind ``"source"``.
+
+    Returns:
+        Shape (n,).
+    """
+    cos_i, cos_r = to_light[:, 2], to_view[:, 2]
+    above = (cos_i > HORIZON) & (cos_r > HORIZON)
+    half = to_light + to_view
+    # 1 + ωi·ωr = |ωi + ωr|²/2 without cancellation; it is 0 only for opposite directions, of which one lies below.
+    overlap = np.sum(half * half, axis=1) / 2.0
+    safe = np.where(above, overlap, 1.0)
+    cos_d = np.sqrt(safe / 2.0)
+    total = np.where(above, cos_i + cos_r, 1.0)
+    cos_r = np.where(above, cos_r, 1.0)
+    result = schlick(np.minimum(cos_d, 1.0), normal) / normal * (safe / total) ** 2 / cos_r
+    if masking:
+        cos_h = total / np.sqrt(2.0 * safe)
+        result = result * np.minimum(1.0, 2.0 * cos_h * np.minimum(cos_r, cos_i) / cos_d)
+    if per_light_cosine:
+        result = result / np.where(above, cos_i, 1.0)
+    return np.asarray(np.where(above, result, 0.0))
+
+
+def light_solid_angle(
+    wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
+) -> NDArray[np.float64]:
+    """Ω(λ) [sr]: the solid angle of the light that keeps just this much of the surface in step.
+
+    A Gaussian window of the amplitude, averaged or centred: λ²/(4πσ²). A source of angular radius α = √2 s:
+    πα² = 2πs². N1 × N2 copies of a patch of area A: λ²/(A N1 N2). In each of them Ω = λ² ∫g² / |∫g|², with g the window
+    (Stam 1999), which for a source is the one of van Cittert and Zernike, σ(λ) = λ/(2√2 πs). The relative reflectance
+    is the radiance over that of this light, so that Ω is all it takes to compare ρ with anything that is absolute.
+
+    Args:
+        wavelengths_um: Wavelengths [µm].
+        coherence: The window, source or copies.
+        patch_area_um2: Area of the patch, Lx·Ly [µm²]; it matters for copies only.
+
+    Returns:
+        The shape of the wavelengths.
+    """
+    if coherence.kind == "source":
+        return np.full(np.shape(wavelengths_um), 2.0 * math.pi * coherence.spread**2)
+    if coherence.copies is not None:
+        area = patch_area_um2 * coherence.copies[0] * coherence.copies[1]
+    else:
+        area = 4.0 * math.pi * (coherence.sigma_um or 0.0) ** 2
+    return np.asarray(wavelengths_um**2 / area)
+
+
+def pigment_solid_angle(
+    wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
+) -> NDArray[np.float64]:
+    """G = Ω/π: what relates a Lambertian reflectance to the relative one; a Lambertian BRDF is a/π.
+
+    λ²/(4π²σ²) for Gaussian windows, 2s² for a source, λ²/(πA N1 N2) for copies of a patch of area A; the arguments are
+    those of :func:`light_solid_angle`.
+    """
+    return light_solid_angle(wavelengths_um, coherence, patch_area_um2) / math.pi
+
+
+def brdf_scale(
+    cos_light: NDArray[np.float64],
+    wavelengths_um: NDArray[np.float64],
+    coherence: Coherence,
+    patch_area_um2: float,
+) -> NDArray[np.float64]:
+    """1/(Ω cos θi): the absolute BRDF [1/sr] over R(0)·ρ, with ρ unmasked (Stam 1999).
+
+    With ρ = C ⟨|P|²⟩, for a source C/cos θi ⟨|P|²⟩, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times
+    4πσ²/λ² for Gaussian windows, 1/(2π √det Σs) for a source, whose √det Σs = s² cos θi has the second cosine, and
+    A N1 N2/λ² for copies.
+
+    Args:
+        cos_light: cos θi > 0, shape (n,).
+        wavelengths_um: Wavelengths [µm], shape (m,).
+        coherence: The window, source or copies.
+        patch_area_um2: Area of the patch [µm²].
+
+    Returns:
+        Shape (n, m).
+    """
+    return 1.0 / (cos_light[:, None] * light_solid_angle(wavelengths_um, coherence, patch_area_um2))

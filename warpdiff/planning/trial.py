@@ -1,0 +1,312 @@
+"""Plans tried on a call's directions: what they make of pilots and of a jury, against what is true of these.
+
+A search may try what it likes on the pilots; the jury is not looked at before it judges what was found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.compute.device import load
+from warpdiff.compute.pipeline import launch
+from warpdiff.fourier import low_rank_basis
+from warpdiff.planning import pilot_directions
+from warpdiff.plans.direction_range import lateral
+from warpdiff.plans.plan import MOST_FUNCTIONS
+from warpdiff.tables import coefficient_table, colour_table
+from warpdiff.tables.integrator import Integrator
+
+if TYPE_CHECKING:
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.plans.direction_range import DirectionSample, Scope
+    from warpdiff.plans.plan import Plan
+    from warpdiff.surface.heightfield import HeightField
+
+# Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
+_LUCKY = 4
+# Light that is this weak against a mirror's is darkness, whatever else a call sees.
+DARK = 1e-10
+# A picture's floor, as a share of its brightness.
+_FLOOR = 1e-3
+# Neighbours' share of what a truth may leave out.
+_LEFT_OUT = 0.25
+# Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
+TRUTH = "jacobi-anger"
+_SPECTRAL_SAMPLES = 64
+# Directions are few and dear: a launch is cut into slices that keep every thread busy.
+_SLICE = 8
+
+
+class Group:
+    """Directions on a device, how much each of them weighs, and what is true of them.
+
+    Attributes:
+        sample: The directions and their weights.
+        exact: What the finest plan makes of them, once it has been asked; shape as of ``Trial.run``.
+        scale: What errors are relative to, (rows, n), a row for each illuminant and floor.
+        above: Whether they are bright, (rows, n).
+    """
+
+    def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
+        import warp as wp
+
+        self.sample = sample
+        # A spectrum's points are its pixels.
+        self.weights = np.repeat(sample.weights, points)
+        self.deflections = wp.array(sample.deflections, dtype=wp.vec3d, device=device)
+        self.to_lights = wp.array(sample.to_lights.astype(np.float32), dtype=wp.vec3f, device=device)
+        self.gains = wp.array(sample.gains.astype(np.float32), dtype=wp.float32, device=device)
+        self.exact: NDArray[np.float64] | None = None
+        self.scale: NDArray[np.float64]
+        self.above: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+    def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
+        """Find what errors are relative to, as the README defines them, for floors of shape (illuminants, m)."""
+        self.exact, rows = exact, floors.reshape(-1, 1)
+        self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
+        self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
+
+    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The error of each direction, shape (rows, n)."""
+        moved = np.linalg.norm(values - against, axis=2)
+        return np.asarray(np.repeat(moved, len(self.scale) // len(moved), axis=0) / self.scale)
+
+
+class Trial:
+    """Some directions of a call on a device, and what the finest plan makes of them.
+
+    Args of its constructor: the plan from bounds, the height field, the range of the call, a sample of its directions,
+    its illuminants, of which the worst counts, given wavelengths in place of an integral, the plan from bounds for a
+    tolerance so large that it only tells what is bright, and where to try.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        hf: HeightField,
+        scope: Scope,
+        sample: DirectionSample,
+        illuminants: tuple[str, ...],
+        wavelengths_nm: NDArray[np.float64] | None,
+        *,
+        coarse: Plan,
+        device: wp.Device,
+        threads: int,
+    ) -> None:
+        import warp as wp
+
+        self.hf, self._scope, self._device, self._threads = hf, scope, device, threads
+        self._illuminants = illuminants
+        self._wavenumbers, self._points = None, 1
+        self.integrates = wavelengths_nm is None
+        if wavelengths_nm is not None:
+            self._points = min(_SPECTRAL_SAMPLES, len(wavelengths_nm))
+            some = np.linspace(0, len(wavelengths_nm) - 1, self._points).astype(int)
+            self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
+        self._gain = float(np.percentile(sample.gains, 99.0))
+        terms = low_rank_basis.series_terms(hf, scope.kappas)
+        self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms)
+        kernels = kernels_tried(terms, plan.method, min(plan.terms, coefficient_table.LANES), plan.coherence)
+        load([each.integrate if self.integrates else each.sample for each in kernels], device)
+
+        seen, suspect = pilot_directions.watched(hf, scope, sample, coarse, threads=threads)
+        self._watched = self._group(seen)
+        self._sees_all = len(seen) == round(seen.weights.sum())
+        luminance = _luminance(self.run(coarse, self._watched))
+        self._find_floors(luminance)
+        # Of a spectrum's points the brightest tells.
+        brightest = luminance[0].reshape(len(seen), -1).max(axis=1)
+        searched, judging = pilot_directions.drawn(seen, suspect, brightest, float(self._floors[0].min()))
+        self.pilots = self._watched if searched is seen else self._group(searched)
+        self.jury = self._watched if judging is seen else self._group(judging)
+        self.lateral = lateral(hf, plan.coherence, self.pilots.sample.deflections, self.pilots.sample.to_lights)
+        self.w = np.abs(self.pilots.sample.deflections[:, 2])
+        self.sharpen(plan)
+
+    @property
+    def any_light(self) -> bool:
+        """Whether any of the directions sees more than darkness."""
+        return bool(np.any(self._floors > DARK) or np.any(self.exact(self.pilots) > DARK))
+
+    @property
+    def bright(self) -> tuple[float, float]:
+        """How many of the jury are bright, by the highest floor and by the lowest; infinite where all are judged."""
+        if len(self.jury) == len(self._watched):
+            return math.inf, math.inf
+        self.exact(self.jury)
+        counts = np.count_nonzero(self.jury.above, axis=1).reshape(self._floors.shape)
+        return float(counts.min()), float(counts.max(axis=1).min())
+
+    @property
+    def max_lateral(self) -> float:
+        """The largest lateral of the call, to which bounds need not reach."""
+        return self._scope.max_lateral
+
+    @property
+    def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Lateral, |w| and weight of what is watched, as the call's cost depends on them."""
+        seen = self._watched.sample
+        reaches = lateral(self.hf, self.finest.coherence, seen.deflections, seen.to_lights)
+        return reaches, np.abs(seen.deflections[:, 2]), seen.weights
+
+    def _group(self, sample: DirectionSample) -> Group:
+        return Group(sample, self._device, self._points)
+
+    def _find_floors(self, luminance: NDArray[np.float64]) -> None:
+        """Find the floors of each illuminant from luminances (illuminants, n) of what is watched.
+
+        Where that is a part of the call, its few brightest directions may be luck: errors are to be small by a floor
+        with them and by one without.
+        """
+        order = np.argsort(luminance[0])
+        kept = [order] if self._sees_all else [order, order[: -_LUCKY * self._points]]
+        weights = self._watched.weights
+        bright = [
+            [brightness(each[some], weights[some], with_median=self.integrates) for some in kept] for each in luminance
+        ]
+        self._floors = np.maximum(_FLOOR * np.asarray(bright), DARK)
+
+    def sharpen(self, plan: Plan) -> None:
+        """Judge by twice the wavelengths of a plan."""
+        if plan.coherence.adds_powers:
+            # The mirror's coefficient, of power 1, must not show in what is far darker.
+            needed = _LEFT_OUT * plan.tolerance * float(self._floors.min()) / self._gain
+            self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
+        if self.integrates:
+            self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
+        for group in (self.pilots, self.jury):
+            group.exact = None
+
+    def settle(self, plan: Plan) -> None:
+        """See with a plan that is nearly right how bright the call is, which errors are relative to."""
+        self._find_floors(_luminance(self.run(plan, self._watched)))
+        for group in (self.pilots, self.jury):
+            if group.exact is not None:
+                group.weigh(group.exact, self._floors)
+
+    def exact(self, group: Group) -> NDArray[np.float64]:
+        """What the finest plan makes of directions."""
+        if group.exact is None:
+            group.weigh(self.run(self.finest, group), self._floors)
+        return np.asarray(group.exact)
+
+    def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
+        """What a plan makes of directions, the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        import warp as wp
+
+        group = self.pilots if on is None else on
+        seen = group.deflections, group.to_lights, group.gains
+        if self._wavenumbers is not None:
+            table = coefficient_table.table_for(self.hf, plan, self._scope, device=self._device, threads=self._threads)
+            values = wp.empty((len(group), self._points), dtype=wp.float32, device=self._device)
+            launch(
+                table.sample, len(group), [table.arguments, *seen, self._wavenumbers], [values], device=self._device,
+                threads=self._threads, slice_size=_SLICE,
+            )  # fmt: skip
+            return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
+        integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
+        results = []
+        for illuminant in self._illuminants:
+            xyz = wp.zeros(len(group), dtype=wp.vec3f, device=self._device)
+            integrator.add(*seen, illuminant, xyz, slice_size=_SLICE)
+            results.append(xyz.numpy())
+        return np.asarray(results, dtype=np.float64)
+
+    def begin_to_load(self, plan: Plan) -> None:
+        """Begin to load what a plan's table takes."""
+        colour_table.begin_to_load(
+            self.hf, plan, self._scope, self._illuminants[0], device=self._device, threads=self._threads
+        )
+
+    def with_functions(self, plan: Plan, more: int = 0) -> Plan:
+        """A plan that says how many functions of w its table has, those for its tolerance or some more."""
+        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
+        counts = [
+            colour_table.function_count(self.hf, plan, self._scope, each, **options) for each in self._illuminants
+        ]
+        return dataclasses.replace(plan, functions=min(max(counts) + more, MOST_FUNCTIONS))
+
+    def fitted(self, plan: Plan) -> low_rank_basis.Coefficients:
+        """The coefficients of a plan with a fitted basis."""
+        found, _, _ = coefficient_table.coefficients_for(
+            self.hf, plan.method, plan.coherence, self._scope, coefficient_table.reach(plan, self.hf), terms=plan.terms,
+            threads=self._threads,
+        )  # fmt: skip
+        return found
+
+    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The error of each pilot, shape (rows, n)."""
+        self.exact(self.pilots)
+        return self.pilots.errors(values, against)
+
+    def error(self, values: NDArray[np.float64], against: NDArray[np.float64] | None = None) -> float:
+        """Percentile 99 of the pilots' errors, of bright ones or of dim ones, whichever is larger."""
+        exact = self.exact(self.pilots)
+        return worst(self.errors(values, exact if against is None else against), self.pilots)
+
+    def judged(self, plan: Plan) -> float:
+        """The same of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
+        exact = self.exact(self.jury)
+        errors = self.jury.errors(self.run(plan, self.jury), exact)
+        seen = self.jury.sample
+        # Where bounds were cut short for a source at the horizon, a table is right and the truth is not.
+        resolved = lateral(self.hf, plan.coherence, seen.deflections, seen.to_lights) <= self.finest.max_lateral
+        return worst(errors, self.jury, np.repeat(resolved, self._points) if resolved.any() else None)
+
+    def keeps(self, errors: NDArray[np.float64], most: float) -> NDArray[np.bool_]:
+        """Whether percentile 99 of pilots' errors (…, rows, n) is at most so much, shape (…)."""
+        fine = errors <= most
+        result = np.ones(errors.shape[:-2], dtype=bool)
+        for index in range(errors.shape[-2]):
+            for mask in (self.pilots.above[index], ~self.pilots.above[index]):
+                weights = np.where(mask, self.pilots.weights, 0.0)
+                result &= fine[..., index, :] @ weights >= (0.99 - 1e-9) * weights.sum()
+        return result
+
+
+def kernels_tried(series_terms: int, method: str, terms: int, coherence: Coherence) -> list[Any]:
+    """The kernels of the truth and of a plan."""
+    return [
+        coefficient_table.kernels_for(TRUTH, coherence, series_terms),
+        coefficient_table.kernels_for(method, coherence, terms),
+    ]
+
+
+def brightness(luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True) -> float:
+    """How bright a call is: percentile 99 of Y, or the luminance-weighted median of Y if that is larger."""
+    bright = _percentile(luminance, weights, 0.99)
+    return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright
+
+
+def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+    """The least value that so large a share of all weight does not exceed; 0 of nothing."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    if not len(total) or not total[-1] > 0.0:
+        return 0.0
+    return float(values[order[min(np.searchsorted(total, (share - 1e-9) * total[-1]), len(order) - 1)]])
+
+
+def worst(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | None = None) -> float:
+    """Percentile 99 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
+    kept = np.ones(errors.shape[1], dtype=bool) if some is None else some
+    return max(
+        _percentile(each[mask & kept], group.weights[mask & kept], 0.99)
+        for each, above in zip(errors, group.above, strict=True)
+        for mask in (above, ~above)
+    )
+
+
+def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Y of XYZ (..., 3), or ρ of (..., 1)."""
+    return np.asarray(values[..., 1 if values.shape[-1] == 3 else 0])

@@ -1,0 +1,266 @@
+"""What a plan is: the numbers that the kernels get, and which methods and tolerances there are."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+from warpdiff.core import checks
+from warpdiff.fourier.low_rank_basis import METHODS as EXPANDED
+from warpdiff.fourier.low_rank_basis import POWER_METHODS, holds_powers
+from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
+from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.colorimetry import LONGEST_NM, SHORTEST_NM
+from warpdiff.plans.direction_range import Scope
+from warpdiff.surface import scalar_validity
+
+INTEGRATIONS = ("sampled", "table")
+METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
+AUTOMATIC = "low-rank"
+LABELS = {
+    "low-rank": "Low-rank basis",
+    "power": "Chebyshev series of the powers",
+    **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
+}
+# What a core of a present processor does in a second, of a kernel's multiply-adds: of sums over wavelengths and of the
+# making of tables, and of look-ups, which wait for memory.
+_SUMMED, _LOOKED_UP = 9e9, 2.7e9
+# An octave, of a table.
+MIN_NODES, MAX_NODES = 4, 512
+# Functions of w come in multiples of these.
+FUNCTIONS, MOST_FUNCTIONS = 4, 32
+# Least and most: of components of two unit vectors' sum, which may be rounded, and of wavelengths.
+_SCOPE = {
+    **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
+    **dict.fromkeys(("max_lateral", "height_range_um"), (0.0, checks.MOST)),
+    **dict.fromkeys(("lambda_min_nm", "lambda_max_nm"), (SHORTEST_NM, LONGEST_NM)),
+}
+_PREDICTED = (
+    *("split", "unsettled", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing", "scalar_error"),
+    *("multiply_adds", "table_multiply_adds"),
+)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
+
+    Errors are relative ones of XYZ, as ``tolerance`` is.
+
+    Attributes:
+        method: One of ``coefficients.METHODS``, or ``"direct"``.
+        coherence: The window, source or copies.
+        tolerance: What was asked for.
+        terms: Terms of the basis, n = 0 … terms − 1.
+        least_weight: Neighbours whose Gaussian weight, on powers or on amplitudes, is less are left out.
+        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 where the caller
+            gives wavelengths.
+        subdivisions: For copies: samples of their factor for one of the patch's.
+        bandwidth_um: What a direction takes of them as a, b, c of a·lateral + b·|w| + c, samples per unit of 1/λ;
+            lateral is |(u, v)|, for a source stretched along its foreshortening, for copies |(u Lx, v Ly)|.
+        adaptive: Whether directions with less than the largest bandwidth take fewer of them.
+        nodes: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
+        rays_per_width: Rays of that table in a standard deviation of the spectrum's blur.
+        functions: Functions of w that all colours of the table share, a multiple of 4; 0 takes as many as the tolerance
+            asks for.
+        footprint: Whether pixels show means over their range of (u, v), which are taken from levels of the table where
+            there is one and powers add, and otherwise from many points.
+        split: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
+            of the one under which these are most.
+        unsettled: The share that the most cells do not settle: by their last levels they err by more than three times
+            the tolerance, so that half of them may err by more than the tolerance itself.
+        errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
+        max_uv: Largest |(u, v)| of the directions that the numbers hold for.
+        max_lateral: Largest lateral of these.
+        min_w: Smallest |w| of these.
+        max_w: Largest |w| of these.
+        lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
+        lambda_max_nm: Longest wavelength that the numbers hold for [nm].
+        height_range_um: Largest height range that the numbers hold for [µm].
+        truncation: Predicted error from the terms left out.
+        neighbourhood: Predicted error from the neighbours left out.
+        quadrature: Predicted error of the integral over λ; 0 without one.
+        rounding: Predicted error from float32 arithmetic.
+        aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
+            relative to theirs. It is a property of the data and no part of ``error``.
+        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
+            the surface and no part of ``error``.
+        multiply_adds: Predicted cost of a direction, in the mean over the sample.
+        searched: Whether the errors were measured on some directions; otherwise they are what bounds leave as a rule.
+        judged: On how many, which the search has not seen where there are enough of them.
+        table_multiply_adds: Predicted cost of making the table; 0 without one.
+    """
+
+    method: str
+    coherence: Coherence
+    tolerance: float
+    terms: int
+    least_weight: float
+    wavelengths: int
+    subdivisions: int
+    bandwidth_um: tuple[float, float, float]
+    adaptive: bool
+    nodes: int
+    rays_per_width: float
+    functions: int
+    footprint: bool
+    split: float
+    unsettled: float
+    errors: tuple[float, float]
+    max_uv: float
+    max_lateral: float
+    min_w: float
+    max_w: float
+    lambda_min_nm: float
+    lambda_max_nm: float
+    height_range_um: float
+    truncation: float
+    neighbourhood: float
+    quadrature: float
+    rounding: float
+    aliasing: float
+    scalar_error: float
+    multiply_adds: float
+    searched: bool
+    judged: int
+    table_multiply_adds: float
+
+    def __post_init__(self) -> None:
+        checks.choice(self.method, "method", (*EXPANDED, "direct"))
+        checks.instance(self.coherence, Coherence, "coherence")
+        checks.number(self.rays_per_width, "rays_per_width", least=0.0)
+        if checks.count(self.nodes, "nodes", least=0):
+            checks.positive(self.rays_per_width, "rays_per_width")
+            if not MIN_NODES <= self.nodes <= MAX_NODES:
+                raise ValueError(f"nodes must be 0, or {MIN_NODES} to {MAX_NODES}, got {self.nodes}")
+        if checks.count(self.functions, "functions", least=0) % FUNCTIONS or self.functions > MOST_FUNCTIONS:
+            raise ValueError(
+                f"functions must be a multiple of {FUNCTIONS} up to {MOST_FUNCTIONS}, or 0, got {self.functions}"
+            )
+        checks.flag(self.footprint, "footprint")
+        check_method(f"{self.method}/table" if self.nodes else self.method, self.coherence)
+        check_tolerance(self.tolerance)
+        if not 1 <= checks.count(self.terms, "terms") <= MAX_TERMS:
+            raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
+        weight = checks.number(self.least_weight, "least_weight", above=0.0)
+        if weight >= 1.0:
+            raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
+        for name, (least, most) in _SCOPE.items():
+            checks.number(getattr(self, name), name, least=least, most=most)
+        for name in _PREDICTED:
+            # Bounds of what diverges are of any size.
+            checks.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
+        errors = checks.finite_array(self.errors, "errors")
+        if errors.shape != (2,):
+            raise ValueError(f"errors must be a pair of numbers, got {self.errors!r}")
+        checks.flag(self.searched, "searched")
+        checks.count(self.judged, "judged", least=0)
+        bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um")
+        if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
+            raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
+        checks.flag(self.adaptive, "adaptive")
+        checks.count(self.subdivisions, "subdivisions")
+        if checks.count(self.wavelengths, "wavelengths", least=0):
+            checks.count(self.wavelengths, "wavelengths", least=2)
+
+    @property
+    def error(self) -> float:
+        """Predicted error of the call: all sources but aliasing."""
+        return self.truncation + self.neighbourhood + self.quadrature + self.rounding
+
+    @property
+    def blurs(self) -> bool:
+        """Whether a pixel's mean is taken from levels of the table."""
+        return self.footprint and self.nodes > 0 and self.coherence.adds_powers
+
+    @property
+    def microseconds(self) -> float:
+        """Estimated time of a direction [µs] on one core of a CPU."""
+        return 1e6 * self.multiply_adds / (_LOOKED_UP if self.nodes else _SUMMED)
+
+    @property
+    def table_seconds(self) -> float:
+        """Estimated time of making the table [s] on one core of a CPU, once for all calls; 0 without one."""
+        return self.table_multiply_adds / _SUMMED
+
+    @property
+    def scope(self) -> Scope:
+        """The range of directions and wavelengths that the numbers hold for."""
+        return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
+
+    def __str__(self) -> str:
+        if self.method == "direct":
+            sums = f"Direct sum over the height samples in float64, {self.coherence}"
+            return f"{sums}: no approximation but the integral over λ. {self._scalar}"
+        scope = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
+        how = "what bounds leave as a rule"
+        if self.searched:
+            how = f"measured on {self.judged} of the directions, which stand for all"
+        start = (
+            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, {scope}. Predicted error "
+            f"{self.error:.1e}, {how}: {self.terms} terms leave out {self.truncation:.1e}"
+        )
+        parts = [start]
+        if self.coherence.kind != "replicas":
+            parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
+        if self.nodes:
+            rays = f"{self.nodes} nodes an octave and {self.rays_per_width:g} rays a standard deviation"
+            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.blurs else ""
+            shared = f" and {self.functions} functions of w" if self.functions else ""
+            parts.append(f"a polar table of {rays}{shared}{pixels} integrates to {self.quadrature:.1e}")
+        elif self.wavelengths:
+            spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
+            asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
+            asides += ["fewer where coefficients pass slower"] if self.adaptive else []
+            aside = f" ({', '.join(asides)})" if asides else ""
+            spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
+            parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
+        if self.split:
+            parts.append(f"{100.0 * self.split:.3g} % of the pixels were split into cells")
+            if self.unsettled:
+                parts.append(f"which does not settle {100.0 * self.unsettled:.3g} %")
+        parts.append(f"float32 rounds by {self.rounding:.1e}")
+        text = "; ".join(parts)
+        text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
+        if any(self.errors):
+            text += " Estimated errors of the lit pixels: median {:.1e}, 99th percentile {:.1e}.".format(*self.errors)
+        text += f" Some {self.multiply_adds:.2g} multiply-adds a direction, {self.microseconds:.2g} µs of a core"
+        return text + (f", after {self.table_seconds:.2g} s for the table" if self.nodes else "") + f". {self._scalar}"
+
+    @property
+    def _scalar(self) -> str:
+        return f"Scalar theory itself: {scalar_validity.told(self.scalar_error)}."
+
+
+def check_tolerance(tolerance: Any) -> float:
+    """Return a tolerance within the range that float32 and a picture make sense of."""
+    return checks.number(tolerance, "tolerance", least=1e-5, most=0.5)
+
+
+def check_method(method: str, coherence: Coherence) -> None:
+    """Refuse a method that a coherence form lacks."""
+    if not _is_legal(method, coherence):
+        why = f"expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes"
+        if method.endswith("/table"):
+            why = f"asks for a table, which coherence of kind={coherence.kind!r} does not have for it"
+        suffix = method.partition("/")[2]
+        legal = [each for each in METHODS if each.partition("/")[2] == suffix and _is_legal(each, coherence)]
+        others = ", ".join(map(repr, legal)) or "the methods without a table"
+        raise ValueError(f"method={method!r} {why}: use one of {others}")
+
+
+def _is_legal(method: str, coherence: Coherence) -> bool:
+    """Whether a coherence form has a method."""
+    expansion, _, integration = method.partition("/")
+    if expansion in POWER_METHODS and not coherence.adds_powers:
+        return False
+    return integration != "table" or has_table(expansion, coherence)
+
+
+def has_table(expansion: str, coherence: Coherence) -> bool:
+    """Whether tables of colours can be made for an expansion and a coherence: of what adds as the rows do."""
+    return (
+        coherence.kind != "replicas"
+        and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers
+    )

@@ -1,0 +1,175 @@
+"""Arrays for what rays see: of a picture's pixels, and of cells, which threads take parts of again and again."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core.thread_pool import side_by_side
+from warpdiff.kernels import cell_levels
+from warpdiff.render import pixel_filters
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    import numpy as np
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.compute.pipeline import Chain
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What rays see: the mesh, and under the last light whether it is hidden, deflections, directions to it, gains."""
+
+    pixels: Any
+    hidden: wp.array
+    deflections: wp.array
+    to_lights: wp.array
+    gains: wp.array
+    footprints: wp.array
+
+    @classmethod
+    def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> Seen:
+        """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
+        import warp as wp
+
+        from warpdiff.kernels.structs import Footprint, Pixels
+
+        def empty(dtype: Any, size: int = rays) -> Any:
+            return wp.empty(size, dtype=dtype, device=device)
+
+        pixels = Pixels()
+        pixels.nearest = empty(wp.uint64, 0)
+        pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
+        for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
+            setattr(pixels, name, empty(wp.vec3f))
+        pixels.base_colour = empty(wp.vec3f, rays * coloured)
+        footprints = empty(Footprint, rays if means else 0)
+        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
+
+    @property
+    def directions(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Deflections, directions to the light and gains."""
+        return self.deflections, self.to_lights, self.gains
+
+
+@dataclass(frozen=True)
+class Room:
+    """Arrays for the rays of cells.
+
+    Attributes:
+        seen: What they see.
+        colours: Theirs.
+        left_out: What a table leaves out of them.
+        tiles: By level, the pixels whose cells these are.
+    """
+
+    seen: Seen
+    colours: wp.array
+    left_out: wp.array
+    tiles: dict[int, wp.array]
+
+    @classmethod
+    def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Room:
+        """Room for so many rays, with base colours if ``coloured``."""
+        import warp as wp
+
+        left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
+        colours = wp.empty(rays, dtype=wp.vec3f, device=device)
+        tiles = {
+            level: wp.empty(rays // cell_levels.rays_at(level), dtype=wp.int32, device=device)
+            for level in cell_levels.LEVELS
+        }
+        return cls(Seen.by(rays, device=device, means=True, coloured=coloured), colours, left_out, tiles)
+
+
+class SharedRoom:
+    """A room on the CPU, of which each thread takes a part: the launches over one are those over all.
+
+    Attributes:
+        room: All of it.
+        parts: How many there are.
+    """
+
+    def __init__(self, parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> None:
+        """So many parts."""
+        import warp as wp
+
+        from warpdiff.kernels.colour_lookup import RUN
+
+        self.parts, self._run = parts, RUN
+        # Whole pixels of any level, and whole runs of look-ups.
+        whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
+        self._size = -(-pixel_filters.MOST_RAYS // whole) * whole
+        rays = parts * self._size
+        self.room = Room.by(rays, leaves_out=leaves_out, coloured=coloured, device=device)
+        self.room.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
+        self._nearest = self.room.seen.pixels.nearest.numpy()
+        self._tiles = {level: tiles.numpy() for level, tiles in self.room.tiles.items()}
+        self._colours, self._gains = self.room.colours.numpy(), self.room.seen.gains.numpy()
+        # Appending to and taking from a list are atomic.
+        self._free = [part * self._size for part in range(parts)]
+
+    def meet(
+        self,
+        level: int,
+        pixels: NDArray[np.int32],
+        chains: Sequence[tuple[Chain, range]],
+        nearest: NDArray[np.uint64],
+        *,
+        threads: int,
+    ) -> None:
+        """Launch chains over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
+
+        Each is for a range of the pixels; it adds colours to zeros, on so many threads, for each of which there is a
+        part.
+        """
+        rays = cell_levels.rays_at(level)
+        slices = [
+            (chain, range(among.start + part.start, among.start + part.stop))
+            for chain, among in chains
+            for part in pixel_filters.slices(len(among), level, threads)
+        ]
+        # The largest first, so that threads finish together.
+        slices.sort(key=lambda each: -len(each[1]))
+
+        def work(each: tuple[Chain, range]) -> None:
+            chain, part = each
+            first = self._free.pop()
+            end = first + len(part) * rays
+            self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
+            self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
+            self._colours[first:end] = 0.0
+            # Look-ups take whole runs.
+            self._gains[end : -(-end // self._run) * self._run] = 0.0
+            chain.launch(range(first, end))
+            self._free.append(first)
+
+        side_by_side(work, slices, threads=threads)
+
+
+# Those that no picture is in, with and without arrays for what is left out and for base colours, and how many are kept:
+# to make one takes as long as to look up thousands of pixels.
+_free: dict[tuple[bool, bool], list[SharedRoom]] = {
+    (leaves_out, coloured): [] for leaves_out in (False, True) for coloured in (False, True)
+}
+_MOST_FREE = 2
+
+
+@contextlib.contextmanager
+def shared_room(parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Iterator[SharedRoom]:
+    """A room of so many parts or more that nobody else is in."""
+    free = _free[leaves_out, coloured]
+    try:
+        room = free.pop()
+    except IndexError:
+        room = None
+    if room is None or room.parts < parts:
+        room = SharedRoom(parts, leaves_out=leaves_out, coloured=coloured, device=device)
+    yield room
+    free.append(room)
+    del free[_MOST_FREE:]

@@ -1,0 +1,61 @@
+"""What pixels show besides colours: the shading normal, the depth and the geometry that their central rays meet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import checks
+from warpdiff.render.frame import Frame
+
+if TYPE_CHECKING:
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.camera import View
+    from warpdiff.scene.mesh_import import Surface
+
+NAMES = ("normal", "depth", "geometry")
+
+
+def check_layers(names: Any) -> tuple[str, ...]:
+    """Return the names of layers, each once."""
+    if not checks.is_sequence(names):
+        raise TypeError(f"layers must be names in a tuple or list, such as ('normal',), got {names!r}")
+    return tuple(dict.fromkeys(checks.choice(name, "layers", NAMES) for name in names))
+
+
+def layers_of(
+    surface: Surface, view: View, names: tuple[str, ...], *, smooth: bool, device: wp.Device, threads: int
+) -> dict[str, NDArray[Any]]:
+    """The layers of a picture by name, see :attr:`warpdiff.Image.layers`."""
+    hit, face, place, normal = Frame(surface, view, smooth=smooth, device=device, threads=threads).met()
+    hit, face, place = hit != 0, face[hit != 0], place[hit != 0].astype(np.float64)
+    shape = (view.height, view.width)
+    result: dict[str, NDArray[Any]] = {}
+    for name in names:
+        if name == "normal":
+            result[name] = np.where(hit[:, None], normal, np.float32(0.0)).reshape(*shape, 3)
+        elif name == "depth":
+            depth = np.full(hit.shape, np.inf, dtype=np.float32)
+            depth[hit] = _distances(surface, view, face, place)
+            result[name] = depth.reshape(shape)
+        else:
+            geometry = np.full(hit.shape, -1, dtype=np.int32)
+            geometry[hit] = surface.geometries[face]
+            result[name] = geometry.reshape(shape)
+    return result
+
+
+def _distances(
+    surface: Surface, view: View, face: NDArray[np.int32], place: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How far the points are that rays meet [the mesh's unit]: ``place`` is the first two corners' shares, (n, 2)."""
+    shares = np.column_stack([place, 1.0 - place.sum(axis=1)])
+    corners = surface.vertices[surface.faces[face]].astype(np.float64)
+    points = np.einsum("nk,nkc->nc", shares, corners) * surface.radius + surface.centre
+    frame = view.frame()
+    if frame.orthographic:
+        return np.asarray((frame.origin - points) @ frame.back)
+    return np.asarray(np.linalg.norm(points - frame.origin, axis=1))

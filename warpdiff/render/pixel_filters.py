@@ -1,0 +1,180 @@
+"""Refinement: where the parts of a pixel differ from the whole, they are split again, until they agree.
+
+A pixel begins as one ray whose filter is the pixel's. Level n splits pixels into squares of 2ⁿ × 2ⁿ cells, each a ray
+with a filter of its own, and a pixel is a weighted sum over its own cells and those of the eight pixels around it. So a
+cell serves nine pixels, and a level is complete in itself: how far it differs from the one before is measured, and
+tells what it errs by.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core.thread_pool import slices_of
+from warpdiff.kernels.cell_levels import (
+    CUT,
+    DEVIATION,
+    EXCEEDED_BY,
+    LEAST_OF_POINTS,
+    LEVELS,
+    MOST_LEVEL,
+    THIRDS,
+    rays_at,
+)
+from warpdiff.kernels.limits import FLOOR, TINY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import warp as wp
+    from numpy.typing import NDArray
+
+# Deviation of a cell's filter over the cells' distance: half of it leaves ripples of 1.4 % between cells.
+_OVERLAP = 0.5
+# Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
+RIM_LEVEL = 2
+# Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
+OF_UNSETTLED = 3.0
+# Pixels are split from errors of so much on, and below of (tolerance / so much)^0.4 of the tolerance: where it is
+# tighter, a larger part of what 99 of 100 pixels keep to is from estimates that were too small. See docs/decisions.md.
+_SPLIT_FROM, _BY_TIGHTNESS = 0.1, 0.4
+# Of so many pixels, some tell how bright a picture is.
+_GLIMPSE = 16_384
+# Rays at a time: worth what comes before their launches, and bounded by their memory.
+_LEAST_RAYS, MOST_RAYS = 8192, 32_768
+# Rays whose faces are found together, eight bytes each.
+_MOST_FOUND = 1 << 24
+
+
+def bound_of(tolerance: float) -> float:
+    """From which errors, relative to the colour, pixels are split."""
+    return tolerance * min(math.pow(tolerance / _SPLIT_FROM, _BY_TIGHTNESS), 1.0)
+
+
+def level_of(samples: int, *, means: bool) -> int:
+    """The least level of at least so many rays a pixel."""
+    least = 0 if means else LEAST_OF_POINTS
+    return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
+
+
+def deviation_at(level: int, *, means: bool) -> float:
+    """Deviation of the filter of a ray [pixels]: the pixel's, or a cell's; points have none."""
+    if not means:
+        return 0.0
+    # Cut, a Gaussian is narrower: by a hundredth.
+    return _OVERLAP / 2**level if level else _cut_deviation()
+
+
+def _cut_deviation() -> float:
+    end = CUT / DEVIATION
+    beyond = math.sqrt(2.0 / math.pi) * end * math.exp(-0.5 * end * end) / math.erf(end / math.sqrt(2.0))
+    return float(DEVIATION * math.sqrt(1.0 - beyond))
+
+
+@functools.cache
+def places_at(level: int, device: str) -> wp.array:
+    """Where the cells of a pixel lie, (right, down) of its centre [pixels], on the device of a name."""
+    import warp as wp
+
+    across = 2**level
+    places = (np.arange(across) + 0.5) / across - 0.5
+    down, right = np.meshgrid(places, places, indexing="ij")
+    return wp.array(np.column_stack([right.ravel(), down.ravel()]), dtype=wp.vec2d, device=device)
+
+
+@functools.cache
+def weights_at(level: int, means: bool, device: str) -> wp.array:
+    """Weights along one axis of the cells of three pixels in a row, for the one in the middle; their sum is 1.
+
+    Together with the cells' own filters they are the pixel's.
+    """
+    import warp as wp
+
+    return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
+
+
+def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
+    """Weights of cells along one axis, (3 · 2ⁿ,): see :func:`weights_at`."""
+    across = 2**level
+    away = (np.arange(3 * across) + 0.5) / across - 1.5
+    variance = DEVIATION**2 - deviation_at(level, means=means) ** 2
+    weights = np.exp(-0.5 * away**2 / variance)
+    return np.asarray(weights / weights.sum())
+
+
+@functools.cache
+def per_thirds_on(means: bool, device: str) -> wp.array:
+    """By level, from 0 on, what the filter has in each of three pixels in a row over what weights have there, (n, 3).
+
+    On the device of a name.
+    """
+    import warp as wp
+
+    per_thirds = [np.array(THIRDS) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS]
+    # There are no weights of pixels that are not split.
+    return wp.array([np.ones(3), *per_thirds], dtype=wp.float32, device=device)
+
+
+def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
+    """Pixels in parts whose cells take no more memory than there is to be."""
+    size = _MOST_FOUND // rays_at(level)
+    for first in range(0, len(pixels), size):
+        yield pixels[first : first + size]
+
+
+def slices(count: int, level: int, threads: int) -> Iterator[range]:
+    """Ranges of so many pixels whose cells are met at a time."""
+    rays = rays_at(level)
+    return slices_of(count, least=-(-_LEAST_RAYS // rays), most=MOST_RAYS // rays, threads=threads)
+
+
+def most_threads(pixels: int) -> int:
+    """How many threads the cells of so many pixels are worth, at most."""
+    return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
+
+
+def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.bool_]:
+    """Pixels and the eight around each, as a mask of the picture, (height, width)."""
+    wide = np.zeros((height + 2, width + 2), dtype=np.bool_)
+    wide[pixels // width + 1, pixels % width + 1] = True
+    rows = wide[:-2] | wide[1:-1] | wide[2:]
+    return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
+
+
+def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> Any:
+    """The struct ``Cells`` of the kernels for pixels of a picture of this size, one after the other."""
+    import warp as wp
+
+    from warpdiff.kernels import structs
+
+    # Rows begin with words of their own.
+    marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
+    marks[pixels // width, pixels % width] = True
+    ranks = np.empty(width * height, dtype=np.int32)
+    ranks[pixels] = np.arange(len(pixels), dtype=np.int32)
+    result = structs.Cells()
+    words = np.packbits(marks, bitorder="little").view(np.uint64)
+    result.marks = wp.array(words, dtype=wp.uint64, device=device, copy=False)
+    result.ranks = wp.array(ranks, dtype=wp.int32, device=device, copy=False)
+    result.across = 2**level
+    return result
+
+
+def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
+    """What errors are relative to at least: how bright a picture is, a part of it tells."""
+    apart = glimpse(len(gains))
+    some = slice(-(-among.start // apart) * apart, among.stop, apart)
+    bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
+    if not len(bright):
+        return float(TINY)
+    rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
+    return float(max(FLOOR * float(np.partition(bright, rank)[rank]), TINY))
+
+
+def glimpse(pixels: int) -> int:
+    """How far those are apart that tell how bright a picture is: an odd step does not stay in some columns."""
+    return pixels // _GLIMPSE | 1

@@ -1,0 +1,198 @@
+"""``Renderer``: pictures of one surface, one after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core import checks
+from warpdiff.planning.planner import directions_of, warn_outside
+from warpdiff.render.frame import load_kernels
+from warpdiff.render.shade import Wanted, check_lights, warn_unsettled
+from warpdiff.scene.camera import View
+from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.tables.integrator import Integrator
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import warp as wp
+    from numpy.typing import ArrayLike
+
+    from warpdiff.image.image import Image
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.plans.plan import Plan
+    from warpdiff.render.frame import Frame
+    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.surface.heightfield import HeightField
+
+
+class Renderer:
+    """Pictures of a mesh whose surface carries a height field, under lights and views that change.
+
+    Each is that of :func:`warpdiff.shade` with ``plan=renderer.plan``. What does not change is done once: the plan,
+    which is for light and view from anywhere, the mesh and the arrays, and what is seen, until the view changes. On a
+    GPU the launches of a picture are recorded, too, as a CUDA graph (with drivers from CUDA 12.4 on), which the next
+    one replays without the host; the colours stay where they are until they are asked for::
+
+        renderer = warpdiff.Renderer(mesh, hf, light, view, device="cuda")
+        while True:
+            show(renderer.draw(view=next_view()))
+
+    Threads may draw at once: each has a picture of its own, which begins with the first lights and view, and neither
+    sees nor changes those of others. On a GPU, whose launches all go to one stream, they take turns.
+
+    Attributes:
+        plan: What is computed and why.
+    """
+
+    def __init__(
+        self,
+        mesh: Any,
+        hf: HeightField,
+        light: DirectionalLight | Sequence[DirectionalLight],
+        view: View,
+        *,
+        tolerance: float = 1e-2,
+        method: str = "auto",
+        coherence: Coherence | None = None,
+        ior: float = 1.5,
+        masking: bool = True,
+        pigment: float = 1.0,
+        shadows: bool = True,
+        smooth: bool = True,
+        tangents: ArrayLike | None = None,
+        footprint: bool | None = None,
+        samples_per_pixel: int = 1,
+        refine: bool = True,
+        plan: Plan | None = None,
+        strict: bool = True,
+        device: Any = None,
+        threads: int | None = None,
+    ) -> None:
+        """Prepare pictures; the arguments are those of :func:`warpdiff.shade`.
+
+        The tolerance is met for directions all over the hemisphere, as those of the pictures are not known, under the
+        illuminants of these lights. The method ``"direct"`` is for single pictures.
+        """
+        wanted = Wanted.checked(
+            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+            pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
+            refine=refine, plan=plan, strict=strict, device=device, threads=threads,
+        )  # fmt: skip
+        if (method if plan is None else plan.method) == "direct":
+            raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
+        load_kernels(wanted.device)
+        self._hf, self._wanted = hf, wanted
+        surface = prepare_surface(mesh, tangents=tangents)
+        scope, sample, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
+        if wanted.plan is not None:
+            warn_outside(wanted.plan, hf, scope)
+        self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
+        self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
+        self._recorded = records(wanted.device)
+        self._mine = _Picture(
+            functools.partial(wanted.frame, surface, view, alone=self._recorded or None), wanted.lights, view
+        )
+        self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
+        self.draw()
+
+    def draw(
+        self,
+        light: DirectionalLight | Sequence[DirectionalLight] | None = None,
+        view: View | None = None,
+    ) -> wp.array:
+        """Draw the next picture.
+
+        Args:
+            light: This thread's lights from now on; None leaves them as they are.
+            view: Its view from now on, with as many pixels; None leaves it as it is.
+
+        Returns:
+            XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
+            may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
+        """
+        mine = self._mine
+        lights = mine.lights if light is None else check_lights(light)
+        if view is not None:
+            checks.instance(view, View, "view")
+            if (view.width, view.height) != (mine.view.width, mine.view.height):
+                raise ValueError(
+                    f"view must have {mine.view.width} × {mine.view.height} pixels as before, got "
+                    f"{view.width} × {view.height}; another size takes another Renderer"
+                )
+        with self._turn:
+            # What is seen stays as it is, if the view does.
+            if view is not None:
+                mine.view = view
+                mine.frame.look(view)
+            mine.lights = lights
+            self._wanted.light_up(mine.frame, self._hf, lights)
+            if self._recorded:
+                self._replay(mine)
+            else:
+                self._launch(mine)
+            mine.drawn = True
+        return mine.frame.xyz
+
+    def image(self) -> Image:
+        """This thread's last picture, with what it covers, on the host, where no later one changes it."""
+        if not self._mine.drawn:
+            self.draw()
+        with self._turn:
+            image = self._mine.frame.image(self.plan)
+        warn_unsettled(image.plan)
+        if not self._wanted.device.is_cpu:
+            return image
+        return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
+
+    def _launch(self, mine: _Picture) -> None:
+        """Launch what a picture takes."""
+        names = [each.illuminant for each in mine.lights]
+        mine.frame.integrate(self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine)
+
+    def _replay(self, mine: _Picture) -> None:
+        """Launch it as it was recorded, where the same launches will do."""
+        import warp as wp
+
+        needed = (*mine.frame.launches_depend_on, *(each.illuminant for each in mine.lights))
+        if mine.graph is not None and mine.graph_is_for == needed:
+            wp.capture_launch(mine.graph)
+            return
+        # Arrays of the last one may go.
+        mine.graph = None
+        # What ran once finds its kernels loaded and its arrays and tables made.
+        mine.frame.begin()
+        self._launch(mine)
+        mine.frame.begin()
+        with wp.ScopedCapture(device=self._wanted.device, force_module_load=False) as capture:
+            self._launch(mine)
+        mine.graph, mine.graph_is_for = capture.graph, needed
+
+
+class _Picture(threading.local):
+    """A thread's picture, made when it first asks for it.
+
+    Attributes:
+        frame: Its arrays.
+        lights: The last.
+        view: The last.
+        drawn: Whether it was drawn.
+        graph: Its launches as they were recorded.
+        graph_is_for: What these depend on.
+    """
+
+    def __init__(self, make: Callable[[], Frame], lights: list[DirectionalLight], view: View) -> None:
+        self.frame, self.lights, self.view, self.drawn = make(), lights, view, False
+        self.graph: Any = None
+        self.graph_is_for: tuple[Any, ...] = ()
+
+
+def records(device: wp.Device) -> bool:
+    """Whether a device can record and replay a picture, whose loops end when no pixel is left to be split."""
+    import warp as wp
+
+    return bool(device.is_cuda and wp.is_conditional_graph_supported())

@@ -1,0 +1,321 @@
+"""``shade``: a picture of a mesh whose surface carries a height field."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.core import checks, free_memory
+from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.evaluate.directions import check_call, check_plan
+from warpdiff.kernels import cell_levels
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.coherence import Coherence
+from warpdiff.planning import search
+from warpdiff.planning.planner import FEWEST_SEARCHED, plan_for, warn_outside
+from warpdiff.plans.plan import AUTOMATIC, Plan
+from warpdiff.render.frame import Frame, load_kernels
+from warpdiff.render.layers import check_layers, layers_of
+from warpdiff.scene.camera import View
+from warpdiff.scene.lights import DirectionalLight
+from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.tables.integrator import Integrator
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    import warp as wp
+    from numpy.typing import ArrayLike
+
+    from warpdiff.image.image import Image
+    from warpdiff.plans.direction_range import DirectionSample, Scope
+    from warpdiff.scene.mesh_import import Surface
+    from warpdiff.surface.heightfield import HeightField
+
+
+def shade(
+    mesh: Any,
+    hf: HeightField,
+    light: DirectionalLight | Sequence[DirectionalLight],
+    view: View,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float = 1.5,
+    masking: bool = True,
+    pigment: float = 1.0,
+    shadows: bool = True,
+    smooth: bool = True,
+    tangents: ArrayLike | None = None,
+    footprint: bool | None = None,
+    samples_per_pixel: int = 1,
+    refine: bool = True,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+    layers: Collection[str] = (),
+) -> Image:
+    """Render a mesh whose surface carries a height field.
+
+    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, with the pigment's share
+    where the mesh has a base colour. The mesh is seen from both sides.
+
+    Args:
+        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or a path to a mesh file. Its unit has nothing to do with µm.
+        hf: The height field; its x axis lies along the tangent field.
+        light: One light, or several.
+        view: The camera.
+        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the lit pixels and of the bright ones (Y at
+            least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        masking: Whether V-cavity masking and shadowing is included.
+        pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
+        shadows: Whether lights are hidden by the mesh itself.
+        smooth: Whether vertex normals are interpolated; otherwise facets are seen.
+        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
+            the texture coordinates.
+        footprint: Whether a pixel shows the mean over what its filter sees, a Gaussian (0.5 pixel, cut at 1.5), rather
+            than the colour in its centre: no aliasing, no speckle of orders that fall between pixels. The mean is taken
+            from a table with levels where there is one, otherwise from many points. None is on for an averaged window
+            and for a source, and off for others and for ``"direct"``.
+        samples_per_pixel: Rays a pixel; 1 is its centre. Without footprints they are points under the same filter. With
+            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, 64 or 256. What
+            lies between the centres of pixels, and is thinner than they are wide, takes 4 or more to be seen.
+        refine: Whether pixels whose parts differ by more than the tolerance allows are split, again and again, up to
+            256 cells. Otherwise a picture with footprints promises nothing: ``image.error`` estimates what it errs by.
+        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
+        strict: Raise where the tolerance cannot be met, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core. The picture does not depend on it.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+        layers: What else is asked for: any of ``"normal"``, ``"depth"`` and ``"geometry"``, for ``image.layers``.
+
+    Returns:
+        The picture; ``image.plan`` says what was computed and why.
+
+    Raises:
+        ValueError: A bad argument, a mesh without area or tangents, a tolerance out of reach; the message names it.
+        FileNotFoundError: ``mesh`` is a path to nothing.
+        MemoryError: More memory than is free; the message says what fits.
+    """
+    checks.callback(progress, "progress")
+    layers = check_layers(layers)
+    wanted = Wanted.checked(
+        hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+        pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
+        refine=refine, plan=plan, strict=strict, device=device, threads=threads,
+    )  # fmt: skip
+    load_kernels(wanted.device)
+    if plan is None:
+        wanted.load_likely_kernels(hf, view)
+    surface = prepare_surface(mesh, tangents=tangents)
+    picture = wanted.frame(surface, view)
+    wanted.light_up(picture, hf, wanted.lights)
+    scope, count, sample = picture.survey(hf, wanted.window, sampled=wanted.plan is None)
+    found = wanted.plan
+    if found is not None:
+        warn_outside(found, hf, scope)
+    else:
+        found = wanted.plan_for(hf, scope, sample, count)
+    names = [each.illuminant for each in wanted.lights]
+    if found.method == "direct":
+        picture.sum_directly(hf, found, names, progress=progress)
+    else:
+        integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
+        picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+    image = picture.image(found)
+    if layers:
+        told = layers_of(surface, view, layers, smooth=wanted.smooth, device=wanted.device, threads=wanted.threads)
+        image = replace(image, layers=told)
+    warn_unsettled(image.plan)
+    return image
+
+
+# What a picture takes while it is made, as measured, of any kind.
+_BYTES_A_PIXEL = 210
+# Points in a pixel: 256 by 256 settle whatever a picture can show, and more would be drawn for ever.
+_MOST_SAMPLES = 2**16
+# Shares of the pixels that may err by more than the tolerance.
+MOST_UNSETTLED = 0.03
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for of pictures, checked.
+
+    Attributes:
+        lights: One or several.
+        tolerance: Error of XYZ.
+        method: A legal name.
+        window: The coherence.
+        normal: R(0).
+        masking: Whether V-cavity masking is included.
+        pigment: Strength of the base colour.
+        shadows: Whether the mesh may hide the lights.
+        smooth: Whether vertex normals are interpolated.
+        footprint: Whether pixels show means over what they see.
+        samples: Rays a pixel.
+        refine: Whether pixels are split until they keep the tolerance.
+        plan: An explicit one.
+        strict: Whether a tolerance that cannot be met is an error.
+        device: The Warp device.
+        threads: Threads on the CPU.
+    """
+
+    lights: list[DirectionalLight]
+    tolerance: float
+    method: str
+    window: Coherence
+    normal: float
+    masking: bool
+    pigment: float
+    shadows: bool
+    smooth: bool
+    footprint: bool
+    samples: int
+    refine: bool
+    plan: Plan | None
+    strict: bool
+    device: wp.Device
+    threads: int
+
+    @classmethod
+    def checked(
+        cls,
+        hf: Any,
+        light: Any,
+        view: Any,
+        *,
+        tolerance: Any,
+        method: Any,
+        coherence: Any,
+        ior: Any,
+        masking: Any,
+        pigment: Any,
+        shadows: Any,
+        smooth: Any,
+        footprint: Any,
+        samples_per_pixel: Any,
+        refine: Any,
+        plan: Any,
+        strict: Any,
+        device: Any,
+        threads: Any,
+    ) -> Wanted:
+        """Refuse what is no such thing, before anything is computed."""
+        check_call(
+            hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
+            threads=threads, progress=None,
+        )  # fmt: skip
+        lights = check_lights(light)
+        checks.instance(view, View, "view")
+        checks.flag(shadows, "shadows")
+        checks.flag(smooth, "smooth")
+        normal = reflectance_factors.normal_reflectance(ior)
+        pigment = checks.number(pigment, "pigment", least=0.0)
+        samples = checks.count(samples_per_pixel, "samples_per_pixel")
+        if samples > _MOST_SAMPLES:
+            raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
+        if plan is not None:
+            check_plan(plan, coherence, colour=True)
+        on = resolve_device(device)
+        if on.is_cpu:
+            free_memory.require(
+                _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
+                "take a view of at most {side} times the width and height",
+            )  # fmt: skip
+        window = plan.coherence if plan is not None else coherence or Coherence()
+        blurred = _takes_footprints(footprint, method, window, plan)
+        most = cell_levels.rays_at(cell_levels.MOST_LEVEL)
+        if blurred and samples > most:
+            raise ValueError(
+                f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
+                "footprint=False takes more points"
+            )
+        return cls(
+            lights, tolerance, method, window, normal, masking, pigment, shadows, smooth, blurred, samples,
+            checks.flag(refine, "refine"),
+            plan if plan is None or plan.footprint == blurred else replace(plan, footprint=blurred), strict,
+            on,
+            resolve_threads(threads),
+        )  # fmt: skip
+
+    def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
+        """The arrays of a picture."""
+        return Frame(
+            surface, view, smooth=self.smooth, samples=self.samples, means=self.footprint, device=self.device,
+            threads=self.threads, **options,
+        )  # fmt: skip
+
+    def light_up(self, picture: Frame, hf: HeightField, lights: list[DirectionalLight]) -> None:
+        """Set a picture's lights."""
+        picture.light_up(
+            lights, self.window, hf.size_um[0] * hf.size_um[1], normal=self.normal, masking=self.masking,
+            pigment=self.pigment, shadows=self.shadows,
+        )  # fmt: skip
+
+    def plan_for(self, hf: HeightField, scope: Scope, sample: DirectionSample, count: float) -> Plan:
+        """The plan for directions."""
+        names = tuple(dict.fromkeys(each.illuminant for each in self.lights))
+        return plan_for(
+            hf, scope, sample, tolerance=self.tolerance, method=self.method, coherence=self.window, strict=self.strict,
+            count=count, footprint=self.footprint, illuminants=names, device=self.device, threads=self.threads,
+        )  # fmt: skip
+
+    def load_likely_kernels(self, hf: HeightField, view: View) -> None:
+        """Begin to load what the plan is likely to take: threads that compile would wait until rays have been cast."""
+        if self.method.partition("/")[0] not in ("auto", AUTOMATIC):
+            return
+        if not self.footprint and view.width * view.height < FEWEST_SEARCHED:
+            # What its bounds will ask for is not known.
+            return
+        # What looks halfway between light and eye has the largest |w|.
+        back = view.frame().back
+        max_w = max(float(np.linalg.norm(np.add(each.to_light, back))) for each in self.lights)
+        search.begin_to_load(
+            hf, AUTOMATIC, self.window, max_w, footprint=self.footprint, tolerance=self.tolerance, device=self.device
+        )
+
+
+def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
+    """Whether pixels show means over what they see."""
+    if footprint is not None:
+        footprint = checks.flag(footprint, "footprint")
+    if footprint and (method if plan is None else plan.method) == "direct":
+        raise ValueError("footprint=True is not for method='direct', which sums single directions: use another method")
+    if footprint is not None:
+        return footprint
+    return plan.footprint if plan is not None else window.adds_powers and method != "direct"
+
+
+def warn_unsettled(plan: Plan) -> None:
+    """Warn of a picture that does not keep its tolerance."""
+    if plan.unsettled > MOST_UNSETTLED:
+        warnings.warn(
+            f"{100.0 * plan.unsettled:.3g} % of the pixels see more than {4**cell_levels.MOST_LEVEL} cells of each "
+            f"settle to tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
+            WarpdiffWarning,
+            stacklevel=3,
+        )
+
+
+def check_lights(light: Any) -> list[DirectionalLight]:
+    """One light or several as a list."""
+    lights = [light] if isinstance(light, DirectionalLight) else light
+    if not isinstance(lights, Sequence) or not lights:
+        raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
+    for index, each in enumerate(lights):
+        checks.instance(each, DirectionalLight, f"light[{index}]")
+        colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
+    return list(lights)

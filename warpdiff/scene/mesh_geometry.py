@@ -1,0 +1,294 @@
+"""What follows from the positions, faces and texture coordinates of a mesh: normals, a tangent field, convexity.
+
+Vectors are stored by component, (3, n), and faces by corner, (3, m): NumPy is several times faster along rows than
+across them.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.errors import WarpdiffWarning
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# A face is flat to a line where twice its area is below this share of its longest edge squared.
+ZERO_AREA = 1e-9
+# Vertices closer than this share of the mesh's radius are at one position.
+WELD = 1e-6
+# Tangents on two sides of a seam are joined within this angle.
+SEAM_COSINE = float(np.cos(np.radians(30.0)))
+
+
+class FaceGeometry:
+    """Edges, areas, normals and angles of faces, each worked out once.
+
+    Attributes:
+        edges: From each corner to the next one, shape (3, 3, m): component, corner, face.
+        cross: First edge × second edge, shape (3, m).
+        twice_area: Its length, shape (m,).
+        products: Scalar products of the two sides that meet at each corner, shape (3, m).
+    """
+
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+        """Work out the edges of ``faces``, shape (3, m), between ``vertices``, shape (3, n)."""
+        self.edges = np.empty((3, *faces.shape))
+        for edges, component in zip(self.edges, vertices, strict=True):
+            corners = component.take(faces)
+            np.subtract(corners[[1, 2, 0]], corners, out=edges)
+        one, two, three = (self.edges[:, k] for k in range(3))
+        self.cross = np.stack([one[i - 2] * two[i - 1] - one[i - 1] * two[i - 2] for i in range(3)])
+        self.twice_area = length(self.cross)
+        self.products = np.stack([-dot(three, one), -dot(one, two), -dot(two, three)])
+
+    @property
+    def has_area(self) -> NDArray[np.bool_]:
+        """Whether a face is more than a line or a point, shape (m,)."""
+        # The square of a side is the sum of the products at its ends.
+        at = self.products
+        longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
+        return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
+
+    @cached_property
+    def normals(self) -> NDArray[np.float64]:
+        """Unit normals on the side from which corners run counter-clockwise, shape (3, m); zero without an area."""
+        return np.asarray(self.cross / np.where(self.twice_area > 0.0, self.twice_area, 1.0))
+
+    @cached_property
+    def angles(self) -> NDArray[np.float64]:
+        """Angles at the corners [radians], shape (3, m)."""
+        return np.asarray(np.arctan2(self.twice_area, self.products))
+
+    def angle_weighted_normals(self, faces: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+        """Sums of the normals of the faces at each of ``count`` vertices by their angles there, shape (3, count)."""
+        return np.stack([sum_at(faces, self.angles * normal, count) for normal in self.normals])
+
+
+class TextureGeometry:
+    """Edges and orientation of faces in the texture.
+
+    Attributes:
+        one: From the first corner to the second, shape (2, m).
+        two: From the first corner to the third, shape (2, m).
+        orientation: 1, −1 where the texture is mirrored, 0 where the face has no area in it, shape (m,).
+    """
+
+    def __init__(self, uvs: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+        """Work out the edges of ``faces``, shape (3, m), between ``uvs``, shape (2, n)."""
+        corners = uvs.take(faces, axis=1)
+        self.one = corners[:, 1] - corners[:, 0]
+        self.two = corners[:, 2] - corners[:, 0]
+        determinant = self.one[0] * self.two[1] - self.one[1] * self.two[0]
+        longest_squared = np.maximum(dot(self.one, self.one), dot(self.two, self.two))
+        self.orientation = np.sign(determinant)
+        self.orientation[~(np.abs(determinant) > ZERO_AREA * longest_squared)] = 0.0
+
+    def mirrored(self, faces: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
+        """Where the texture is mirrored, shape (m,); faces without an area in it follow their neighbours."""
+        mirrored = self.orientation < 0.0
+        unknown = self.orientation == 0.0
+        if unknown.any():
+            votes = sum_at(faces, np.broadcast_to(self.orientation, faces.shape), count)
+            mirrored[unknown] = votes[faces[:, unknown]].sum(axis=0) < 0.0
+        return np.asarray(mirrored)
+
+
+def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scalar products of vectors stored by component."""
+    return np.asarray(np.einsum("i...,i...->...", a, b))
+
+
+def length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths of vectors stored by component."""
+    return np.asarray(np.sqrt(dot(vectors, vectors)))
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors at unit length; those that are zero but for rounding become zero."""
+    size = length(vectors)
+    zero = ~(size > 1e-9)
+    size[zero] = 1.0
+    result = vectors / size
+    result[:, zero] = 0.0
+    return np.asarray(result)
+
+
+def tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of each vector at right angles to the unit normal."""
+    return np.asarray(vectors - dot(vectors, normals) * normals)
+
+
+def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Sums of ``values`` by ``index``, of the same shape, shape (count,)."""
+    return np.asarray(np.bincount(index.ravel(), values.ravel(), count))
+
+
+def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which of 0 … count − 1 are there, in order, and the indices among these."""
+    taken = np.zeros(count, dtype=np.bool_)
+    taken[indices] = True
+    if taken.all():
+        return np.arange(count), indices
+    return np.flatnonzero(taken), (np.cumsum(taken) - 1).take(indices)
+
+
+def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """A number for each vertex, the same for those at one position, and the vertices in this order, (n,) each."""
+    x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
+    # The unit sphere's cells fit in 21 bits an axis and sign: one integer sorts faster than rows.
+    key = (x * 2**21 + y) * 2**21 + z
+    order = np.argsort(key)
+    key = key[order]
+    number = np.zeros(len(key), dtype=np.int64)
+    number[order[1:]] = np.cumsum(key[1:] != key[:-1])
+    return number, order
+
+
+def vertex_normals(
+    geometry: FaceGeometry,
+    faces: NDArray[np.int64],
+    welded: NDArray[np.int64],
+    own: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """Unit vertex normals, shape (3, n): given ones, on the side that the winding faces, else computed ones."""
+    beside = geometry.angle_weighted_normals(faces, len(welded))
+    if own is not None:
+        own = unit(np.nan_to_num(own))
+        # The vertex's own faces tell its side: under an overhang most of those at its position look the other way.
+        own = np.where(dot(own, beside) < 0.0, -own, own)
+        missing = ~own.any(axis=0)
+        if not missing.any():
+            return own
+    count = int(welded.max()) + 1
+    total = np.stack([sum_at(welded, component, count) for component in beside])
+    weight = sum_at(welded, sum_at(faces, geometry.angles, len(welded)), count)
+    # Two faces back to back cancel out at a welded vertex but not at their own vertices.
+    cancelled = (length(total) <= 1e-6 * weight)[welded]
+    computed = unit(np.where(cancelled, beside, total.take(welded, axis=1)))
+    return computed if own is None else np.where(missing, computed, own)
+
+
+def tangents_from_uvs(
+    geometry: FaceGeometry, texture: TextureGeometry, faces: NDArray[np.int64], normals: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """∂P/∂u, angle-weighted over the faces of each vertex, shape (3, n)."""
+    along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
+    size = length(along_u)
+    along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
+    # Each face's direction counts by what it is at unit length in the vertex's tangent plane, so that curvature does
+    # not shorten its share. What lies along the normal is taken off the sum.
+    cosines = np.zeros(faces.shape)
+    for component, normal in zip(along_u, normals, strict=True):
+        cosines += component * normal.take(faces)
+    sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
+    weights = np.divide(geometry.angles, sines, out=np.zeros_like(sines), where=sines > 1e-6)
+    total = np.stack([sum_at(faces, weights * component, normals.shape[1]) for component in along_u])
+    return tangential(total, normals)
+
+
+def join_seams(
+    field: NDArray[np.float64], welded: NDArray[np.int64], order: NDArray[np.int64], handedness: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Add to each vertex's tangent those of the vertices at its position that agree in direction and handedness."""
+    count = len(order)
+    ends = np.cumsum(np.bincount(welded))
+    following = ends[welded[order]] - 1 - np.arange(count)
+    directions = unit(field)
+    result = field.copy()
+    # Vertices at one position are neighbours in this order: compare each with the next, the one after that, …, as many
+    # at once as keep pairs fewer than vertices.
+    step = 1
+    while len(start := np.flatnonzero(following >= step)):
+        steps = max(1, count // len(start))
+        pairs = np.minimum(following[start] - step + 1, steps)
+        first = np.repeat(start, pairs)
+        ahead = step + np.arange(len(first)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+        a, b = order[first], order[first + ahead]
+        agree = dot(directions.take(a, axis=1), directions.take(b, axis=1)) > SEAM_COSINE
+        agree &= handedness[a] == handedness[b]
+        a, b = a[agree], b[agree]
+        result += [sum_at(a, component[b], count) + sum_at(b, component[a], count) for component in field]
+        step += steps
+    return result
+
+
+def fill(
+    field: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    welded: NDArray[np.int64],
+    name: str,
+) -> NDArray[np.float64]:
+    """Give vertices without a tangent the mean of their neighbours', ring by ring."""
+    missing = (field == 0.0).all(axis=0)
+    if not missing.any():
+        return field
+    if missing.all():
+        raise ValueError(f"{name} must define a direction along the surface, got none at any vertex")
+    warnings.warn(
+        f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(missing)} vertices; "
+        "filled from their neighbours",
+        WarpdiffWarning,
+        stacklevel=6,
+    )
+    count = int(welded.max()) + 1
+    corners = welded[faces]
+    start = corners[[0, 1, 2, 0, 1, 2]].ravel()
+    end = corners[[1, 2, 0, 2, 0, 1]].ravel()
+    at = unit(np.stack([sum_at(welded, component, count) for component in field]))
+    while True:
+        known = (at != 0.0).any(axis=0)
+        useful = known[start] & ~known[end]
+        new = unit(np.stack([sum_at(end[useful], component[start[useful]], count) for component in at]))
+        if not new.any():
+            break
+        at += new
+    # What no neighbour reaches takes the whole mesh's mean.
+    at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
+    return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
+
+
+def is_convex(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], outward: NDArray[np.float64], welded: NDArray[np.int64]
+) -> bool:
+    """Whether the faces, of normals ``outward``, lie in a plane or bound one convex body.
+
+    That is: closed, bent outwards at every edge, and a sphere by Euler's count.
+    """
+
+    def heights_over(face: int) -> NDArray[np.float64]:
+        normal = outward[:, face]
+        return np.asarray(normal @ vertices - normal @ vertices[:, faces[0, face]])
+
+    if np.all(np.abs(heights_over(0)) <= 1e-6):
+        return True
+    # Most bodies are not, which a few faces tell: something lies above them.
+    number = faces.shape[1]
+    if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
+        return False
+    start = welded.take(faces)
+    end = start[[1, 2, 0]]
+    count = int(welded.max()) + 1
+    edges = (np.minimum(start, end) * count + np.maximum(start, end)).ravel()
+    order = np.argsort(edges)
+    edges = edges[order]
+    one, other = order[::2], order[1::2]
+    # Each edge belongs to two faces, which run along it in opposite directions.
+    if len(edges) % 2 or np.any(edges[::2] != edges[1::2]) or np.any(edges[2::2] == edges[1:-1:2]):
+        return False
+    ascends = (start < end).ravel()
+    if np.any(ascends[one] == ascends[other]) or count - len(one) + number != 2:
+        return False
+    # The face beyond each edge must not rise above the plane of the one on this side.
+    level = dot(outward, vertices.take(faces[0], axis=1))
+    opposite = faces[[2, 0, 1]].ravel()
+    for here, beyond in ((one, other), (other, one)):
+        face = here % number
+        if np.any(dot(outward.take(face, axis=1), vertices.take(opposite[beyond], axis=1)) > level[face] + 1e-6):
+            return False
+    return True

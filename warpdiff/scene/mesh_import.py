@@ -1,0 +1,495 @@
+"""Triangle meshes made ready for rays: normals, a tangent field, and base colours at the vertices.
+
+Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with area only, every vertex in use.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import checks
+from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.optics.colorimetry import srgb_decode
+from warpdiff.scene import mesh_files
+from warpdiff.scene.mesh_geometry import (
+    FaceGeometry,
+    TextureGeometry,
+    compacted,
+    fill,
+    is_convex,
+    join_seams,
+    tangential,
+    tangents_from_uvs,
+    unit,
+    vertex_normals,
+    weld,
+)
+
+if TYPE_CHECKING:
+    import trimesh
+    from numpy.typing import ArrayLike, NDArray
+
+HOW_TO_GET_TANGENTS = (
+    "give tangents= (world frame, shape (n, 3), one per vertex, along the height field's x axis), "
+    "or a mesh with texture coordinates, whose u axis then is the direction"
+)
+
+
+_MOST_KEPT = 4
+# What Pillow's image holds of its own decoding.
+_DAMAGE = "warpdiff:damage"
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A mesh as the ray kernel takes it; n vertices, m faces, each with an area, every vertex in use.
+
+    Attributes:
+        vertices: Positions in the unit sphere, (world − ``centre``) / ``radius``, shape (n, 3), float32.
+        faces: Vertex indices, counter-clockwise as seen from the front, shape (m, 3), int32.
+        normals: Unit vertex normals, shape (n, 3), float32; zero where no direction is defined.
+        tangents: Unit vectors along the height field's x axis, at right angles to the normals, shape (n, 3), float32.
+        handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; one value a face.
+        uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where there are none.
+        texture: Linear RGB, row 0 at v = 1, shape (h, w, 3), float32; 1 × 1 for a plain colour, black for none.
+        vertex_colours: Linear RGB, shape (n, 3), float32; negative at the vertices where ``texture`` is meant;
+            ``None`` where that is all of them.
+        has_base_colour: Whether the mesh came with a colour of any kind.
+        geometries: Which of the mesh's geometries a face belongs to, shape (m,), int32.
+        is_convex: Whether the mesh bounds a convex body or lies in a plane, so that nothing on its outside is shadowed.
+        centre: The origin of ``vertices``, world frame, shape (3,), float64.
+        radius: The unit of ``vertices``, in the mesh's unit.
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    tangents: NDArray[np.float32]
+    handedness: NDArray[np.float32]
+    uvs: NDArray[np.float32]
+    texture: NDArray[np.float32]
+    vertex_colours: NDArray[np.float32] | None
+    has_base_colour: bool
+    geometries: NDArray[np.int32]
+    is_convex: bool
+    centre: NDArray[np.float64]
+    radius: float
+
+
+def prepare_surface(
+    mesh: trimesh.Trimesh | trimesh.Scene | str | os.PathLike[str], *, tangents: ArrayLike | None = None
+) -> Surface:
+    """Check a mesh and work out its normals, tangents and base colours.
+
+    Normals are the file's own at vertices where it has any, else angle-weighted means over all faces that meet at a
+    position, so that seams of the texture are none of the shading; an STL file has the facets' alone. The tangent field
+    is ``tangents`` or else ∂P/∂u of the texture coordinates, averaged across seams at which its direction goes on
+    (within 30°).
+
+    Args:
+        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
+            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices.
+        tangents: Directions along the height field's x axis, world frame, one per vertex (of a scene: of its
+            geometries, in the order of its nodes), shape (n, 3); they need not be unit vectors.
+
+    Returns:
+        The surface.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        TypeError: ``mesh`` is nothing of the kind.
+        ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
+            vertices it lacks; there is no tangent field; several textures would have to be used at once.
+    """
+    try:
+        return _prepared(_geometries(mesh), tangents)
+    except ValueError as error:
+        if isinstance(mesh, (str, os.PathLike)) and str(mesh) not in str(error):
+            raise ValueError(f"{error} (in {str(mesh)!r})") from error
+        raise
+
+
+def _prepared(geometries: list[tuple[Any, NDArray[np.float64]]], tangents: ArrayLike | None) -> Surface:
+    """A surface, made or found again."""
+    told_by = [np.asarray(each) for geometry, transform in geometries for each in (transform, *_told_by(geometry))]
+    given = None if tangents is None else checks.finite_array(tangents, "tangents")
+    if given is not None:
+        told_by.append(given)
+    for index, (known, surface) in enumerate(_kept):
+        if len(known) == len(told_by) and all(map(np.array_equal, known, told_by)):
+            _kept.append(_kept.pop(index))
+            return surface
+    part = _join([_part(geometry, transform) for geometry, transform in geometries])
+    _check_tangents(part, given)
+    surface = _build(part, given)
+    _kept.append(([each.copy() for each in told_by], surface))
+    del _kept[:-_MOST_KEPT]
+    return surface
+
+
+# What was told by what, the last one asked for at the end.
+_kept: list[tuple[list[NDArray[Any]], Surface]] = []
+
+
+def _told_by(mesh: Any) -> list[Any]:
+    """All that a surface is made of: a mesh that moved in place is told by its values."""
+    visual = mesh.visual
+    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache]
+    found += [getattr(visual, "uv", None), visual.kind]
+    if visual.kind in ("vertex", "face"):
+        found.append(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)
+    elif hasattr(visual, "material"):
+        found.append(getattr(visual, "face_materials", None) is None)
+        for name in ("baseColorFactor", "diffuse", "baseColorTexture", "image"):
+            value: Any = getattr(visual.material, name, None)
+            if not hasattr(value, "getpalette"):
+                found.append(value)
+            elif _damage(value):
+                # Said whether or not the surface is found again.
+                texture = value.info.get("file_path") or "an image"
+                warnings.warn(
+                    f"mesh: texture {texture!r} is damaged and left out: {_damage(value)}",
+                    WarpdiffWarning,
+                    stacklevel=6,
+                )
+            else:
+                found += [value, value.mode, value.getpalette()]
+    return found
+
+
+@dataclass
+class _Part:
+    """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` given ones."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    source: NDArray[np.int64]
+    count: int
+    normals: NDArray[np.float64] | None
+    uvs: NDArray[np.float64] | None
+    texture: NDArray[np.float32] | None
+    colours: NDArray[np.float64] | None
+    geometries: NDArray[np.int32]
+
+
+def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
+    """The meshes of ``mesh``, each with its transform."""
+    import trimesh
+
+    if isinstance(mesh, (str, os.PathLike)):
+        return _geometries(mesh_files.load(mesh))
+    if isinstance(mesh, trimesh.Trimesh):
+        return [(mesh, np.eye(4))]
+    if not isinstance(mesh, trimesh.Scene):
+        raise TypeError(f"mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}")
+    found = []
+    for node in mesh.graph.nodes_geometry:
+        transform, name = mesh.graph[node]
+        geometry = mesh.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh):
+            found.append((geometry, np.asarray(transform, dtype=np.float64)))
+    if not found:
+        raise ValueError("mesh must have triangles, got a scene or file without any")
+    return found
+
+
+def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
+    """Check one mesh and take its arrays."""
+    vertices = np.array(mesh.vertices, dtype=np.float64)
+    faces = np.array(mesh.faces, dtype=np.int64)
+    if vertices.shape[1:] != (3,):
+        raise ValueError(
+            f"mesh must have vertices of 3 coordinates, shape (n, 3), got {vertices.shape}; a file may be cut off"
+        )
+    if len(vertices) == 0:
+        raise ValueError("mesh must have vertices, got none")
+    if len(faces) == 0:
+        raise ValueError(f"mesh must have faces, got {len(vertices)} vertices and no face")
+    if not np.isfinite(vertices).all():
+        bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
+        raise ValueError(f"mesh must have finite vertices, got {bad} with NaN or infinite coordinates")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"mesh must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
+            f"got {faces.min()} to {faces.max()}"
+        )
+    part = _Part(
+        vertices=vertices,
+        faces=faces,
+        source=np.arange(len(vertices)),
+        count=len(vertices),
+        normals=_own_normals(mesh, vertices, faces),
+        uvs=_own_uvs(mesh, len(vertices)),
+        texture=None,
+        colours=None,
+        geometries=np.zeros(len(faces), np.int32),
+    )
+    _take_colours(mesh, part)
+    part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
+    determinant = float(np.linalg.det(transform[:3, :3]))
+    if determinant < 0.0:
+        part.faces = part.faces[:, ::-1]
+    if part.normals is not None and determinant != 0.0:
+        # The cofactors are the inverse's transpose times the determinant, whose sign cancels the mirrored winding.
+        part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
+    return part
+
+
+def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Vertex normals that were given with the mesh, shape (n, 3), or ``None``.
+
+    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
+    It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
+    """
+    normals = _cached_normals(mesh)
+    if normals is None or np.shape(normals) != vertices.shape:
+        return None
+    normals = np.asarray(normals, dtype=np.float64)
+    normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
+    if "face_angles" not in mesh._cache:
+        return normals.T
+    corners = np.ascontiguousarray(faces.T)
+    # A few faces' vertices are enough to tell most.
+    some = np.zeros(len(vertices), dtype=np.bool_)
+    some[faces[:: len(faces) // 16 + 1]] = True
+    for at in (some, np.ones_like(some)):
+        beside = corners.compress(at.take(corners).any(axis=0), axis=1)
+        computed = unit(FaceGeometry(vertices.T, beside).angle_weighted_normals(beside, len(vertices)))
+        if not np.allclose(normals[:, at], computed[:, at], atol=1e-6):
+            return normals.T
+    return None
+
+
+def _cached_normals(mesh: Any) -> Any:
+    """Vertex normals that trimesh holds, or None."""
+    return mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+
+
+def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
+    """Texture coordinates, shape (n, 2), or ``None``."""
+    uvs = getattr(mesh.visual, "uv", None)
+    if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
+        return None
+    uvs = np.array(uvs[:, :2], dtype=np.float64)
+    sound = np.all(np.abs(uvs) <= checks.MOST, axis=1)
+    if not sound.all():
+        bad = int(np.count_nonzero(~sound))
+        raise ValueError(
+            f"mesh must have finite texture coordinates, got {bad} NaN, infinite or beyond {checks.MOST:g}"
+        )
+    return uvs
+
+
+def _take_colours(mesh: Any, part: _Part) -> None:
+    """Set the part's texture or colours; face colours need vertices of each face's own."""
+    visual = mesh.visual
+    if visual.kind == "vertex":
+        part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
+    elif visual.kind == "face":
+        corner = part.faces.ravel()
+        part.colours = np.repeat(srgb_decode(np.asarray(visual.face_colors)[:, :3] / 255.0), 3, axis=0)
+        part.vertices, part.source = part.vertices[corner], part.source[corner]
+        part.normals = None if part.normals is None else part.normals[corner]
+        part.uvs = None if part.uvs is None else part.uvs[corner]
+        part.faces = np.arange(len(corner)).reshape(-1, 3)
+    elif hasattr(visual, "material"):
+        if getattr(visual, "face_materials", None) is not None:
+            raise ValueError(
+                "mesh must have one material a geometry, got face materials; split it by material, or bake them "
+                "into one texture"
+            )
+        texture, colour = _material(visual.material)
+        if texture is not None and part.uvs is not None:
+            part.texture = texture
+        elif colour is not None:
+            part.colours = np.tile(colour, (len(part.vertices), 1))
+
+
+def _material(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.float64] | None]:
+    """A material's texture, shape (h, w, 3), and its plain colour, shape (3,), in linear RGB, each where defined."""
+    from trimesh.visual import DEFAULT_COLOR
+    from trimesh.visual.material import PBRMaterial, color_image
+
+    if isinstance(material, PBRMaterial):
+        # As in glTF, the factor is linear and multiplies the decoded texture.
+        factor = material.baseColorFactor
+        linear = None if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0
+        if material.baseColorTexture is None:
+            return None, linear
+        texture = _image(material.baseColorTexture)
+        if texture is None or linear is None:
+            return texture, linear
+        return (texture * linear).astype(np.float32), None
+    image = getattr(material, "image", None)
+    if image is not None:
+        # trimesh gives a mesh without a material a few grey pixels for one.
+        invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
+        texture = None if invented else _image(image)
+        if invented or texture is not None:
+            return texture, None
+    diffuse = getattr(material, "diffuse", None)
+    if diffuse is None:
+        return None, None
+    colour = np.asarray(diffuse, dtype=np.float64)[:3] / 255.0
+    return None, (None if np.array_equal(diffuse, DEFAULT_COLOR) else srgb_decode(colour))
+
+
+def _image(image: Any) -> NDArray[np.float32] | None:
+    """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
+    if _damage(image):
+        return None
+    if image.mode.startswith("I"):
+        # 16-bit grey; converting it to RGB would clip at 255.
+        grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
+        return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
+    # A table, for a megapixel's transfer function takes longer than all else here.
+    table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
+    return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
+
+
+def _damage(image: Any) -> str:
+    """Why a PIL image cannot be decoded, or nothing."""
+    if _DAMAGE not in image.info:
+        try:
+            image.load()
+            image.info[_DAMAGE] = ""
+        except Exception as error:
+            # Decoders raise whatever they stumble over, and the next time may pass with what they have got.
+            image.info[_DAMAGE] = str(error) or type(error).__name__
+    return str(image.info[_DAMAGE])
+
+
+def _join(parts: list[_Part]) -> _Part:
+    """All parts as one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
+    if len(parts) == 1:
+        return parts[0]
+    textures: list[NDArray[np.float32]] = []
+    for part in parts:
+        if part.texture is not None and not any(np.array_equal(part.texture, known) for known in textures):
+            textures.append(part.texture)
+    if len(textures) > 1:
+        raise ValueError(
+            f"mesh must have at most one texture image, got a scene with {len(textures)}; render its geometries one "
+            "by one, or bake them into one texture"
+        )
+    vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    source_start = np.cumsum([0, *(part.count for part in parts)])
+
+    def gather(name: str, columns: int) -> NDArray[np.float64] | None:
+        arrays = [getattr(part, name) for part in parts]
+        if all(array is None for array in arrays):
+            return None
+        missing = [np.full((len(part.vertices), columns), np.nan) for part in parts]
+        return np.concatenate([m if array is None else array for array, m in zip(arrays, missing, strict=True)])
+
+    colours = gather("colours", 3)
+    if colours is not None:
+        # Without a colour there is no pigment: black.
+        none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
+        colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
+    return _Part(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
+        source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
+        count=int(source_start[-1]),
+        normals=gather("normals", 3),
+        uvs=gather("uvs", 2),
+        texture=textures[0] if textures else None,
+        colours=colours,
+        geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
+    )
+
+
+def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
+    """Drop what has no area, then normals, tangents and the arrays for the device."""
+    index, faces = compacted(part.faces.T, len(part.vertices))
+    world = part.vertices.T.take(index, axis=1)
+    low, high = world.min(axis=1), world.max(axis=1)
+    centre = low / 2.0 + high / 2.0
+    largest = float(np.max(high - centre))
+    # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
+    radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
+    if not checks.LEAST <= radius <= checks.MOST:
+        raise ValueError(f"mesh must have a radius of {checks.LEAST:g} to {checks.MOST:g}, got {radius:g}")
+    # float32 first: what has no area in the kernels shall have none here.
+    vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
+    geometry = FaceGeometry(vertices, faces)
+    keep, geometries = geometry.has_area, part.geometries
+    dropped = int(np.count_nonzero(~keep))
+    if dropped == len(keep):
+        raise ValueError(f"mesh must have a face with an area, got {dropped} without")
+    if dropped:
+        warnings.warn(
+            f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=5
+        )
+        used, faces = compacted(faces.compress(keep, axis=1), len(index))
+        geometries = geometries[keep]
+        index, vertices = index[used], vertices.take(used, axis=1)
+        geometry = FaceGeometry(vertices, faces)
+
+    uvs = None if part.uvs is None else part.uvs.T.take(index, axis=1)
+    handedness = np.ones(len(index))
+    if given is None:
+        assert uvs is not None  # noqa: S101 - told to mypy; refused above
+        texture_geometry = TextureGeometry(uvs, faces)
+        mirrored = texture_geometry.mirrored(faces, len(index))
+        if mirrored.any():
+            # One handedness a face: a vertex that mirrored and unmirrored faces share is split in two.
+            used, faces = compacted(faces * 2 + mirrored, 2 * len(index))
+            handedness = np.where(used % 2 == 1, -1.0, 1.0)
+            used //= 2
+            index, vertices, uvs = index[used], vertices.take(used, axis=1), uvs.take(used, axis=1)
+
+    welded, order = weld(vertices)
+    own = None if part.normals is None else part.normals.T.take(index, axis=1)
+    normals = vertex_normals(geometry, faces, welded, own)
+    if given is not None:
+        scale = np.max(np.abs(given), initial=0.0)
+        field = given.T.take(part.source[index], axis=1) / (scale if scale > 0.0 else 1.0)
+        name = "tangents"
+    else:
+        field = tangents_from_uvs(geometry, texture_geometry, faces, normals)
+        field = join_seams(field, welded, order, handedness)
+        name = "mesh's texture coordinates"
+    field = fill(unit(tangential(field, normals)), normals, faces, welded, name)
+
+    has_colour = part.texture is not None or part.colours is not None
+    texture = np.zeros((1, 1, 3), np.float32) if part.texture is None else part.texture
+    colours = None if part.colours is None else part.colours[index]
+    if colours is not None and np.all(colours == colours[0]) and part.texture is None:
+        texture, colours = colours[:1].reshape(1, 1, 3).astype(np.float32), None
+    uvs = np.zeros((2, len(index))) if uvs is None else np.nan_to_num(uvs)
+    return Surface(
+        vertices=vertices.T.astype(np.float32, order="C"),
+        faces=faces.T.astype(np.int32, order="C"),
+        normals=normals.T.astype(np.float32, order="C"),
+        tangents=field.T.astype(np.float32, order="C"),
+        handedness=handedness.astype(np.float32),
+        uvs=uvs.T.astype(np.float32, order="C"),
+        texture=texture,
+        vertex_colours=None if colours is None else colours.astype(np.float32),
+        has_base_colour=has_colour,
+        geometries=geometries,
+        is_convex=is_convex(vertices, faces, geometry.normals, welded),
+        centre=centre,
+        radius=radius,
+    )
+
+
+def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
+    """There must be a tangent for each vertex; without any the part must have texture coordinates."""
+    if given is not None:
+        if given.shape != (part.count, 3):
+            raise ValueError(
+                f"tangents must have shape ({part.count}, 3), one vector for each of the mesh's vertices, "
+                f"got {given.shape}"
+            )
+    elif part.uvs is None:
+        raise ValueError(f"mesh has neither texture coordinates nor tangents=; {HOW_TO_GET_TANGENTS}")
+    elif np.any(np.isnan(part.uvs)):
+        raise ValueError(f"mesh has a geometry without texture coordinates; {HOW_TO_GET_TANGENTS}")

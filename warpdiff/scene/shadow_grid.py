@@ -1,0 +1,99 @@
+"""Grids by which shadow rays find the few faces that may hide a light."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.compute.pipeline import launch
+from warpdiff.core.blas_threads import on_one_thread
+from warpdiff.core.lru_cache import found_again
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import warp as wp
+
+    from warpdiff.scene.device_mesh import SceneArrays
+    from warpdiff.scene.mesh_import import Surface
+
+# Cells that a face's box overlaps on average, and faces in the lists that faces are in, beyond which a hierarchy is
+# faster: large faces lie one above the other, or small ones close together.
+_MOST_CELLS, _MOST_LISTED = 16, 48
+# Faces of a slice.
+_SLICE = 4096
+# A view that moves needs the same lights' grids.
+_MOST_KEPT = 4
+
+
+def grid_pays(faces: int, rays: int) -> bool:
+    """Whether a grid over so many faces is worth it: one takes half as long as a ray through the hierarchy."""
+    return faces < rays
+
+
+def no_grid(scene: SceneArrays, *, few: bool = False) -> Any:
+    """The :class:`warpdiff.kernels.shadow_grid.ShadowGrid` that has no lists and asks the hierarchy, for any light.
+
+    Or one for ``few`` rays.
+    """
+    from warpdiff.kernels import shadow_grid
+
+    grid = shadow_grid.ShadowGrid()
+    grid.mesh_id = scene.with_hierarchy(few=few).mesh_id
+    return grid
+
+
+def grid_for(
+    surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
+) -> Any:
+    """The :class:`warpdiff.kernels.shadow_grid.ShadowGrid` of a surface under a light on the CPU, made or found again.
+
+    That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
+    """
+    make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
+    return found_again(scene.grids, tuple(to_light), make, most=_MOST_KEPT)
+
+
+def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:
+    import warp as wp
+
+    from warpdiff.kernels import shadow_grid
+
+    towards = np.array(to_light)
+    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
+    across /= np.linalg.norm(across)
+    up = np.cross(towards, across)
+    with on_one_thread():
+        seen = np.stack([across, up]) @ surface.vertices.T * float(shadow_grid.STEPS)
+    # What a kernel rounds otherwise is within a step or two.
+    low, high = np.floor(seen.min(axis=1)) - 2.0, np.ceil(seen.max(axis=1)) + 2.0
+    wide, tall = high - low
+    faces = len(surface.faces)
+    # As many cells as faces.
+    side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
+    grid = shadow_grid.ShadowGrid()
+    grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
+    grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
+    grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
+    grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
+    spans = wp.empty(faces, dtype=wp.int32, device=device)
+    launch(shadow_grid.project, faces, [grid, scene.bare.positions, scene.bare.faces], [spans], **options)
+    listed = int(spans.numpy().sum(dtype=np.int64))
+    if listed > _MOST_CELLS * faces:
+        return no_grid(scene)
+    counts = wp.zeros(grid.columns * grid.rows, dtype=wp.int32, device=device)
+    launch(shadow_grid.count, faces, [grid], [counts], **options)
+    found = counts.numpy().astype(np.int64)
+    if found @ found > _MOST_LISTED * listed:
+        return no_grid(scene)
+    starts = np.concatenate([[0], np.cumsum(found)]).astype(np.int32)
+    grid.faces = wp.empty(listed, dtype=wp.int32, device=device)
+    grid.tops = wp.empty(listed, dtype=wp.float32, device=device)
+    counts.assign(starts[:-1])
+    launch(shadow_grid.fill, faces, [grid], [counts], **options)
+    grid.starts = wp.array(starts, dtype=wp.int32, device=device)
+    return grid

@@ -1,0 +1,339 @@
+"""The coefficients of a height field on a device, as the spectral kernels read them; kept for the next call."""
+
+from __future__ import annotations
+
+import functools
+import math
+import weakref
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import disk_cache
+from warpdiff.core.blas_threads import on_one_thread
+from warpdiff.core.lru_cache import found_again
+from warpdiff.fourier import kaiser_bessel, low_rank_basis, transforms
+from warpdiff.fourier.low_rank_basis import Coefficients
+from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
+from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.fourier.transforms import Block, Grid
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.plans.direction_range import Scope
+    from warpdiff.plans.plan import Plan
+    from warpdiff.surface.heightfield import HeightField
+
+# Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
+LANES = 8
+_FEWEST_WAVELENGTHS = 16
+_REACHED_WEIGHT = 1e-14
+# The cubics of a patch's power take four samples.
+_FEWEST_INTERVALS = 4
+# Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
+SETS_AN_OCTAVE = 4
+# What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
+KEPT = 4
+_cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
+
+
+class _Kept:
+    """Coefficients of one height field, and their copies on devices, the last ones asked for."""
+
+    def __init__(self) -> None:
+        self.coefficients: dict[Any, Coefficients] = {}
+        # The series that the last basis was fitted to, until the next series is asked for, which may be the same.
+        self.fitted_to: dict[Any, Coefficients] = {}
+        self.rows: dict[Any, tuple[Any, Any, Coefficients]] = {}
+        self.prepared: dict[Any, tuple[Any, dict[str, Any]]] = {}
+        self.spectra: dict[Any, Any] = {}
+        self.colours: dict[Any, tuple[Any, Any, float]] = {}
+
+
+def kept(hf: HeightField) -> _Kept:
+    """What was kept of a height field."""
+    return _cache.setdefault(hf, _Kept())
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The range that a scope is rounded up to.
+
+    Small changes of a moving light or view, and all visible wavelengths, meet the same one.
+
+    Attributes:
+        frequency: Largest |q| [1/µm].
+        kappa_low: Smallest |κ| [1/µm].
+        kappa_high: Largest |κ| [1/µm].
+    """
+
+    frequency: float
+    kappa_low: float
+    kappa_high: float
+
+    @classmethod
+    def by(cls, scope: Scope) -> Reached:
+        """What a scope reaches."""
+        shortest = min(scope.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
+        longest = max(scope.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
+        return cls(
+            math.ceil(2.0 * scope.max_uv * 1e3 / shortest + 0.1) / 2.0,
+            max(0.0, math.floor(4.0 * scope.min_w * 1e3 / longest - 0.1) / 4.0),
+            math.ceil(2.0 * scope.max_w * 1e3 / shortest + 0.1) / 2.0,
+        )
+
+
+@dataclass(frozen=True)
+class Table:
+    """Kernels and the struct they read.
+
+    Attributes:
+        integrate: Kernel that integrates over λ to XYZ.
+        sample: Kernel that evaluates given wavelengths.
+        arguments: Their first argument.
+        coefficients: Those that it holds.
+    """
+
+    integrate: Any
+    sample: Any
+    arguments: Any
+    coefficients: Coefficients
+
+
+def lanes_of(terms: int) -> int:
+    """The length of a row of so many terms."""
+    return LANES * math.ceil(terms / LANES)
+
+
+def coefficients_for(
+    hf: HeightField,
+    method: str,
+    coherence: Coherence,
+    scope: Scope,
+    reach: tuple[int, int],
+    *,
+    terms: int,
+    threads: int,
+    to_fit: bool = False,
+) -> tuple[Coefficients, Block, Grid]:
+    """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
+
+    Args:
+        hf: The height field.
+        method: One of ``coefficients.METHODS``.
+        coherence: How they add.
+        scope: The range of directions and wavelengths.
+        reach: Coefficients (y, x) on either side of a direction that may be looked up.
+        terms: Number of terms of a series; a fitted basis finds its own.
+        threads: Transforms to run side by side.
+        to_fit: Whether they are a series that a basis is to be fitted to, and then of use to the truth at most.
+    """
+    reached = Reached.by(scope)
+    low, high = reached.kappa_low, reached.kappa_high
+    check_cycles(hf, high)
+    grid = grid_for(hf, coherence)
+    block = transforms.Block.covering(grid, reached.frequency, reach)
+    if method in EXPANSIONS:
+        low = 0.0
+    else:
+        terms = low_rank_basis.series_terms(hf, (low, high))
+    key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
+
+    @on_one_thread()
+    def arrays() -> dict[str, Any]:
+        if method in EXPANSIONS:
+            made = low_rank_basis.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
+        else:
+            series, _, _ = coefficients_for(
+                hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads, to_fit=True
+            )
+            made = low_rank_basis.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
+        return vars(made)
+
+    def make() -> Coefficients:
+        return Coefficients(**disk_cache.kept_on_disk((key, hf.pitch_um), hf.heights_um, arrays))
+
+    held, fitted_to = kept(hf).coefficients, kept(hf).fitted_to
+    if to_fit and key not in held:
+        return found_again(fitted_to, key, make, most=1), block, grid
+    if method in EXPANSIONS and key not in held:
+        series = fitted_to.get(key)
+        if series is not None:
+            held[key] = series
+        # Memory of it would be on top of that of all tables.
+        fitted_to.clear()
+    return found_again(held, key, make, most=KEPT), block, grid
+
+
+def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
+    """The frequencies that a coherence form looks coefficients up at."""
+    if coherence.kind != "replicas":
+        return transforms.patch_grid(hf)
+    from warpdiff.kernels import spectral_sum
+
+    return transforms.fine_grid(hf, lambda nu: kaiser_bessel.kernel_transform(nu, spectral_sum.TAPS))
+
+
+def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
+    """The kernels for rows of so many terms."""
+    from warpdiff.kernels import spectral_sum
+
+    powers = low_rank_basis.holds_powers(method, adds_powers=coherence.adds_powers)
+    return spectral_sum.kernels(lanes_of(terms), coherence.kind, powers)
+
+
+def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> Table:
+    """The table for a plan, and for what a call has beyond it, built or found again."""
+    import warp as wp
+
+    coherence = plan.coherence
+    # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
+    scope = plan.scope.joined(scope)
+    found, block, grid = coefficients_for(
+        hf, plan.method, coherence, scope, reach(plan, hf), terms=plan.terms, threads=threads
+    )
+    terms = min(plan.terms, found.terms)
+    lanes = lanes_of(terms)
+    kernels = kernels_for(plan.method, coherence, terms)
+    table = kernels.Table()
+    moved = coherence if coherence.kind == "centred" else None
+    key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)
+
+    def make() -> tuple[Any, Any, Coefficients]:
+        rows = found.rows[..., :terms]
+        if moved is not None:
+            rows = _turned(rows, _centre_phase(hf, coherence, block))
+        padded = np.zeros((*rows.shape[:3], lanes), dtype=np.float32)
+        padded[..., :terms] = rows
+        basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
+        basis[:, :terms] = found.basis[:, :terms]
+        return (
+            wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
+            wp.array(basis, dtype=kernels.row, device=device),
+            found,
+        )
+
+    # With the rows those that they are of are kept, so that no others get their number.
+    table.rows, table.basis, _ = found_again(kept(hf).rows, key, make, most=KEPT)
+    table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
+    table.count_y, table.count_x = block.count
+    table.origin_y, table.origin_x = block.origin
+    table.length_y, table.length_x = grid.lengths_um
+    if coherence.copies is not None:
+        table.copies_y, table.copies_x = coherence.copies
+        table.patch_y, table.patch_x = hf.size_um
+        _set_taps(table, kernels, hf, device)
+        return Table(kernels.integrate, kernels.sample, table, found)
+    table.exponent = -math.log(plan.least_weight)
+    falloff = falloff_um2(coherence)
+    table.across, table.along = (falloff / length**2 for length in grid.lengths_um)
+    return Table(kernels.integrate, kernels.sample, table, found)
+
+
+def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
+    """The a [µm²] of the Gaussian exp(−a |q − q_rs|²).
+
+    4π²σ² on powers (averaged), 2π²σ² on amplitudes (centred), λ²/2s² on powers (a source that faces the surface).
+    """
+    if coherence.sigma_um is None:
+        return wavelength_um**2 / (2.0 * coherence.spread**2)
+    return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * coherence.sigma_um) ** 2
+
+
+def radius(plan: Plan) -> float:
+    """Distance in frequency [1/µm] of the coefficients to keep at hand, of all but the least weights."""
+    falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
+    return math.sqrt(-math.log(min(plan.least_weight, _REACHED_WEIGHT)) / falloff)
+
+
+def reach(plan: Plan, hf: HeightField) -> tuple[int, int]:
+    """Coefficients (y, x) on either side of a direction to keep at hand.
+
+    They are the same for all but the least weights, as is then a basis that is fitted to them.
+    """
+    from warpdiff.kernels import spectral_sum
+
+    if plan.coherence.kind == "replicas":
+        return spectral_sum.TAPS, spectral_sum.TAPS
+    # A slanted ellipse is covered by a parallelogram.
+    around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
+    rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(hf, plan.coherence).lengths_um)
+    return rows, columns
+
+
+def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.Device) -> Any:
+    """The struct ``Quadrature`` of the spectral kernels, for a plan and an illuminant."""
+    import warp as wp
+
+    from warpdiff.kernels import spectral_sum
+
+    per_lateral, per_w, constant = plan.bandwidth_um
+    largest = per_lateral * plan.max_lateral + per_w * plan.max_w + constant
+    counts = [plan.wavelengths]
+    # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
+    levels = math.floor(SETS_AN_OCTAVE * math.log2(largest / constant)) if plan.adaptive else 0
+    for level in range(1, levels + 1):
+        fewer = set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
+        if fewer >= counts[-1]:
+            break
+        counts.append(fewer)
+    if plan.coherence.kind == "replicas":
+        counts = [max(count - 1, _FEWEST_INTERVALS) * plan.subdivisions + 1 for count in counts]
+    geometric = plan.coherence.kind == "source"
+    sets = [colorimetry.uniform_quadrature(count, illuminant, geometric=geometric) for count in counts]
+    result = spectral_sum.Quadrature()
+    result.wavenumbers = wp.array(np.concatenate([nodes for nodes, _ in sets]), dtype=wp.float64, device=device)
+    weights = np.concatenate([each for _, each in sets]).astype(np.float32)
+    result.weights = wp.array(weights, dtype=wp.vec3f, device=device)
+    result.firsts = wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device=device)
+    result.subdivisions = plan.subdivisions
+    lengths = hf.size_um if plan.coherence.kind == "replicas" else (1.0, 1.0)
+    result.per_v, result.per_u = (per_lateral * length / largest for length in lengths)
+    result.per_w, result.constant = per_w / largest, constant / largest
+    return result
+
+
+def set_size(wanted: float) -> int:
+    """The size of the smallest set of wavelengths that has as many as wanted, or one that falls short by a rounding."""
+    steps = math.ceil(SETS_AN_OCTAVE * math.log2(max(wanted, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
+    return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_AN_OCTAVE) + 0.5)
+
+
+@functools.cache
+def _taps(count: int) -> NDArray[np.float32]:
+    return kaiser_bessel.tap_polynomials(count).astype(np.float32)
+
+
+def _set_taps(table: Any, kernels: Any, hf: HeightField, device: wp.Device) -> None:
+    """The interpolation kernel; an axis of one sample has the same value at every frequency."""
+    import warp as wp
+
+    from warpdiff.kernels import spectral_sum
+
+    taps = _taps(spectral_sum.TAPS)
+    constant_x = np.zeros((1, spectral_sum.TAPS), dtype=np.float32)
+    constant_x[0, 0] = 1.0
+    along_x = taps.T if hf.shape[1] > 1 else constant_x
+    table.taps_x = wp.array(np.ascontiguousarray(along_x), dtype=kernels.taps, device=device)
+    along_y = taps if hf.shape[0] > 1 else np.ones((1, 1), dtype=np.float32)
+    table.taps_y = wp.array(along_y, dtype=wp.float32, device=device)
+
+
+def _turned(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
+    """Amplitudes (my, mx, 2, terms) times a phase (my, mx)."""
+    cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
+    re, im = rows[:, :, 0], rows[:, :, 1]
+    return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)
+
+
+def _centre_phase(hf: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
+    """exp(−2πi q_rs·x_c), which moves the window from the patch's corner to x_c."""
+    middle = ((hf.shape[0] // 2) * hf.pitch_um[0], (hf.shape[1] // 2) * hf.pitch_um[1])
+    centre = coherence.centre_um or middle
+    s, r = block.orders()
+    turns = s[:, None] * (centre[0] / hf.size_um[0]) + r[None, :] * (centre[1] / hf.size_um[1])
+    return np.asarray(np.exp(-2j * math.pi * turns))

@@ -1,0 +1,513 @@
+"""Tables of colours in polar coordinates of (u, v), made or found again."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.compute.device import load
+from warpdiff.compute.pipeline import launch
+from warpdiff.core import free_memory
+from warpdiff.core.lru_cache import found_again
+from warpdiff.optics import colorimetry
+from warpdiff.tables import coefficient_table, line_spectrum
+from warpdiff.tables.colour_projection import Projection, Terms, projection, spline
+from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_levels, megabytes, near
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.plans.direction_range import Scope
+    from warpdiff.plans.plan import Plan
+    from warpdiff.surface.heightfield import HeightField
+
+# Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
+_REMAINDERS, _MOST_REMAINDER = 96, 4.4
+# Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is about so many
+# distances of rays in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's lines, whose
+# flanks are seen for themselves.
+_REACHED, _OWN = 2.5, 1.1
+_REACHED_OF_LINES = 3.1
+# A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
+_PREFILTER = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** np.abs(np.arange(-8, 9))
+_POSITIONS = 64
+# Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
+# second node takes for none, and so many deviations from what else is in them.
+_LEFT_AT_ALIAS, _SAFE_DEVIATIONS, _NEVER = 0.05, 4.2, 1e6
+# Variance within one of several parts of a footprint, times their number.
+_WITHIN = 1.2
+# Of the largest |κ|: all but the mirror's coefficient vanish below.
+_SMALLEST_KAPPA = 1e-3
+# What functions of w may leave out where it is most, as a share of the tolerance: cardinal polynomials add up to less
+# than each of them.
+_SHARE, _SHARE_OF_CARDINALS = 0.5, 0.05
+# Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
+_SAMPLED, _LEAST_SIZE = 4096, 1e-3
+# The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
+_MIRROR_ENTRIES, _MIRROR_WAVELENGTHS = 2048, 40
+_SLICE = 32
+# What a height field keeps of tables: some for other lights and views, or a search's last attempts.
+_MOST_KEPT_MEGABYTES = 1000.0
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What a table is made from: coefficients, and the rows of the spectrum that they become.
+
+    Attributes:
+        key: What tells it from others.
+        layout: Where its nodes lie.
+        base: The table of coefficients.
+        terms: What rows consist of.
+        at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes).
+        mirror: Of powers, the mean plane's, which rows leave out, at ``_MIRROR_ENTRIES`` equally spaced |κ|.
+        lobe2: Variance of a coefficient's lobe in frequency [1/µm²]; 0 for a source, whose is one of (u, v).
+        phase: How fast powers turn with ln λ at most [rad].
+        coherence: What the table is for.
+    """
+
+    key: Any
+    layout: Layout
+    base: coefficient_table.Table
+    terms: Terms
+    at_kappas: NDArray[np.float32]
+    mirror: NDArray[np.float32]
+    lobe2: float
+    phase: float
+    coherence: Coherence
+
+    @property
+    def left_out(self) -> int:
+        """Where the mean plane's coefficient lies among the rows of ``base``; −1 where it stays in."""
+        found = self.base.arguments
+        return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
+
+    @property
+    def is_lines(self) -> bool:
+        """Whether rows hold the lines of an endless surface."""
+        return self.coherence.kind == "source"
+
+    @property
+    def sampler(self) -> Any:
+        """The kernel that samples the spectrum, or that gathers its lines, and the type of its rows."""
+        from warpdiff.kernels import spectrum_sampling as kernels
+
+        width, lanes = self.at_kappas.shape
+        if self.is_lines:
+            return kernels.gatherer(lanes)
+        return kernels.resampler(lanes, self.base.coefficients.rows.shape[2] == 1, width)
+
+
+def table_for(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> tuple[Any, Any]:
+    """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
+    kept = coefficient_table.kept(hf)
+    held, spectra = kept.colours, kept.spectra
+    source, how = _prepared(hf, plan, scope, illuminant, device=device, threads=threads)
+    wanted, sharp = (*source.key, illuminant, has_levels(plan)), (*source.key, illuminant, False)
+    options: dict[str, Any] = {"device": device, "threads": threads}
+    # Other threads may make the same meanwhile, or let it go.
+    found = held.get(wanted)
+    if found is None:
+        found = held.get(sharp)
+        if found is None:
+            free_memory.require(
+                1e6 * megabytes(plan), f"a table of nodes={plan.nodes} and rays_per_width={plan.rays_per_width}",
+                "take a larger tolerance, or a plan with {share} of the nodes",
+            )  # fmt: skip
+            _load_kernels(source, how, plan, device)
+            rows = spectra.get(source.key)
+            if rows is None:
+                # The last one serves other illuminants.
+                spectra.clear()
+                rows = spectra[source.key] = (
+                    line_spectrum.of_table(source.base.arguments, source.layout.highest)
+                    if source.is_lines
+                    else _sampled(source, **options)
+                )
+            found = held[sharp] = _coloured(source, how, rows, illuminant, **options)
+        if wanted != sharp:
+            # Levels are added to colours that have none, whose rows both then have.
+            kernel, table, _ = found
+            held[sharp] = kernel, table, 0.0
+            found = _blurred(source.layout.with_levels(), table, is_lines=source.is_lines, **options)
+    held.pop(wanted, None)
+    held[wanted] = found
+    for oldest in list(held)[:-1]:
+        if sum(megabytes for _, _, megabytes in list(held.values())) <= _MOST_KEPT_MEGABYTES:
+            break
+        held.pop(oldest, None)
+    return found[:2]
+
+
+def function_count(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> int:
+    """Functions of w that colours of a plan's table share."""
+    return int(_prepared(hf, plan, scope, illuminant, device=device, threads=threads)[1].functions.shape[1])
+
+
+def begin_to_load(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> None:
+    """Begin to load the kernels that make a plan's table and look it up."""
+    _load_kernels(*_prepared(hf, plan, scope, illuminant, device=device, threads=threads), plan, device)
+
+
+def kernel_of_look_ups(functions: int, coherence: Coherence) -> Any:
+    """The kernel that looks up a table with so many functions of w."""
+    from warpdiff.kernels import colour_lookup
+
+    return colour_lookup.lookup(functions, coherence.kind == "source").integrate
+
+
+def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
+    from warpdiff.kernels import colour_lookup, spectrum_sampling
+
+    count = how.functions.shape[1]
+    target = colour_lookup.lookup(count, source.is_lines)
+    projector = spectrum_sampling.projector(len(source.at_kappas), count)
+    if source.is_lines:
+        needed = [source.sampler.gather, projector.project_lines]
+    else:
+        needed = [source.sampler.resample, projector.project]
+    needed += [target.interpolate, target.integrate]
+    load([*needed, target.blur] if has_levels(plan) else needed, device)
+
+
+def _prepared(
+    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+) -> tuple[_Source, Projection]:
+    """What comes before the rows: layout, terms and projection."""
+    reached = coefficient_table.Reached.by(plan.scope.joined(scope))
+    numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.functions, plan.tolerance
+    key = device.alias, plan.method, plan.coherence, numbers, reached
+
+    def make() -> tuple[_Source, dict[str, Projection]]:
+        return _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
+
+    source, projections = found_again(coefficient_table.kept(hf).prepared, key, make, most=coefficient_table.KEPT)
+    if illuminant not in projections:
+        projections[illuminant] = projection(plan, source.terms, illuminant)
+    return source, projections[illuminant]
+
+
+def _source(
+    hf: HeightField,
+    plan: Plan,
+    scope: Scope,
+    key: Any,
+    reached: coefficient_table.Reached,
+    *,
+    device: wp.Device,
+    threads: int,
+) -> _Source:
+    """The source of a plan's table."""
+    base = coefficient_table.table_for(hf, plan, scope, device=device, threads=threads)
+    found = base.coefficients
+    count = min(plan.terms, found.terms)
+    lanes = coefficient_table.lanes_of(count)
+    kappas = _kappas(reached)
+    if plan.coherence.adds_powers:
+
+        def basis_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
+            return found.basis_at(at)[:, :count]
+
+        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _SHARE)
+        own = found.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
+        mirror = np.maximum(basis_at(np.linspace(*kappas, _MIRROR_ENTRIES)) @ own, 0.0).astype(np.float32)
+        at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
+    else:
+        # Amplitudes of the mean plane and of others do not come apart.
+        mirror = np.zeros(0, dtype=np.float32)
+        nodes = _chebyshev_kappas(hf, kappas)
+        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)), _SHARE_OF_CARDINALS)
+        at_kappas = np.zeros((coefficient_table.lanes_of(len(nodes)), lanes), dtype=np.float32)
+        at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
+    layout = Layout.of(plan, reached.frequency)
+    lobe2 = 0.0 if plan.coherence.sigma_um is None else 0.5 / coefficient_table.falloff_um2(plan.coherence)
+    phase = 2.0 * math.pi * kappas[1] * hf.height_range_um
+    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, phase, plan.coherence)
+
+
+def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    """How much each term matters, relative to rows (my, mx, terms)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    some = flat[:: max(1, len(flat) // _SAMPLED)].astype(np.float64)
+    norms = np.linalg.norm(some, axis=1, keepdims=True)
+    sizes = np.sqrt(np.mean((some / np.where(norms > 0.0, norms, 1.0)) ** 2, axis=0))
+    return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max()))
+
+
+def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
+    """The spectrum's rows, octave after octave, ray after ray."""
+    import warp as wp
+
+    layout, sampler = source.layout, source.sampler
+    bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
+    values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
+    for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
+        log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
+        inputs = [
+            source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            start,
+        ]  # fmt: skip
+        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_SLICE)
+    return values
+
+
+def _coloured(
+    source: _Source, how: Projection, spectrum_rows: Any, illuminant: str, *, device: wp.Device, threads: int
+) -> tuple[Any, Any, float]:
+    """The kernel, the table of colours without levels, and its size."""
+    import warp as wp
+
+    from warpdiff.kernels import colour_lookup, spectrum_sampling
+
+    layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
+    target = colour_lookup.lookup(count, source.is_lines)
+    table = target.Colours()
+    table.functions = wp.array(how.functions, dtype=target.functions, device=device)
+    table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
+    table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
+    table.per_log = per_log = layout.nodes / math.log(2.0)
+    table.node_of_one = (LOG_RED - layout.log_low) * per_log
+    table.wiggles = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NEVER
+    # The spline there begins one before it.
+    table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
+    table.spread = math.sqrt(source.lobe2) * MIDDLE_UM
+    table.mirror = wp.array(source.mirror, dtype=wp.float32, device=device)
+    table.least_kappa, highest = source.terms.kappas
+    table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)
+    table.lobe2 = source.lobe2
+    wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, illuminant)
+    table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
+    table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
+    if source.is_lines:
+        table.blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
+        table.spread2 = source.coherence.spread**2
+        table.near2 = near(source.coherence) ** 2
+    # Levels come behind, if any: until then theirs is no memory on the CPU.
+    table.rows = wp.empty(layout.with_levels().rows, dtype=target.row, device=device)
+    projector = spectrum_sampling.projector(len(source.at_kappas), count)
+    matrices = wp.array(how.matrices.reshape(-1, count), dtype=projector.functions, device=device)
+    curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+
+    def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
+        begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
+        given = layout.nodes + len(how.matrices) - 1 + 2 * colour_lookup.FILTER_REACH
+        values = line_spectrum.gathered(
+            spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
+            rays=layout.rays[0][octave], blur=layout.blurs[octave], **options,
+        )  # fmt: skip
+        inputs = [values, matrices, curves, terms, layout.nodes, given]
+        launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
+
+    if source.is_lines:
+        _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
+        return target.integrate, table, _megabytes(layout, count)
+    # Room for each ray, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
+    length = layout.nodes + len(how.matrices) - 1 + colour_lookup.FILTER_REACH
+    sequence = wp.empty(layout.rays[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
+    starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
+    rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
+
+    def fill(_level: int, octave: int, on_rays: Any) -> None:
+        inputs = [spectrum_rows, starts, rays, matrices, curves, terms, layout.nodes, octave, length, sequence]
+        groups = layout.rays[0][octave] // projector.abreast
+        launch(projector.project, groups, inputs, [on_rays], in_runs=True, **options)
+
+    _fill(table, target, layout, 0, fill, device=device, threads=threads)
+    return target.integrate, table, _megabytes(layout, count)
+
+
+def _megabytes(layout: Layout, functions: int) -> float:
+    """Size of the rows of a table that are filled."""
+    return layout.rows * 3 * functions * 4e-6
+
+
+def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
+    """The same with levels, from a table without, whose rows have room for them."""
+    from warpdiff.kernels import colour_lookup
+
+    count = sharp.functions.dtype._length_
+    target = colour_lookup.lookup(count, is_lines)
+    table = target.Colours()
+    for name in target.Colours.vars:
+        if name not in ("firsts", "rays", "widths"):
+            setattr(table, name, getattr(sharp, name))
+
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+
+    def fill(level: int, octave: int, on_rays: Any) -> None:
+        inputs = [table, layout.source(level, octave), level, octave]
+        launch(target.blur, layout.rays[level][octave], inputs, [on_rays], in_runs=True, **options)
+
+    _fill(table, target, layout, 1, fill, device=device, threads=threads)
+    return target.integrate, table, _megabytes(layout, count)
+
+
+def _fill(
+    table: Any,
+    target: Any,
+    layout: Layout,
+    first_level: int,
+    fill: Callable[[int, int, Any], None],
+    *,
+    device: wp.Device,
+    threads: int,
+) -> None:
+    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the rays of a level and an octave."""
+    import warp as wp
+
+    from warpdiff.kernels import colour_lookup
+
+    table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
+    table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
+    table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
+    for level in range(first_level, len(layout.rays)):
+        for octave, rays in enumerate(layout.rays[level]):
+            fill(level, octave, on_rays)
+            inputs = [on_rays, table, level, octave]
+            repeated = rays + 2 * colour_lookup.REACH
+            launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
+
+
+@functools.cache
+def blending(device: str, *, is_lines: bool) -> Any:
+    """The struct ``Blending`` of the kernels for a source's lines or a spectrum, on the device of a name."""
+    import warp as wp
+
+    from warpdiff.kernels import colour_lookup as kernels
+
+    result = kernels.Blending()
+    reached, weigh = (_REACHED_OF_LINES, _cut_off) if is_lines else (_REACHED, _closest)
+    weights, lengths = _blends(2 * kernels.REACH, reached, weigh)
+    result.weights = wp.array(weights, dtype=wp.float32, device=device)
+    result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
+    result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
+    result.parts = wp.array(_parts(kernels.MOST_PARTS), dtype=wp.float32, device=device)
+    return result
+
+
+@functools.cache
+def _parts(most: int) -> NDArray[np.float64]:
+    """The normal distribution as 1 … ``most`` narrower ones: their variance, places and weights, (most, 3, most).
+
+    Places and weights are those of Gauss and Hermite, so that moments up to 2 count − 1 are kept.
+    """
+    result = np.zeros((most, 3, most))
+    for count in range(1, most + 1):
+        within = min(1.0, _WITHIN / count)
+        places, weights = np.polynomial.hermite_e.hermegauss(count)
+        result[count - 1, 0] = within
+        result[count - 1, 1, :count] = math.sqrt(1.0 - within) * places
+        result[count - 1, 2, :count] = weights / weights.sum()
+    return result
+
+
+def _blends(
+    most: int, reached: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Weights of the rays around a place, (variances, fractions, most), and how many of them count.
+
+    The fraction is how far the place lies from the middle of these. ``weigh`` takes the rays' places from there,
+    (n, m), and the blur's variance.
+    """
+    fractions = (np.arange(_POSITIONS) + 0.5) / _POSITIONS - 0.5
+    weights = np.zeros((_REMAINDERS, _POSITIONS, most))
+    lengths = np.zeros(_REMAINDERS, dtype=np.int32)
+    for index in range(_REMAINDERS):
+        variance = index / (_REMAINDERS - 1) * _MOST_REMAINDER
+        count = min(math.ceil(2.0 * reached * math.sqrt(variance + 0.25)), most)
+        weights[index, :, :count] = weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
+        lengths[index] = count
+    return weights.astype(np.float32), lengths
+
+
+@np.errstate(under="ignore")
+def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """Weights of the spline's coefficients under a Gaussian, which is cut off where they end."""
+    # So far out that the widest does not come round, as transforms do.
+    fine = np.arange(-1024, 1024) / 64.0
+    square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
+    blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
+    weights = np.interp(places, fine, blurred)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """Weights of these coefficients that make the best of a Gaussian of the spectrum's own blur, wherever it lies.
+
+    Its sum with the weights, a function of where it lies, is the Gaussian that is blurred as closely as can be (least
+    squares), and has its area, mean and variance.
+    """
+    # Products of a coefficient and of what is wanted, integrated over where the Gaussian lies.
+    inverse = _inverse_products(places.shape[1])
+    weights = _filtered(places, _PREFILTER, 2.0 * _OWN**2 + variance) @ inverse
+    powers = places[:, None, :] ** np.arange(3)[:, None]
+    lacking = np.array([1.0, 0.0, variance + 0.25]) - np.einsum("nm,nkm->nk", weights, powers)
+    changes = powers @ inverse
+    multipliers = np.linalg.solve(changes @ powers.transpose(0, 2, 1), lacking[..., None])
+    return np.asarray(weights + np.einsum("nk,nkm->nm", multipliers[..., 0], changes))
+
+
+@functools.cache
+def _inverse_products(count: int) -> NDArray[np.float64]:
+    """The inverse of the products of two of so many coefficients, integrated over where the Gaussian lies."""
+    order = np.arange(float(count))
+    products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN**2)
+    return np.asarray(np.linalg.inv(products), dtype=np.float64)
+
+
+def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """A Gaussian, once it has gone through filters."""
+    away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
+    gaussian = np.exp(-0.5 * away**2 / variance)
+    return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
+
+
+def _is_smooth(illuminant: str, per_log: float) -> bool:
+    """Whether colours under a light are so smooth in ln λ that every second node tells their mean; lines are not."""
+    products = colorimetry.colour_products(illuminant)
+    logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
+    left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
+    return bool(left.max() < _LEFT_AT_ALIAS)
+
+
+def _kappas(reached: coefficient_table.Reached) -> tuple[float, float]:
+    """The range of |κ| of the basis."""
+    return max(reached.kappa_low, _SMALLEST_KAPPA * reached.kappa_high), reached.kappa_high
+
+
+def _chebyshev_kappas(hf: HeightField, kappas: tuple[float, float]) -> NDArray[np.float64]:
+    """The |κ| between which a power is a polynomial: Chebyshev's nodes, as many as its oscillations take."""
+    low, high = kappas
+    argument = math.pi * (high - low) * hf.height_range_um
+    count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
+    angles = math.pi * (np.arange(count) + 0.5) / count
+    return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * np.cos(angles))
+
+
+def _cardinals(kappas: NDArray[np.float64], nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Polynomials that are 1 at one of Chebyshev's nodes and 0 at the others, shape (len(kappas), len(nodes))."""
+    count = len(nodes)
+    order = np.arange(count)
+    half = (nodes.max() - nodes.min()) / (2.0 * math.cos(math.pi / (2 * count))) if count > 1 else 1.0
+    middle = (nodes.max() + nodes.min()) / 2.0
+    transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
+    transform[0] /= 2.0
+    position = np.clip((kappas - middle) / half, -1.0, 1.0)
+    return np.asarray(np.cos(np.arccos(position)[:, None] * order) @ transform)

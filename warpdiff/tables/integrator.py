@@ -1,0 +1,137 @@
+"""Colours of deflections on a device, by the integration that a plan names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.compute.pipeline import Step, launch_in_turn
+from warpdiff.tables import coefficient_table, colour_table
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from warpdiff.plans.direction_range import Scope
+    from warpdiff.plans.plan import Plan
+    from warpdiff.surface.heightfield import HeightField
+
+# Look-ups of a slice.
+_LOOK_UPS = 2048
+
+
+class Integrator:
+    """The kernel of a plan with what it reads, made or found again."""
+
+    def __init__(self, hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> None:
+        self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
+        self._scope = scope
+        self._colours: dict[str, Any] = {}
+        self._quadratures: dict[str, Any] = {}
+        self._table: coefficient_table.Table | None = None
+        if plan.nodes:
+            import warp as wp
+
+            from warpdiff.kernels.structs import Footprint
+
+            self._blending = colour_table.blending(device.alias, is_lines=plan.coherence.kind == "source")
+            self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
+
+    def add(
+        self,
+        deflections: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminant: str,
+        xyz: wp.array,
+        *,
+        footprints: wp.array | None = None,
+        left_out: wp.array | None = None,
+        among: range | None = None,
+        **options: Any,
+    ) -> None:
+        """Add the XYZ of deflections (n,) to those in ``xyz``.
+
+        Args:
+            deflections: (u, v, w).
+            to_lights: Directions to the light in the local frame.
+            gains: Their factors.
+            illuminant: A name.
+            xyz: What is added to.
+            footprints: What each pixel's filter does to (u, v), for a plan with footprints.
+            left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
+            among: Which of them, from a whole run on; None is all.
+            options: Of ``launch_in_turn``, ``slice_size`` and ``progress``.
+        """
+        if self._plan.nodes and not self.leaves_out:
+            options.setdefault("slice_size", _LOOK_UPS)
+        steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)
+        launch_in_turn(
+            steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
+        )
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether a table leaves out some directions, as those of a source do."""
+        return bool(self._plan.nodes) and self._plan.coherence.kind == "source"
+
+    @property
+    def blurs(self) -> bool:
+        """Whether a table takes means over footprints."""
+        return self._plan.blurs
+
+    def steps(
+        self,
+        deflections: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminant: str,
+        xyz: wp.array,
+        footprints: wp.array | None = None,
+        left_out: wp.array | None = None,
+    ) -> list[Step]:
+        """What ``add`` launches."""
+        if not self._plan.nodes:
+            return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
+        import warp as wp
+
+        if left_out is None:
+            left_out = wp.empty(len(gains) * self.leaves_out, dtype=wp.float32, device=self._device)
+        steps = [self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)]
+        if self.leaves_out:
+            steps.append(self._sample(deflections, to_lights, left_out, illuminant, xyz))
+        return steps
+
+    def _look_up(
+        self,
+        deflections: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminant: str,
+        xyz: wp.array,
+        footprints: wp.array | None,
+        left_out: wp.array,
+    ) -> Step:
+        """Add what a table serves."""
+        from warpdiff.kernels import colour_lookup
+
+        if illuminant not in self._colours:
+            self._colours[illuminant] = colour_table.table_for(
+                self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads
+            )
+        kernel, table = self._colours[illuminant]
+        seen = self._no_footprints if footprints is None else footprints
+        run = colour_lookup.RUN if self._device.is_cpu else 1
+        inputs = [table, deflections, to_lights, gains, seen, self._blending, run]
+        return Step(kernel, inputs, [left_out, xyz], block=run)
+
+    def _sample(
+        self, deflections: wp.array, to_lights: wp.array, gains: wp.array, illuminant: str, xyz: wp.array
+    ) -> Step:
+        """Add the sums over wavelengths."""
+        given: dict[str, Any] = {"device": self._device}
+        # Others may have taken its place among those that are kept.
+        if self._table is None:
+            self._table = coefficient_table.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
+        if illuminant not in self._quadratures:
+            self._quadratures[illuminant] = coefficient_table.quadrature_for(self._hf, self._plan, illuminant, **given)
+        inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
+        return Step(self._table.integrate, inputs, [xyz])

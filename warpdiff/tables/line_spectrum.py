@@ -1,0 +1,103 @@
+"""The spectrum of an endless surface, which is lines: one at the frequency of each coefficient."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.compute.pipeline import launch
+
+if TYPE_CHECKING:
+    import warp as wp
+    from numpy.typing import NDArray
+
+# Deviations that a line's blur in angle reaches.
+_FAR_IN_BLURS = 4.5
+
+
+@dataclass(frozen=True)
+class Lines:
+    """All but the mean plane's, in the order of their angles.
+
+    Attributes:
+        which: Where their coefficients lie among a table's rows.
+        angles: Of their frequencies, 0 to 2π.
+        log_frequencies: ln |q|, |q| in 1/µm.
+    """
+
+    which: NDArray[np.int32]
+    angles: NDArray[np.float64]
+    log_frequencies: NDArray[np.float64]
+
+
+def of_table(arguments: Any, highest: float) -> Lines:
+    """The lines up to a frequency [1/µm], of coefficients as the struct of ``tables.Table`` has them."""
+    lengths = arguments.length_y, arguments.length_x
+    s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)
+    qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
+    squared = qy**2 + qx**2
+    inside = (squared <= highest**2) & (squared > 0.0)
+    # Beyond the pitch's limit they repeat.
+    rows = (s + arguments.origin_y) % arguments.count_y
+    columns = (r + arguments.origin_x) % arguments.count_x
+    which = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
+    angles = (np.arctan2(qy, qx) % (2.0 * math.pi))[inside]
+    order = np.argsort(angles, kind="stable")
+    return Lines(which[order], angles[order], 0.5 * np.log(squared[inside][order]))
+
+
+def gathered(
+    lines: Lines,
+    coefficients: wp.array,
+    sampler: Any,
+    *,
+    log_begin: float,
+    per_log: float,
+    nodes: int,
+    rays: int,
+    blur: float,
+    device: wp.Device,
+    **options: Any,
+) -> wp.array:
+    """The density of lines over frequency on rays, ray after ray and node by node.
+
+    Args:
+        lines: What to gather.
+        coefficients: Powers, a row each.
+        sampler: The namespace of :func:`warpdiff.kernels.spectrum_sampling.gatherer`.
+        log_begin: ln |q| of the first node.
+        per_log: Nodes per unit of ln |q|.
+        nodes: Of a ray.
+        rays: Their number.
+        blur: Standard deviation of a line's angle [rad].
+        device: Where.
+        options: Of ``launch``.
+    """
+    import warp as wp
+
+    places = (lines.log_frequencies - log_begin) * per_log
+    some = np.flatnonzero((places > -0.5) & (places < nodes - 0.5))
+    angles = lines.angles[some]
+    # A turn, and what of it reaches beyond its ends.
+    far = _FAR_IN_BLURS * blur
+    after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
+    turned = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
+    again = some[np.concatenate([np.arange(before, len(some)), np.arange(len(some)), np.arange(after)])]
+    at = 2.0 * math.pi * np.arange(rays) / rays
+    values = wp.empty(rays * nodes, dtype=sampler.row, device=device)
+    inputs = [
+        coefficients,
+        wp.array(lines.which[again], dtype=wp.int32, device=device),
+        wp.array(turned, dtype=wp.float32, device=device),
+        wp.array(places[again], dtype=wp.float32, device=device),
+        wp.array(np.exp(-2.0 * lines.log_frequencies[again]), dtype=wp.float32, device=device),
+        wp.array(np.searchsorted(turned, at - far), dtype=wp.int32, device=device),
+        wp.array(np.searchsorted(turned, at + far), dtype=wp.int32, device=device),
+        nodes,
+        blur,
+    ]
+    launch(sampler.gather, rays, inputs, [values], device=device, **options)
+    return values

@@ -1,0 +1,267 @@
+"""Tables of colours in polar coordinates of (u, v): for what they serve, where their nodes lie, and what they cost.
+
+The spectrum under a window, averaged or centred, is smooth: its Fourier transform is the surface's autocorrelation
+under exp(−r²/4σ²). A table that resolves it, in logarithmic polar coordinates, holds the integral over λ of any number
+of orders, and serves every light and view. ``colour_table`` makes it, once for a height field and a coherence.
+
+A source blurs (u, v) by the same at all wavelengths, and so does what a pixel sees of it: a table of lines, hardly
+blurred, is blurred at look-up by both. Lines that a grazing source blurs less than the table does, and what surrounds
+the mirror direction, are left to sampling.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.optics import colorimetry
+from warpdiff.tables import coefficient_table
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.plans.plan import Plan
+    from warpdiff.surface.heightfield import HeightField
+
+# Samples along a ray, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of Gaussians
+# is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of some samples.
+_ALONG = 1.6
+# From node to node at least so many, or a node's spline is no integral.
+_FEWEST_DIVISIONS = 2.0
+# The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
+_FLAT = 0.02
+_FEWEST_RAYS = 16
+# A wavelength in the middle [µm].
+MIDDLE_UM = 0.55
+# A source's lines are blurred by so many distances of rays, which makes them smooth splines, ...
+_LINE_IN_RAYS = 0.8
+# ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
+_RAYS_OF_SOURCES = 1.5
+# Rays and nodes that a line shows on.
+_LINE_ON_RAYS, _NODES_OF_LINES = 7.0, 3.0
+# In deviations of a source: within, its blur is no range of angles and ratios.
+_NEAR_IN_SPREADS = 30.0
+# Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
+_BLURRED_RAYS_PER_WIDTH = 1.2
+_WIDEST = 0.4
+# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
+# part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
+_A_SAMPLE, _A_NEIGHBOUR, _A_LINE, _A_NUMBER = 150.0, 4.0, 20.0, 35.0
+# Multiply-adds of a projection, which are made of SIMD alone, in those of all other kernels.
+_DENSE = 0.2
+LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
+# Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
+RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
+# Errors fall with this power of the nodes.
+ORDER = 2.0
+# Orders so many standard deviations of the blur apart hardly touch.
+_APART = 4.0
+# A table that is much larger than this takes longer to make than it saves.
+MOST_MEGABYTES = 300.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the nodes of a table lie.
+
+    The spectrum is sampled on octaves of frequencies. A node of |(u, v)| has the number of the frequency at its red
+    end, and its octave's colours reach into the next one, whose rays it takes.
+
+    Attributes:
+        nodes: Nodes an octave.
+        log_low: ln t of the first node.
+        spectrum_rays: Rays of each octave of frequencies: as many as the one before, or twice as many.
+        divisions: Samples from one node to the next, of each of them.
+        blurs: Of each octave of |(u, v)|, the spectrum's own blur [rad].
+        rays: Rays of each level and octave of |(u, v)|.
+        widths: What these are blurred by besides [rad].
+        highest: Largest frequency that is looked up [1/µm].
+    """
+
+    nodes: int
+    log_low: float
+    spectrum_rays: tuple[int, ...]
+    divisions: tuple[int, ...]
+    blurs: tuple[float, ...]
+    rays: tuple[tuple[int, ...], ...]
+    widths: tuple[tuple[float, ...], ...]
+    highest: float
+
+    @classmethod
+    def of(cls, plan: Plan, highest: float) -> Layout:
+        """The layout for a plan and the largest frequency, without levels."""
+        step = math.log(2.0) / plan.nodes
+        if plan.coherence.kind == "source":
+            return cls._of_lines(plan, highest, step)
+        width = blur(plan.coherence)
+        # A colour takes up to three nodes beyond its octave, and look-ups two more.
+        top = math.log(max(highest, width)) + 5.0 * step
+        octaves = max(math.ceil((top - math.log(_FLAT * width)) / math.log(2.0)), 2)
+        log_low = top - octaves * math.log(2.0)
+        tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
+        divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), _FEWEST_DIVISIONS)
+        most = 2.0 * math.pi * tops[-1] / width * plan.rays_per_width
+        doublings = min(max(math.floor(math.log2(most / _FEWEST_RAYS)), 0), octaves - 1)
+        # A multiple of those that are projected side by side.
+        fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_RAYS)
+        of_spectrum = fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)
+        return cls(
+            plan.nodes, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()),
+            tuple((width / tops[1:]).tolist()), (tuple(of_spectrum[1:].tolist()),), ((0.0,) * (octaves - 1),), highest,
+        )  # fmt: skip
+
+    @classmethod
+    def _of_lines(cls, plan: Plan, highest: float, step: float) -> Layout:
+        """The same for a source, whose rows each octave of |(u, v)| takes from coefficients as they are."""
+        spread = plan.coherence.spread
+        # Look-ups take some nodes on either side.
+        top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
+        low = math.log(near(plan.coherence)) + LOG_RED - 4.0 / _NEAR_IN_SPREADS
+        octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
+        log_low = top - octaves * math.log(2.0)
+        tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0) - LOG_RED)
+        rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
+        blurs = _LINE_IN_RAYS * 2.0 * math.pi / rays
+        counts = tuple(rays.astype(int).tolist())
+        return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
+
+    def with_levels(self) -> Layout:
+        """The same with blurred levels, for footprints and for sources."""
+        narrow = np.asarray(self.rays[0])
+        rays, widths = [narrow], [np.zeros(len(narrow))]
+        first = 2.0 * math.pi / narrow
+        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1
+        for level in range(levels):
+            # An octave that is blurred enough already goes on as it is.
+            blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST, first))
+            total = np.hypot(self.blurs, blurred)
+            fewer = np.ceil(2.0 * math.pi / total * _BLURRED_RAYS_PER_WIDTH)
+            rays.append(np.clip(fewer, _FEWEST_RAYS, narrow))
+            widths.append(blurred)
+        return replace(
+            self,
+            rays=tuple(tuple(each.astype(int).tolist()) for each in rays),
+            widths=tuple(tuple(each.tolist()) for each in widths),
+        )
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """The row of each octave's ray 0 among the spectrum's samples, and at the end the number of all."""
+        return np.cumsum([0, *(rays * self.nodes for rays in self.spectrum_rays)])
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """The row of each level's and octave's ray 0, and at the end the number of all rows."""
+        from warpdiff.kernels.colour_lookup import REACH
+
+        counts = (np.asarray(self.rays).ravel() + 2 * REACH) * self.nodes
+        first = np.append(np.full(len(counts), REACH * self.nodes), 0)
+        return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
+
+    def source(self, level: int, octave: int) -> int:
+        """The widest level that another can be made from: what it lacks of the blur spans its rays."""
+        width = self.widths[level][octave]
+        spacings = [2.0 * math.pi / rays[octave] for rays in self.rays[:level]]
+        lacking = [width**2 - each[octave] ** 2 for each in self.widths[:level]]
+        return max((k for k in range(level) if lacking[k] >= spacings[k] ** 2), default=0)
+
+    @property
+    def rows(self) -> int:
+        """Rows of the table."""
+        return int(self.firsts[-1])
+
+    @property
+    def sharp_rows(self) -> int:
+        """Rows that are projected, from which levels are made."""
+        return sum(self.rays[0]) * self.nodes
+
+    @property
+    def samples(self) -> int:
+        """Samples of the spectrum that fill it."""
+        return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_rays, self.divisions, strict=True))
+
+
+def has_levels(plan: Plan) -> bool:
+    """Whether look-ups of a plan's table are blurred."""
+    return plan.blurs or plan.coherence.kind == "source"
+
+
+def near(coherence: Coherence) -> float:
+    """The |(u, v)| from which on a table serves: within, the blur of a source is no range of angles and ratios."""
+    return _NEAR_IN_SPREADS * coherence.spread
+
+
+def blur(coherence: Coherence) -> float:
+    """Standard deviation of the power spectrum's blur [1/µm]; that of a source is at a middle wavelength."""
+    if coherence.sigma_um is None:
+        return coherence.spread / MIDDLE_UM
+    return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
+
+
+def node_count(nodes: int) -> int:
+    """Nodes that a colour takes of a table with so many an octave."""
+    return math.ceil((LOG_BLUE - LOG_RED) / math.log(2.0) * nodes) + 3
+
+
+def expected_error(nodes: int, *, few: bool = False) -> float:
+    """Error of colours from a table of a surface with many orders in sight, or with a few that stand apart."""
+    return float((0.024 if few else 0.008) * (20.0 / nodes) ** 1.7)
+
+
+def stand_apart(hf: HeightField, coherence: Coherence) -> bool:
+    """Whether a patch is so small that its orders are further apart than the spectrum's blur spreads them."""
+    lengths = [length for n, length in zip(hf.shape, hf.size_um, strict=True) if n > 1]
+    return max(lengths, default=0.0) * _APART * blur(coherence) < 1.0
+
+
+def rungs(coherence: Coherence) -> list[tuple[int, float]]:
+    """Nodes an octave and rays in a standard deviation of the blur that tables come in, the smallest first."""
+    factor = _RAYS_OF_SOURCES if coherence.kind == "source" else 1.0
+    return [(nodes, factor * rays) for nodes, rays in RUNGS]
+
+
+def smallest_rung(plan: Plan) -> tuple[int, float] | None:
+    """The smallest size that may keep a plan's tolerance."""
+    return next((rung for rung in rungs(plan.coherence) if expected_error(rung[0]) <= plan.tolerance), None)
+
+
+def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
+    """What a table costs to make, in the multiply-adds of ``Plan``."""
+    layout = _layout(plan)
+    parts = 1 if plan.coherence.adds_powers else 2
+    lanes = coefficient_table.lanes_of(plan.terms)
+    if plan.coherence.kind == "source":
+        lines = 2.0 * math.pi * layout.highest**2 * math.prod(hf.size_um)
+        sampling = lines * _LINE_ON_RAYS * (_A_LINE + 2.0 * _NODES_OF_LINES * lanes)
+    else:
+        neighbours = (
+            math.pi
+            * -math.log(plan.least_weight)
+            / coefficient_table.falloff_um2(plan.coherence)
+            * math.prod(hf.size_um)
+        )
+        sampling = layout.samples * (parts * _A_SAMPLE + neighbours * (_A_NEIGHBOUR + parts * lanes))
+    # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
+    powers = parts * plan.terms
+    projection = layout.sharp_rows * node_count(plan.nodes) * powers * (powers + 3.0)
+    return sampling + _DENSE * projection + _A_NUMBER * layout.rows * 3.0 * powers
+
+
+def megabytes(plan: Plan) -> float:
+    """Size of a table, of about as many functions of w as there are terms where these are not said."""
+    return _layout(plan).rows * 3 * (plan.functions or plan.terms) * 4e-6
+
+
+def _layout(plan: Plan) -> Layout:
+    """The layout of a plan's table, with its levels if it has any."""
+    sharp = Layout.of(plan, coefficient_table.Reached.by(plan.scope).frequency)
+    return sharp.with_levels() if has_levels(plan) else sharp
+
+
+def multiply_adds(plan: Plan) -> float:
+    """Those of a direction."""
+    return 9.0 * 3.0 * (plan.functions or coefficient_table.lanes_of(plan.terms))
