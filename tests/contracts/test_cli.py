@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 import pytest
 
+import warpdiff as wd
 from warpdiff.app import cli, demo
 from warpdiff.core import disk_cache
 
@@ -140,6 +142,12 @@ def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monk
     monkeypatch.setattr("warpdiff.compute.device.load", lambda *_: pytest.fail("kernels are loaded"))
     assert cli.main(arguments) == 2
     assert "may not be written to; name another one" in capsys.readouterr().err
+
+
+def test_the_tolerance_is_that_of_the_library():
+    default = inspect.signature(wd.shade).parameters["tolerance"].default
+    for command in (["render", "tube", "fingers"], ["brdf", "fingers"]):
+        assert cli._parser().parse_args([*command, "-o", "a.png"]).tolerance == default
 
 
 def test_unknown_options_are_2():

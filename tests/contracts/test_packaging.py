@@ -190,10 +190,15 @@ def test_kernels_are_never_imported_by_their_folder():
 def test_a_plain_import_is_light():
     code = "import sys, warpdiff; print(*sys.modules)"
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
+    # What knows no device starts without Warp; nothing starts with what only some calls take.
+    slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
+    light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan"
+    code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.app import cli; print(*sys.modules)"
+    assert not set(run([sys.executable, "-c", code], ROOT).split()) & {"warp", *slow}
     code = "import sys; from warpdiff import *; print(*sys.modules)"
     loaded = set(run([sys.executable, "-c", code], ROOT).split())
-    assert "warpdiff.render.shade" in loaded
-    assert not loaded & {"warp", "trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
+    assert {"warp", "warpdiff.render.shade"} <= loaded
+    assert not loaded & slow
 
 
 def test_public_names_exist_and_are_documented():

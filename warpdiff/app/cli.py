@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.util
-import inspect
 import math
 import sys
 import time
@@ -17,10 +16,13 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 import warpdiff as wd
-from warpdiff.core import checks
+from warpdiff.core import checks, disk_cache
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.image.image import check_target
+from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -290,8 +292,7 @@ def _evaluation_options() -> argparse.ArgumentParser:
 
 
 def _add_tolerance(group: Any) -> None:
-    default = inspect.signature(wd.shade).parameters["tolerance"].default
-    group.add_argument("--tolerance", type=float, default=default, help=f"error asked for (default: {default:g})")
+    group.add_argument("--tolerance", type=float, default=1e-2, help="error asked for (default: 0.01)")
 
 
 def _height_field(options: argparse.Namespace) -> wd.HeightField:
@@ -385,10 +386,6 @@ def _render(options: argparse.Namespace) -> None:
 
 def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
     """The eye and target given, or such that the mesh fills the picture, seen a little from above."""
-    import numpy as np
-
-    from warpdiff.scene.mesh_import import prepare_surface
-
     for name in ("width", "height"):
         checks.count(getattr(options, name), name)
     checks.number(options.fov_y_deg, "fov_y_deg", above=0.0, most=179.0)
@@ -438,8 +435,6 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _cache(options: argparse.Namespace) -> None:
-    from warpdiff.core import disk_cache
-
     if options.trim_mib is not None:
         checks.number(options.trim_mib, "--trim-mib", least=0.0)
     folder = disk_cache.cache_folder()

@@ -10,14 +10,16 @@ import warnings
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from warpdiff.core import checks, fork_safety
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.core.thread_pool import cores
+from warpdiff.kernels import launch_slices
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import warp as wp
 
 _LOADERS = 2
 _loading: dict[Any, Future[Any]] = {}
@@ -28,8 +30,6 @@ _MOST_WAIT_S = 1.0
 def resolve_device(device: Any) -> wp.Device:
     """The Warp device of a name such as ``"cpu"`` or ``"cuda:0"``; None is the CPU."""
     _refuse_cut_off()
-    import warp as wp
-
     # Unless told otherwise before it starts, Warp prints a banner, a line a module, and that there is no CUDA driver.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
@@ -60,8 +60,6 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
     """
     if not device.is_cpu:
         return []
-    from warpdiff.kernels import launch_slices
-
     # Those that begin at once, and then what launches any of them.
     in_order = [*kernels[:_LOADERS], launch_slices.run, *kernels[_LOADERS:]]
     _refuse_cut_off()

@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.device import load_now, resolve_device
 from warpdiff.core.thread_pool import Work
+from warpdiff.kernels import launch_slices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import warp as wp
 
 # Elements of a slice on the CPU, unless told: what the launches cost is little against them.
 _SLICE = 512
@@ -46,8 +47,6 @@ class Step:
 
     def launch(self, elements: range, device: wp.Device) -> None:
         """Launch it for each index by itself."""
-        import warp as wp
-
         inputs = self._inputs(elements.start // self.block)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
@@ -80,8 +79,6 @@ class _Call:
 
     def __init__(self, kernel: Any, values: Sequence[Any]) -> None:
         """Launch it without effect, with arguments that Warp checks."""
-        import warp as wp
-
         recorded = wp.launch(kernel, 1, values, device=resolve_device(None), record_cmd=True)
         hooks, recorded.hooks = recorded.hooks, self
         recorded.launch()
@@ -114,8 +111,6 @@ _calls: dict[tuple[Any, ...], _Call] = {}
 
 def _call_of(kernel: Any, values: Sequence[Any]) -> _Call:
     """How a kernel is called with values: to ask Warp takes longer than a launch."""
-    import warp as wp
-
     types = tuple((each.dtype, each.ndim) if isinstance(each, wp.array) else type(each) for each in values)
     key = kernel, types
     # Of two threads that ask at once, both get the first one's.
@@ -141,8 +136,6 @@ class _Slices:
     """Slices of elements, of which any thread takes the next ones through a chain."""
 
     def __init__(self, chain: Chain, elements: range, *, slice_size: int, at_a_time: int) -> None:
-        from warpdiff.kernels import launch_slices
-
         self._chain, self._taken = chain, np.zeros(1, dtype=np.int32)
         values = [
             chain.address, chain.count, elements.start, elements.stop, slice_size, at_a_time, self._taken.ctypes.data
@@ -201,8 +194,6 @@ def begin_in_turn(
         progress: Called with the share that is done.
         joins: Whether this thread takes part in it at once.
     """
-    import warp as wp
-
     among = range(elements) if isinstance(elements, int) else elements
     if not among:
         if progress is not None:

@@ -10,6 +10,8 @@ import functools
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from threadpoolctl import ThreadpoolController
+
 from warpdiff.core import fork_safety
 
 if TYPE_CHECKING:
@@ -54,6 +56,4 @@ fork_safety.at_fork(in_child=_end)
 
 @functools.cache
 def _libraries() -> Any:
-    from threadpoolctl import ThreadpoolController
-
     return ThreadpoolController().select(user_api="blas")

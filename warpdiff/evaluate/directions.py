@@ -7,6 +7,7 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
@@ -26,7 +27,6 @@ from warpdiff.tables.integrator import Integrator
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.surface.heightfield import HeightField
@@ -386,8 +386,6 @@ class _Call:
             )  # fmt: skip
             result[lit] = self._gains[lit, None] * power
             return result
-        import warp as wp
-
         table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
         wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._device)
         values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._device)
@@ -403,8 +401,6 @@ class _Call:
             return direct_colour(
                 self._hf, self._deflections, self._lights, self._gains, self.plan, illuminant, progress=progress
             )
-        import warp as wp
-
         integrator = Integrator(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
         xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._device)
         integrator.add(*self._deflect(), illuminant, xyz, progress=progress)
@@ -412,8 +408,6 @@ class _Call:
 
     def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
         """Deflections, directions to the light and gains on the device."""
-        import warp as wp
-
         return (
             wp.array(self._deflections, dtype=wp.vec3d, device=self._device),
             wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=self._device),

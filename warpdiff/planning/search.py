@@ -18,6 +18,7 @@ from warpdiff.compute.device import load
 from warpdiff.fourier import low_rank_basis
 from warpdiff.fourier.low_rank_basis import holds_powers
 from warpdiff.fourier.phase_series import EXPANSIONS
+from warpdiff.kernels import spectral_sum
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.planning.trial import kernels_tried
 from warpdiff.plans.direction_range import Scope
@@ -328,8 +329,6 @@ def mean_cost(
     weights: NDArray[np.float64] | None = None,
 ) -> float:
     """Predicted multiply-adds of a direction, in the mean over directions of some lateral and |w|."""
-    from warpdiff.kernels import spectral_sum
-
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))

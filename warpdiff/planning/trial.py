@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import launch
@@ -21,7 +22,6 @@ from warpdiff.tables import coefficient_table, colour_table
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
@@ -55,8 +55,6 @@ class Group:
     """
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
-        import warp as wp
-
         self.sample = sample
         # A spectrum's points are its pixels.
         self.weights = np.repeat(sample.weights, points)
@@ -103,8 +101,6 @@ class Trial:
         device: wp.Device,
         threads: int,
     ) -> None:
-        import warp as wp
-
         self.hf, self._scope, self._device, self._threads = hf, scope, device, threads
         self._illuminants = illuminants
         self._wavenumbers, self._points = None, 1
@@ -202,8 +198,6 @@ class Trial:
 
     def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
         """What a plan makes of directions, the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
-        import warp as wp
-
         group = self.pilots if on is None else on
         seen = group.deflections, group.to_lights, group.gains
         if self._wavenumbers is not None:

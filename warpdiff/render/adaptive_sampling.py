@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.pipeline import Chain, Step, launch, launch_in_turn
-from warpdiff.kernels import cell_levels
+from warpdiff.kernels import adaptive, cell_levels, work_queues
 from warpdiff.render import pixel_filters
 from warpdiff.render.gbuffer import Room, shared_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.render.frame import Frame
@@ -72,19 +72,15 @@ class Light:
 
     def estimate(self, floor: wp.array, wanted: wp.array) -> Step:
         """Which pixels are to be split."""
-        from warpdiff.kernels import adaptive as kernels
-
         seen, view, among = self.frame.seen, self.frame.view, self.frame.may_see
         inputs = [
             self.colours, seen.deflections, seen.pixels.hit, view.width, among.start, among.stop, floor, self._bound,
             self.least > 0, self.refine,
         ]  # fmt: skip
-        return Step(kernels.estimate, inputs, [self.errors, wanted], in_runs=True)
+        return Step(adaptive.estimate, inputs, [self.errors, wanted], in_runs=True)
 
     def share_out(self, level: int, room: Room, given: Any, *, shadows: bool) -> list[Step]:
         """What finds the shares of pixels around those whose cells are in a room."""
-        from warpdiff.kernels import adaptive as kernels
-
         means, name = self.integrator.blurs, self.frame.options["device"].alias
         steps = self.frame.steps_of_cells(self.integrator, self.which, self.illuminant, level, room, shadows=shadows)
         weights = pixel_filters.weights_at(level, means, name)
@@ -93,41 +89,33 @@ class Light:
             self.colours, given.ranks, weights, level,
         ]  # fmt: skip
         outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
-        return [*steps, Step(kernels.share_out, inputs, outputs, in_runs=True, block=cell_levels.rays_at(level))]
+        return [*steps, Step(adaptive.share_out, inputs, outputs, in_runs=True, block=cell_levels.rays_at(level))]
 
     def collect(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> Step:
         """What sets pixels to what cells give them."""
-        from warpdiff.kernels import adaptive as kernels
-
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
         bound = self._bound
         if self.refine and level == cell_levels.MOST_LEVEL:
             bound = pixel_filters.OF_UNSETTLED * self.tolerance
         inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
-        return Step(kernels.collect, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True)
+        return Step(adaptive.collect, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True)
 
     def choose(
         self, level: int, given: Any, tiles: wp.array, floor: wp.array, wanted: wp.array, chosen: wp.array
     ) -> Step:
         """Which pixels are split again."""
-        from warpdiff.kernels import adaptive as kernels
-
         view = self.frame.view
         inputs = [
             given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor, self._bound, level,
             *self._goes_on(level),
         ]  # fmt: skip
-        return Step(kernels.choose, inputs, [chosen], in_runs=True)
+        return Step(adaptive.choose, inputs, [chosen], in_runs=True)
 
     def room_for_shares(self, pixels: int) -> Any:
         """The struct ``Shares`` of the kernels for so many pixels that are split."""
-        import warp as wp
-
-        from warpdiff.kernels import adaptive as kernels
-
         device = self.frame.options["device"]
-        result = kernels.Shares()
+        result = adaptive.Shares()
         result.shares = wp.empty((pixels, 9), dtype=wp.vec4f, device=device)
         result.means = wp.empty(pixels, dtype=wp.vec3f, device=device)
         result.changes = wp.empty(pixels, dtype=wp.float32, device=device)
@@ -139,8 +127,6 @@ class Light:
 
 def split(light: Light, progress: Callable[[float], None] | None = None) -> tuple[int, int]:
     """Split pixels on threads of the host, and say how many there were at first, and in the end."""
-    import warp as wp
-
     frame = light.frame
     among, options, view = frame.may_see, frame.options, frame.view
     if not among:
@@ -215,10 +201,6 @@ class Queue:
 
     def __init__(self, light: Light, pixels: int) -> None:
         """Room for a picture under lights like this one."""
-        import warp as wp
-
-        from warpdiff.kernels import work_queues
-
         options = light.frame.options
         device = options["device"]
 
@@ -253,10 +235,6 @@ class Queue:
 
     def work_off(self, light: Light) -> None:
         """Launch what splits pixels until none is left."""
-        import warp as wp
-
-        from warpdiff.kernels import work_queues
-
         self._find_floor(light.colours, light.frame.seen.gains)
         self._found.zero_()
         self._launch_step(light.estimate(self._floor, self._wanted))
@@ -266,8 +244,6 @@ class Queue:
         wp.launch(work_queues.keep_larger, dim=2, inputs=inputs, outputs=[self._most_found], device=self._device)
 
     def _split_all(self, light: Light) -> None:
-        from warpdiff.kernels import work_queues
-
         view = light.frame.view
         self._launch(work_queues.count_up, [self._wanted], [self._found[:1]])
         self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
@@ -281,10 +257,6 @@ class Queue:
 
     def _find_floor(self, colours: wp.array, gains: wp.array) -> None:
         """Set the floor to that of a picture."""
-        import warp as wp
-
-        from warpdiff.kernels import work_queues
-
         self._tallies.zero_()
         apart = pixel_filters.glimpse(self._pixels)
         self._launch(work_queues.tally, [colours, gains, apart], [self._tallies], -(-self._pixels // apart))
@@ -292,10 +264,6 @@ class Queue:
 
     def _meet(self, level: int, steps: Sequence[Step]) -> None:
         """Launch steps over the cells of as many chosen pixels as there is room for until none is left; −1 is none."""
-        import warp as wp
-
-        from warpdiff.kernels import work_queues
-
         tiles = self._room.tiles[level]
         self._counts.zero_()
         self._taken.zero_()

@@ -6,13 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.pipeline import Step, launch
+from warpdiff.kernels import scattering
 from warpdiff.plans.direction_range import DirectionSample, Scope, sample_ranks
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from warpdiff.optics.coherence import Coherence
     from warpdiff.surface.heightfield import HeightField
 
@@ -35,8 +35,6 @@ class Survey:
         device: wp.Device,
     ) -> None:
         """Make room for the summary of ``size`` deflections."""
-        import warp as wp
-
         self._device = device
         blocks = -(-size // BLOCK)
         self._counts = wp.empty(blocks, dtype=wp.int32, device=device)
@@ -48,8 +46,6 @@ class Survey:
 
     def step(self, deflections: wp.array, to_lights: wp.array, gains: wp.array) -> Step:
         """What is to be launched over the deflections before ``found``."""
-        from warpdiff.kernels import scattering
-
         self._seen = deflections, to_lights, gains
         inputs = [*self._seen, *self._scope, BLOCK]
         return Step(scattering.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=BLOCK)
@@ -61,10 +57,6 @@ class Survey:
             parts: How many passes share the sample; 0 takes none.
             among: Which of all were summed up, from a whole block on.
         """
-        import warp as wp
-
-        from warpdiff.kernels import scattering
-
         first, end = (0, len(self._counts)) if among is None else (among.start // BLOCK, -(-among.stop // BLOCK))
         counts = self._counts.numpy()[first:end]
         count = int(counts.sum(dtype=np.int64))

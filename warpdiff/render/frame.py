@@ -6,23 +6,27 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import Step, begin_in_turn, launch, launch_in_turn
 from warpdiff.core import fork_safety
 from warpdiff.evaluate.directions import direct_colour
 from warpdiff.image.image import Image, relative_errors
+from warpdiff.kernels import adaptive, bvh, ray_hits, scattering, shadow_grid
+from warpdiff.kernels.shadow_grid import hide
+from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.plans.direction_range import DirectionSample, Scope
 from warpdiff.render import adaptive_sampling, pixel_filters
 from warpdiff.render.direction_statistics import BLOCK, Survey
 from warpdiff.render.gbuffer import Seen
+from warpdiff.scene import device_mesh
 from warpdiff.scene.shadow_grid import grid_for, grid_pays, no_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.core.thread_pool import Work
@@ -50,8 +54,6 @@ _SLICE, _COLOURS, _FACES = 8192, 2048, 2048
 
 def load_kernels(device: wp.Device) -> None:
     """Begin to load what every picture needs, while the mesh is looked at."""
-    from warpdiff.kernels import ray_hits, scattering, shadow_grid
-
     load([ray_hits.meet, scattering.deflect_pixels, shadow_grid.hide], device)
 
 
@@ -75,10 +77,6 @@ class Frame:
         If ``alone`` the device fills it from the view and the lights on without the host, so that its launches may be
         recorded; None is so on a GPU. Otherwise the host has a part, which is faster on the CPU.
         """
-        import warp as wp
-
-        from warpdiff.scene import device_mesh
-
         # Means begin with one ray a pixel.
         self._samples, self._least = 1 if means else samples, samples
         self._device = device
@@ -128,8 +126,6 @@ class Frame:
 
     def look(self, view: View) -> None:
         """Set the view, of the same size as any before."""
-        from warpdiff.scene import device_mesh
-
         self._end_covering()
         self.view = view
         self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
@@ -177,10 +173,6 @@ class Frame:
             pigment: Its strength.
             shadows: Whether the mesh may hide the lights.
         """
-        import warp as wp
-
-        from warpdiff.kernels import scattering
-
         self.pigmented = pigment > 0.0 and self._surface.has_base_colour
         grid_um = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
         solid_angle = reflectance_factors.pigment_solid_angle(grid_um, window, area_um2)
@@ -216,8 +208,6 @@ class Frame:
 
         That is a first pass over the rays, which cost a hundredth of the colours.
         """
-        from warpdiff.scene import device_mesh
-
         within, count = Scope(0.0, 0.0, 0.0, 0.0), 0
         seen = []
         # A few rays a pixel see what all do, and of many pixels their own rays what cells do.
@@ -275,8 +265,6 @@ class Frame:
 
     def _room_for_what_is_left_out(self, integrator: Integrator) -> wp.array:
         """An array of a picture's size, which is made once, for a table that leaves directions out."""
-        import warp as wp
-
         if integrator.leaves_out and not len(self._left_out):
             self._left_out = wp.empty(self._size, dtype=wp.float32, device=self._device)
         return self._left_out
@@ -291,10 +279,6 @@ class Frame:
         progress: Callable[[float], None] | None,
     ) -> None:
         """Add means over pixels, which are split where one ray does not tell them."""
-        import warp as wp
-
-        from warpdiff.kernels import adaptive as kernels
-
         self._split = np.zeros(2)
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
@@ -326,14 +310,12 @@ class Frame:
             if rest is not None:
                 rest(1.0)
             if several:
-                step = Step(kernels.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True)
+                step = Step(adaptive.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True)
                 self._launch([step])
 
     @property
     def _colours_of_one(self) -> wp.array:
         """Where a light's colours come: of means under several lights by themselves, otherwise in the picture."""
-        import warp as wp
-
         if not self._means or len(self._to_lights) == 1:
             return self._sums[0]
         if not len(self._colours):
@@ -342,10 +324,6 @@ class Frame:
 
     def meet_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
         """What ``cover`` finds of the cells of so many pixels, one after the other."""
-        import warp as wp
-
-        from warpdiff.kernels import ray_hits
-
         nearest = wp.full(pixels * cells.across**2, ray_hits.UNSEEN, dtype=wp.uint64, device=self._device)
         inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
         launch(
@@ -358,8 +336,6 @@ class Frame:
         self, integrator: Integrator, which: int, illuminant: str, level: int, room: Room, *, shadows: bool
     ) -> list[Step]:
         """What adds the colours of cells under a light to zeros in a room."""
-        from warpdiff.kernels.structs import Sampling
-
         seen, means = room.seen, integrator.blurs
         sampling = Sampling()
         sampling.tiles, sampling.places = room.tiles[level], pixel_filters.places_at(level, self._device.alias)
@@ -391,9 +367,6 @@ class Frame:
 
     def _begin_to_cover(self, sampling: Any) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
-        from warpdiff.kernels import ray_hits
-        from warpdiff.kernels.structs import Cells
-
         self._nearest.fill_(ray_hits.UNSEEN)
         self._rows.assign([self.view.height, -1])
         reach = 0.0 if sampling.samples == 1 else ray_hits.MOST_OFFSET
@@ -431,11 +404,6 @@ class Frame:
 
     def _sampling(self, sample: int, samples: int) -> Any:
         """Where a sample of every pixel lies."""
-        import warp as wp
-
-        from warpdiff.kernels import ray_hits
-        from warpdiff.kernels.structs import Sampling
-
         sampling = Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
         if samples > 1 and not self._alone:
@@ -450,8 +418,6 @@ class Frame:
 
     def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
         """What finds where rays meet the mesh, and how it lies there."""
-        from warpdiff.kernels import bvh, ray_hits
-
         arrays = self._scene.with_hierarchy() if self._alone else self._scene.bare
         find = bvh.cast if self._alone else ray_hits.meet
         return [
@@ -507,9 +473,6 @@ class Frame:
     def _deflect(
         self, which: int, seen: Seen, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
     ) -> list[Step]:
-        from warpdiff.kernels import scattering
-        from warpdiff.kernels.shadow_grid import hide
-
         shadows, hidden = shadows and self.casts_shadows, self.hidden_of(seen, shadows=shadows)
         # What is covered counts once.
         counted, begins = weight if which == 0 else 0.0, which == 0 and sample == 0
@@ -547,8 +510,6 @@ class Frame:
 
     def _spread(self, seen: Seen, deviation: float) -> Step:
         """What filters of a deviation [pixels] do to (u, v)."""
-        from warpdiff.kernels import scattering
-
         inputs = [self._camera, self._scene.bare, seen.pixels, seen.deflections, deviation]
         return Step(scattering.spread_pixels, inputs, [seen.footprints], in_runs=True)
 

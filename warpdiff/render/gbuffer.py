@@ -7,15 +7,18 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from warpdiff.core.thread_pool import side_by_side
 from warpdiff.kernels import cell_levels
+from warpdiff.kernels.colour_lookup import RUN
+from warpdiff.kernels.structs import Footprint, Pixels
 from warpdiff.render import pixel_filters
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     import numpy as np
-    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.compute.pipeline import Chain
@@ -35,9 +38,6 @@ class Seen:
     @classmethod
     def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> Seen:
         """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
-        import warp as wp
-
-        from warpdiff.kernels.structs import Footprint, Pixels
 
         def empty(dtype: Any, size: int = rays) -> Any:
             return wp.empty(size, dtype=dtype, device=device)
@@ -76,8 +76,6 @@ class Room:
     @classmethod
     def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Room:
         """Room for so many rays, with base colours if ``coloured``."""
-        import warp as wp
-
         left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
         tiles = {
@@ -97,10 +95,6 @@ class SharedRoom:
 
     def __init__(self, parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> None:
         """So many parts."""
-        import warp as wp
-
-        from warpdiff.kernels.colour_lookup import RUN
-
         self.parts, self._run = parts, RUN
         # Whole pixels of any level, and whole runs of look-ups.
         whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)

@@ -13,8 +13,10 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.core.thread_pool import slices_of
+from warpdiff.kernels import structs
 from warpdiff.kernels.cell_levels import (
     CUT,
     DEVIATION,
@@ -30,7 +32,6 @@ from warpdiff.kernels.limits import FLOOR, TINY
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import warp as wp
     from numpy.typing import NDArray
 
 # Deviation of a cell's filter over the cells' distance: half of it leaves ripples of 1.4 % between cells.
@@ -78,8 +79,6 @@ def _cut_deviation() -> float:
 @functools.cache
 def places_at(level: int, device: str) -> wp.array:
     """Where the cells of a pixel lie, (right, down) of its centre [pixels], on the device of a name."""
-    import warp as wp
-
     across = 2**level
     places = (np.arange(across) + 0.5) / across - 0.5
     down, right = np.meshgrid(places, places, indexing="ij")
@@ -92,8 +91,6 @@ def weights_at(level: int, means: bool, device: str) -> wp.array:
 
     Together with the cells' own filters they are the pixel's.
     """
-    import warp as wp
-
     return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
 
 
@@ -112,8 +109,6 @@ def per_thirds_on(means: bool, device: str) -> wp.array:
 
     On the device of a name.
     """
-    import warp as wp
-
     per_thirds = [np.array(THIRDS) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS]
     # There are no weights of pixels that are not split.
     return wp.array([np.ones(3), *per_thirds], dtype=wp.float32, device=device)
@@ -147,10 +142,6 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
 
 def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> Any:
     """The struct ``Cells`` of the kernels for pixels of a picture of this size, one after the other."""
-    import warp as wp
-
-    from warpdiff.kernels import structs
-
     # Rows begin with words of their own.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True

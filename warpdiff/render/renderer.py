@@ -8,6 +8,8 @@ import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, warn_outside
 from warpdiff.render.frame import load_kernels
@@ -19,7 +21,6 @@ from warpdiff.tables.integrator import Integrator
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import warp as wp
     from numpy.typing import ArrayLike
 
     from warpdiff.image.image import Image
@@ -156,8 +157,6 @@ class Renderer:
 
     def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
-        import warp as wp
-
         needed = (*mine.frame.launches_depend_on, *(each.illuminant for each in mine.lights))
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
@@ -193,6 +192,4 @@ class _Picture(threading.local):
 
 def records(device: wp.Device) -> bool:
     """Whether a device can record and replay a picture, whose loops end when no pixel is left to be split."""
-    import warp as wp
-
     return bool(device.is_cuda and wp.is_conditional_graph_supported())

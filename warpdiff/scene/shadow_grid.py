@@ -7,15 +7,15 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.pipeline import launch
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.lru_cache import found_again
+from warpdiff.kernels import shadow_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    import warp as wp
 
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
@@ -39,8 +39,6 @@ def no_grid(scene: SceneArrays, *, few: bool = False) -> Any:
 
     Or one for ``few`` rays.
     """
-    from warpdiff.kernels import shadow_grid
-
     grid = shadow_grid.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy(few=few).mesh_id
     return grid
@@ -58,10 +56,6 @@ def grid_for(
 
 
 def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:
-    import warp as wp
-
-    from warpdiff.kernels import shadow_grid
-
     towards = np.array(to_light)
     across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
     across /= np.linalg.norm(across)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.core import disk_cache
 from warpdiff.core.blas_threads import on_one_thread
@@ -16,10 +17,10 @@ from warpdiff.core.lru_cache import found_again
 from warpdiff.fourier import kaiser_bessel, low_rank_basis, transforms
 from warpdiff.fourier.low_rank_basis import Coefficients
 from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
+from warpdiff.kernels import spectral_sum
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.fourier.transforms import Block, Grid
@@ -173,23 +174,17 @@ def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
     """The frequencies that a coherence form looks coefficients up at."""
     if coherence.kind != "replicas":
         return transforms.patch_grid(hf)
-    from warpdiff.kernels import spectral_sum
-
     return transforms.fine_grid(hf, lambda nu: kaiser_bessel.kernel_transform(nu, spectral_sum.TAPS))
 
 
 def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
     """The kernels for rows of so many terms."""
-    from warpdiff.kernels import spectral_sum
-
     powers = low_rank_basis.holds_powers(method, adds_powers=coherence.adds_powers)
     return spectral_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
 
 def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> Table:
     """The table for a plan, and for what a call has beyond it, built or found again."""
-    import warp as wp
-
     coherence = plan.coherence
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
     scope = plan.scope.joined(scope)
@@ -255,8 +250,6 @@ def reach(plan: Plan, hf: HeightField) -> tuple[int, int]:
 
     They are the same for all but the least weights, as is then a basis that is fitted to them.
     """
-    from warpdiff.kernels import spectral_sum
-
     if plan.coherence.kind == "replicas":
         return spectral_sum.TAPS, spectral_sum.TAPS
     # A slanted ellipse is covered by a parallelogram.
@@ -267,10 +260,6 @@ def reach(plan: Plan, hf: HeightField) -> tuple[int, int]:
 
 def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.Device) -> Any:
     """The struct ``Quadrature`` of the spectral kernels, for a plan and an illuminant."""
-    import warp as wp
-
-    from warpdiff.kernels import spectral_sum
-
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_lateral + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
@@ -310,10 +299,6 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 def _set_taps(table: Any, kernels: Any, hf: HeightField, device: wp.Device) -> None:
     """The interpolation kernel; an axis of one sample has the same value at every frequency."""
-    import warp as wp
-
-    from warpdiff.kernels import spectral_sum
-
     taps = _taps(spectral_sum.TAPS)
     constant_x = np.zeros((1, spectral_sum.TAPS), dtype=np.float32)
     constant_x[0, 0] = 1.0

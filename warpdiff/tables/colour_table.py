@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import free_memory
 from warpdiff.core.lru_cache import found_again
+from warpdiff.kernels import colour_lookup, spectrum_sampling
 from warpdiff.optics import colorimetry
 from warpdiff.tables import coefficient_table, line_spectrum
 from warpdiff.tables.colour_projection import Projection, Terms, projection, spline
@@ -21,7 +23,6 @@ from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_levels,
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
@@ -98,12 +99,10 @@ class _Source:
     @property
     def sampler(self) -> Any:
         """The kernel that samples the spectrum, or that gathers its lines, and the type of its rows."""
-        from warpdiff.kernels import spectrum_sampling as kernels
-
         width, lanes = self.at_kappas.shape
         if self.is_lines:
-            return kernels.gatherer(lanes)
-        return kernels.resampler(lanes, self.base.coefficients.rows.shape[2] == 1, width)
+            return spectrum_sampling.gatherer(lanes)
+        return spectrum_sampling.resampler(lanes, self.base.coefficients.rows.shape[2] == 1, width)
 
 
 def table_for(
@@ -165,14 +164,10 @@ def begin_to_load(
 
 def kernel_of_look_ups(functions: int, coherence: Coherence) -> Any:
     """The kernel that looks up a table with so many functions of w."""
-    from warpdiff.kernels import colour_lookup
-
     return colour_lookup.lookup(functions, coherence.kind == "source").integrate
 
 
 def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
-    from warpdiff.kernels import colour_lookup, spectrum_sampling
-
     count = how.functions.shape[1]
     target = colour_lookup.lookup(count, source.is_lines)
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
@@ -250,8 +245,6 @@ def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
 
 def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     """The spectrum's rows, octave after octave, ray after ray."""
-    import warp as wp
-
     layout, sampler = source.layout, source.sampler
     bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
@@ -269,10 +262,6 @@ def _coloured(
     source: _Source, how: Projection, spectrum_rows: Any, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
     """The kernel, the table of colours without levels, and its size."""
-    import warp as wp
-
-    from warpdiff.kernels import colour_lookup, spectrum_sampling
-
     layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
     target = colour_lookup.lookup(count, source.is_lines)
     table = target.Colours()
@@ -338,8 +327,6 @@ def _megabytes(layout: Layout, functions: int) -> float:
 
 def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
     """The same with levels, from a table without, whose rows have room for them."""
-    from warpdiff.kernels import colour_lookup
-
     count = sharp.functions.dtype._length_
     target = colour_lookup.lookup(count, is_lines)
     table = target.Colours()
@@ -368,10 +355,6 @@ def _fill(
     threads: int,
 ) -> None:
     """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the rays of a level and an octave."""
-    import warp as wp
-
-    from warpdiff.kernels import colour_lookup
-
     table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
     table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
     table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
@@ -388,17 +371,13 @@ def _fill(
 @functools.cache
 def blending(device: str, *, is_lines: bool) -> Any:
     """The struct ``Blending`` of the kernels for a source's lines or a spectrum, on the device of a name."""
-    import warp as wp
-
-    from warpdiff.kernels import colour_lookup as kernels
-
-    result = kernels.Blending()
+    result = colour_lookup.Blending()
     reached, weigh = (_REACHED_OF_LINES, _cut_off) if is_lines else (_REACHED, _closest)
-    weights, lengths = _blends(2 * kernels.REACH, reached, weigh)
+    weights, lengths = _blends(2 * colour_lookup.REACH, reached, weigh)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
     result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
     result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
-    result.parts = wp.array(_parts(kernels.MOST_PARTS), dtype=wp.float32, device=device)
+    result.parts = wp.array(_parts(colour_lookup.MOST_PARTS), dtype=wp.float32, device=device)
     return result
 
 

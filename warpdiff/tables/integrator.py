@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from warpdiff.compute.pipeline import Step, launch_in_turn
+from warpdiff.kernels import colour_lookup
+from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import coefficient_table, colour_table
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from warpdiff.plans.direction_range import Scope
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
@@ -28,10 +30,6 @@ class Integrator:
         self._quadratures: dict[str, Any] = {}
         self._table: coefficient_table.Table | None = None
         if plan.nodes:
-            import warp as wp
-
-            from warpdiff.kernels.structs import Footprint
-
             self._blending = colour_table.blending(device.alias, is_lines=plan.coherence.kind == "source")
             self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
@@ -91,8 +89,6 @@ class Integrator:
         """What ``add`` launches."""
         if not self._plan.nodes:
             return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
-        import warp as wp
-
         if left_out is None:
             left_out = wp.empty(len(gains) * self.leaves_out, dtype=wp.float32, device=self._device)
         steps = [self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)]
@@ -111,8 +107,6 @@ class Integrator:
         left_out: wp.array,
     ) -> Step:
         """Add what a table serves."""
-        from warpdiff.kernels import colour_lookup
-
         if illuminant not in self._colours:
             self._colours[illuminant] = colour_table.table_for(
                 self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads

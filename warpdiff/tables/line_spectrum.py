@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpdiff.compute.pipeline import launch
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import NDArray
 
 # Deviations that a line's blur in angle reaches.
@@ -76,8 +76,6 @@ def gathered(
         device: Where.
         options: Of ``launch``.
     """
-    import warp as wp
-
     places = (lines.log_frequencies - log_begin) * per_log
     some = np.flatnonzero((places > -0.5) & (places < nodes - 0.5))
     angles = lines.angles[some]

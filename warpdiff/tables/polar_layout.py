@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.kernels.colour_lookup import REACH
 from warpdiff.optics import colorimetry
 from warpdiff.tables import coefficient_table
 
@@ -156,8 +157,6 @@ class Layout:
     @property
     def firsts(self) -> NDArray[np.int64]:
         """The row of each level's and octave's ray 0, and at the end the number of all rows."""
-        from warpdiff.kernels.colour_lookup import REACH
-
         counts = (np.asarray(self.rays).ravel() + 2 * REACH) * self.nodes
         first = np.append(np.full(len(counts), REACH * self.nodes), 0)
         return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
