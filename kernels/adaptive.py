@@ -3,11 +3,11 @@
 import warp as wp
 
 from warpdiff.kernels import cell_levels, spectral_sum
-from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.snippets import filled, simd_batch
 
 wp.set_module_options(spectral_sum.OPTIONS)
 
-THIRDS = wp.constant(wp.vec3f(*cell_levels.THIRDS))
+FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
 # Parts of rows, one after the other, with the rows above and below and what is beside their ends.
 _ESTIMATE = """
@@ -103,13 +103,13 @@ _ESTIMATE = """
 
 @wp.func_native(
     filled(
-        abreast(32) + _ESTIMATE,
+        simd_batch(32) + _ESTIMATE,
         SMOOTH=f"{cell_levels.SMOOTH}f",
         PER_UNEVEN=f"{cell_levels.PER_UNEVEN}f",
         PER_WIDE=f"{cell_levels.PER_WIDE}f",
     )
 )
-def estimate_run(
+def estimate_errors_run(
     colours: wp.array(dtype=wp.vec3f),
     deflections: wp.array(dtype=wp.vec3d),
     hit: wp.array(dtype=wp.int32),
@@ -130,7 +130,7 @@ def estimate_run(
 
 
 @wp.kernel
-def estimate(
+def estimate_errors(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     deflections: wp.array(dtype=wp.vec3d),
@@ -168,7 +168,7 @@ def estimate(
     """
     thread, _ = wp.tid()
     begin = first + thread * run
-    estimate_run(
+    estimate_errors_run(
         colours, deflections, hit, width, hit.shape[0] // width, low, high, floor, bound, all_of_them, splits_rims,
         begin, begin + run, errors_out, wanted_out
     )  # fmt: skip
@@ -221,7 +221,7 @@ _SHARE_OUT = """
 
 
 @wp.func_native(_SHARE_OUT)
-def share_out_run(
+def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
     hidden: wp.array(dtype=wp.bool),
@@ -242,7 +242,7 @@ def share_out_run(
 
 
 @wp.kernel
-def share_out(
+def splat_cells(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
@@ -283,7 +283,7 @@ def share_out(
     """
     thread, _ = wp.tid()
     begin = first + thread * run
-    share_out_run(
+    splat_cells_run(
         colours, hit, hidden, pixels, colours_before, ranks, weights, level, begin, begin + run,
         shares_out, means_out, changes_out, levels_out, dark_out
     )  # fmt: skip
@@ -291,7 +291,7 @@ def share_out(
 
 @wp.struct
 class Shares:
-    """What pixels that are split give to those around them, as ``share_out`` finds it."""
+    """What pixels that are split give to those around them, as ``splat_cells`` finds it."""
 
     shares: wp.array2d(dtype=wp.vec4f)
     means: wp.array(dtype=wp.vec3f)
@@ -312,7 +312,7 @@ def rank_of(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
 
 
 @wp.kernel
-def collect(
+def resolve_pixels(
     # In:
     given: Shares,
     pixels: wp.array(dtype=wp.int32),
@@ -340,7 +340,7 @@ def collect(
         width: Pixels in a row.
         height: Rows.
         floor: What errors are relative to at least.
-        bound: As ``estimate`` has it.
+        bound: As ``estimate_errors`` has it.
         level: The last one.
         goes_on: Whether all of them are split again.
         rim_level: To which those that are covered in part are split at least.
@@ -381,7 +381,7 @@ def collect(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = rank_of(given.ranks, (row + line - 1) * width + column + side - 1)
                 of_level = wp.int32(given.levels[there])
-                share = THIRDS[line] * THIRDS[side]
+                share = FILTER_SHARES[line] * FILTER_SHARES[side]
                 per_weight = given.per_thirds[of_level, line] * given.per_thirds[of_level, side]
                 square += share * share * given.changes[there] * given.changes[there]
                 if least == most:
@@ -394,12 +394,14 @@ def collect(
         total = total / weight
         colour = wp.vec3f(total[0], total[1], total[2])
         of_difference = wp.where(
-            level == 1, wp.static(wp.float32(cell_levels.OF_FIRST)), wp.static(wp.float32(cell_levels.OF_LATER))
+            level == 1,
+            wp.static(wp.float32(cell_levels.ERROR_PER_FIRST_DIFFERENCE)),
+            wp.static(wp.float32(cell_levels.ERROR_PER_LATER_DIFFERENCE)),
         )
         # What parts change by may cancel once.
         error = wp.max(
             of_difference * wp.length(colour - colours_out[pixel]),
-            wp.static(wp.float32(cell_levels.OF_CHANGES)) * wp.sqrt(square),
+            wp.static(wp.float32(cell_levels.ERROR_PER_CHANGES)) * wp.sqrt(square),
         )
         colours_out[pixel] = colour
         errors_out[pixel] = error
@@ -411,7 +413,7 @@ def collect(
 
 
 @wp.kernel
-def choose(
+def select_cells(
     # In:
     given: Shares,
     tiles: wp.array(dtype=wp.int32),
@@ -441,10 +443,10 @@ def choose(
         width: Pixels in a row.
         height: Rows.
         floor: What errors are relative to at least.
-        bound: As ``estimate`` has it.
+        bound: As ``estimate_errors`` has it.
         level: The last one.
         goes_on: Whether all of them are.
-        rim_level: As ``collect`` has it.
+        rim_level: As ``resolve_pixels`` has it.
         first: The first thread's place among ``tiles``.
         run: How many a thread takes.
         chosen_out: By pixel of the picture, whether it was and is.
@@ -467,10 +469,10 @@ def choose(
                 if y >= 0 and y < height and x >= 0 and x < width:
                     there = y * width + x
                     if wanted[there] != wp.uint8(0):
-                        share = THIRDS[line] * THIRDS[side]
+                        share = FILTER_SHARES[line] * FILTER_SHARES[side]
                         change = share * given.changes[rank]
                         least = (
-                            wp.static(wp.float32(cell_levels.OF_PARTS))
+                            wp.static(wp.float32(cell_levels.SPLIT_AGAIN_SHARE))
                             * bound
                             * wp.max(wp.length(colours[there]), floor[0])
                         )

@@ -83,7 +83,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pi
 
 
 @wp.kernel
-def cast(
+def trace_bvh(
     # In:
     camera: Camera,
     surface: SurfaceArrays,

@@ -6,27 +6,27 @@ Plain numbers, without Warp, for kernels and for those who launch them.
 import math
 
 # The pixel's filter, a Gaussian: its deviation, and where it is cut, along each axis [pixels].
-DEVIATION, CUT = 0.5, 1.5
+FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
 # What of it lies in each of three pixels in a row.
-_MIDDLE = math.erf(0.5 / (DEVIATION * math.sqrt(2.0))) / math.erf(CUT / (DEVIATION * math.sqrt(2.0)))
-THIRDS = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
+_MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
+FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # The finest level: 256 cells a pixel, of which a filter reaches some 2,300.
 MOST_LEVEL = 4
 LEVELS = range(1, MOST_LEVEL + 1)
 # Points, which have no filters, begin at this level: nothing else tells how much they differ.
-LEAST_OF_POINTS = 2
+LEAST_LEVEL_OF_POINTS = 2
 # What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
 # where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
 # itself, relative to |(u, v)|. Of others: over the difference of their last two levels, of the first ones and of later
 # ones, for the first cells may well agree with the whole where both are wrong. See docs/decisions.md.
-SMOOTH, PER_UNEVEN, PER_WIDE, OF_FIRST, OF_LATER = 0.01, 0.5, 0.5, 1.8, 1.4
+SMOOTH, PER_UNEVEN, PER_WIDE, ERROR_PER_FIRST_DIFFERENCE, ERROR_PER_LATER_DIFFERENCE = 0.01, 0.5, 0.5, 1.8, 1.4
 # And at least so much of what the nine pixels' cells change by, as if these did not depend on each other.
-OF_CHANGES = 0.4
+ERROR_PER_CHANGES = 0.4
 # Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
-OF_PARTS = 1.0 / 6.0
+SPLIT_AGAIN_SHARE = 1.0 / 6.0
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
-EXCEEDED_BY = 0.01
+BRIGHTEST_SHARE = 0.01
 
 
 def rays_at(level: int) -> int:

@@ -7,7 +7,7 @@ in closed form. Nothing is asked of the pixels beside, so that nothing leaks ove
 import warp as wp
 
 from warpdiff.kernels.shading_frames import LEAST_COSINE
-from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 # The least cosine between the view and a face that its plane is followed at: below, a footprint is a streak anyway.
@@ -133,8 +133,10 @@ _SPREAD = """
 """
 
 
-@wp.func_native(filled(abreast(16) + _SPREAD, LEAST_COSINE=f"{float(LEAST_COSINE)}f", LEAST_FACING=f"{_LEAST_FACING}f"))
-def spread_run(
+@wp.func_native(
+    filled(simd_batch(16) + _SPREAD, LEAST_COSINE=f"{float(LEAST_COSINE)}f", LEAST_FACING=f"{_LEAST_FACING}f")
+)
+def pixel_footprints_run(
     camera: Camera,
     surface: SurfaceArrays,
     pixels: Pixels,

@@ -269,7 +269,7 @@ _COVER = """
 
 
 @wp.func_native(filled(_COVER, ABREAST=ABREAST, MOST_RAYS=max(cell_levels.rays_at(cell_levels.MOST_LEVEL), 8)))
-def cover_run(
+def rasterize_run(
     camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,

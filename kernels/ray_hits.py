@@ -3,9 +3,9 @@
 import warp as wp
 
 from warpdiff.kernels import spectral_sum
-from warpdiff.kernels.rasterize import cover_run
-from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, stand_abreast
-from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.rasterize import rasterize_run
+from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
+from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 
 wp.set_module_options(spectral_sum.OPTIONS)
@@ -94,7 +94,7 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
 
 
 @wp.kernel
-def cover(
+def rasterize(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
@@ -124,7 +124,7 @@ def cover(
         rows_out: The least and the largest row that a face may be seen in, from those that are there on; or empty.
     """
     begin = first + wp.tid() * run
-    cover_run(camera, surface, sampling, cells, reach, begin, begin + run, nearest_out, rows_out)
+    rasterize_run(camera, surface, sampling, cells, reach, begin, begin + run, nearest_out, rows_out)
 
 
 @wp.func
@@ -244,15 +244,15 @@ _MEET = """
 """
 
 
-@wp.func_native(filled(abreast(32) + _MEET, UNSEEN=f"{int(UNSEEN)}ULL"))
-def meet_run(
+@wp.func_native(filled(simd_batch(32) + _MEET, UNSEEN=f"{int(UNSEEN)}ULL"))
+def intersect_known_faces_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
 ):
     """Where rays one after the other meet the faces that are known to be nearest."""
 
 
 @wp.kernel
-def meet(
+def intersect_known_faces(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
@@ -261,7 +261,7 @@ def meet(
     first: wp.int32,
     run: wp.int32,
 ):
-    """Where the rays of pixels, or of tiles, meet the faces that ``cover`` has found.
+    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` has found.
 
     Args:
         camera: The view.
@@ -272,7 +272,7 @@ def meet(
         run: How many a thread takes.
     """
     begin = first + wp.tid() * run
-    meet_run(camera, surface, sampling, pixels, begin, begin + run)
+    intersect_known_faces_run(camera, surface, sampling, pixels, begin, begin + run)
     if pixels.base_colour.shape[0] > 0:
         for ray in range(begin, begin + run):
             if pixels.hit[ray] != 0:
@@ -280,7 +280,7 @@ def meet(
 
 
 @wp.kernel
-def scatter(
+def place_samples(
     # In:
     sample: wp.int32,
     samples: wp.int32,
@@ -296,7 +296,7 @@ def scatter(
 
 
 @wp.kernel
-def stand(
+def make_shading_frames(
     # In:
     surface: SurfaceArrays,
     pixels: Pixels,
@@ -316,7 +316,7 @@ def stand(
         run: How many a thread takes.
     """
     begin = first + wp.tid() * run
-    if stand_abreast(surface, pixels, begin, begin + run) == 0:
+    if shading_frames_run(surface, pixels, begin, begin + run) == 0:
         return
     for ray in range(begin, begin + run):
         if pixels.hit[ray] == SPECIAL:

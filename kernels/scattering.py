@@ -3,8 +3,8 @@
 import warp as wp
 
 from warpdiff.kernels import limits, spectral_sum
-from warpdiff.kernels.footprints import spread_run
-from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.footprints import pixel_footprints_run
+from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(spectral_sum.OPTIONS)
@@ -127,8 +127,8 @@ _DEFLECT = """
 """
 
 
-@wp.func_native(filled(abreast(32) + _DEFLECT, HORIZON=limits.HORIZON))
-def deflect(
+@wp.func_native(filled(simd_batch(32) + _DEFLECT, HORIZON=limits.HORIZON))
+def scattering_vectors_run(
     pixels: Pixels,
     towards: wp.vec3d,
     reflection: Reflection,
@@ -158,7 +158,7 @@ def schlick(cosine: wp.float64, normal: wp.float64) -> wp.float64:
 
 
 @wp.kernel
-def deflect_pixels(
+def scattering_vectors(
     # In:
     pixels: Pixels,
     lights: Lights,
@@ -191,7 +191,7 @@ def deflect_pixels(
     scale = weight * strength[0]
     thread, _ = wp.tid()
     begin = first + thread * run
-    deflect(
+    scattering_vectors_run(
         pixels, to_light, reflection, scale, counted, begins, resets, hidden, begin, begin + run,
         deflections_out, to_lights_out, gains_out, xyz_out, coverage_out, lit_out,
     )  # fmt: skip
@@ -210,7 +210,7 @@ def deflect_pixels(
 
 
 @wp.kernel
-def sum_up(
+def reduce_directions(
     # In:
     deflections: wp.array(dtype=wp.vec3d),
     to_lights: wp.array(dtype=wp.vec3f),
@@ -255,7 +255,7 @@ def sum_up(
 
 
 @wp.kernel
-def pick(
+def sample_directions(
     # In:
     deflections: wp.array(dtype=wp.vec3d),
     to_lights: wp.array(dtype=wp.vec3f),
@@ -285,7 +285,7 @@ def pick(
 
 
 @wp.kernel
-def spread_pixels(
+def pixel_footprints(
     # In:
     camera: Camera,
     surface: SurfaceArrays,
@@ -300,4 +300,4 @@ def spread_pixels(
     """What rays' filters, of a deviation in pixels, do to (u, v)."""
     thread, _ = wp.tid()
     begin = first + thread * run
-    spread_run(camera, surface, pixels, deflections, deviation, begin, begin + run, footprints_out)
+    pixel_footprints_run(camera, surface, pixels, deflections, deviation, begin, begin + run, footprints_out)

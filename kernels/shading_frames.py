@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpdiff.kernels.snippets import abreast, filled
+from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 
 # How far a shadow ray starts above the surface: some hundred roundings of a position.
@@ -165,12 +165,12 @@ _STAND = """
 
 @wp.func_native(
     filled(
-        abreast(32) + _STAND,
+        simd_batch(32) + _STAND,
         LEAST_COSINE=f"{float(LEAST_COSINE)}f",
         LEAST_TANGENT=f"{float(LEAST_TANGENT)}f",
         SPECIAL=int(SPECIAL),
         LIFT=f"{float(LIFT)}f",
     )
 )
-def stand_abreast(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
+def shading_frames_run(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
     """Shading frames of pixels one after the other, and where their shadow rays start; returns how many are left."""

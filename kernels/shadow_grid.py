@@ -9,7 +9,7 @@ import warp as wp
 
 from warpdiff.kernels import spectral_sum
 from warpdiff.kernels.bvh import occluded
-from warpdiff.kernels.snippets import abreast, filled, take_number
+from warpdiff.kernels.snippets import filled, simd_batch, take_number
 from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(spectral_sum.OPTIONS)
@@ -224,7 +224,7 @@ _LOOK_UP = """
 """
 
 
-@wp.func_native(filled(abreast(8) + _LOOK_UP, FACING_AWAY=f"{float(FACING_AWAY)}f", STEPS=float(STEPS)))
+@wp.func_native(filled(simd_batch(8) + _LOOK_UP, FACING_AWAY=f"{float(FACING_AWAY)}f", STEPS=float(STEPS)))
 def look_up(
     grid: ShadowGrid,
     towards: wp.vec3f,
@@ -237,7 +237,7 @@ def look_up(
 
 
 @wp.kernel
-def hide(
+def trace_shadow_rays(
     # In:
     grid: ShadowGrid,
     to_lights: wp.array(dtype=wp.vec3d),

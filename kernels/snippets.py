@@ -26,7 +26,7 @@ CYCLIC = """
 """
 
 
-def abreast(pixels: int) -> str:
+def simd_batch(pixels: int) -> str:
     """How many pixels go side by side, so that the compiler makes vectors; a GPU takes one at a time."""
     return f"""
 #if defined(__CUDA_ARCH__)

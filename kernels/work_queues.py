@@ -13,7 +13,7 @@ BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
 FLOOR = wp.constant(wp.float32(limits.FLOOR))
-EXCEEDED_BY = wp.constant(wp.float32(cell_levels.EXCEEDED_BY))
+BRIGHTEST_SHARE = wp.constant(wp.float32(cell_levels.BRIGHTEST_SHARE))
 TINY = wp.constant(wp.float32(limits.TINY))
 
 
@@ -49,7 +49,7 @@ def find_floor(
     total = wp.int32(0)
     for k in range(GROUPS):
         total += tallies[k]
-    left = EXCEEDED_BY * wp.float32(total)
+    left = BRIGHTEST_SHARE * wp.float32(total)
     group = wp.int32(GROUPS - 1)
     while group > 0 and wp.float32(tallies[group]) <= left:
         left -= wp.float32(tallies[group])

@@ -17,7 +17,7 @@ The map of the package, in the order in which data flows:
 - ``kernels``: Warp kernels: ray casting, directions, spectral integration
 - ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
 - ``render``: ``shade``, a picture of a mesh; ``renderer``: many of one mesh, recorded on a GPU; ``frame``, ``rooms``,
-  ``survey``, ``shadows``: what they launch, over which arrays; ``refinement``, ``splitting``: pixels into cells
+  ``shadows``: what they launch, over which arrays; ``refinement``, ``splitting``: pixels into cells
 - ``evaluate``: the reflectance at arrays of directions; ``direct``: the same by a sum that approximates nothing
 - ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
 - ``image``: the picture and its files; ``layers``: normals, depths and geometries beside it; ``files``: whole or not

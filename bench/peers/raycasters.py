@@ -158,7 +158,7 @@ def _warp_query(rays: Rays) -> Caster:
 
 
 def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
-    frame = Frame(rays.surface, rays.view, alone=not covers, device=resolve_device(None), threads=1)
+    frame = Frame(rays.surface, rays.view, device_driven=not covers, device=resolve_device(None), threads=1)
 
     def trace(threads: int) -> None:
         frame._threads = threads

@@ -35,7 +35,7 @@ from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.optics import reflectance_factors
 from warpdiff.planning import planner
-from warpdiff.plans.direction_range import DirectionSample, Scope
+from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.render.frame import Frame as Picture
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
@@ -97,8 +97,8 @@ class Frame:
         surface = prepare_surface(meshes.tube(segments_along=128, segments_around=64))
         view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=width * 3 // 4)
         frame, window = Picture(surface, view, device=self.device, threads=self.threads), wd.Coherence()
-        frame.light_up([picture_error.LIGHT], window, 1.0, normal=reflectance_factors.normal_reflectance(1.5))
-        frame.survey(hf, window)
+        frame.set_lights([picture_error.LIGHT], window, 1.0, normal=reflectance_factors.normal_reflectance(1.5))
+        frame.measure_directions(hf, window)
         self.all = frame.directions()
         self._choose(pixels)
 
@@ -169,7 +169,7 @@ class Automatic:
     def __init__(self, frame: Frame, coherence: wd.Coherence, tolerance: float) -> None:
         self.frame, self.tolerance = frame, tolerance
         hf, (deflections, to_lights, gains) = frame.hf, frame.all
-        scope = Scope.of(hf, coherence, deflections, to_lights, gains > 0.0)
+        scope = DirectionRange.of(hf, coherence, deflections, to_lights, gains > 0.0)
         begin = time.perf_counter()
         self.plan = planner.plan_for(
             hf, scope, DirectionSample.among(deflections, to_lights, gains), tolerance=tolerance, method="auto",

@@ -36,7 +36,7 @@ from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.planning import search
-from warpdiff.plans.direction_range import Scope, lateral
+from warpdiff.plans.direction_range import DirectionRange, lateral
 from warpdiff.tables import coefficient_table
 
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
@@ -143,7 +143,7 @@ class Call:
         self.gains = reflectance_factors.gain(
             lights, views, normal=normal, masking=True, per_light_cosine=coherence.kind == "source"
         )
-        self.scope = Scope.of(given.hf, coherence, self.deflections, lights, self.gains > 0.0)
+        self.scope = DirectionRange.of(given.hf, coherence, self.deflections, lights, self.gains > 0.0)
         self.lateral = lateral(given.hf, coherence, self.deflections, lights)
         self.w = np.abs(self.deflections[:, 2])
         exact = reference.reference_reflectance(given.hf, lights, views, coherence, tolerance=given.tolerance / 5.0)

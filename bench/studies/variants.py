@@ -197,8 +197,8 @@ def stam_picture(
     """XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
     window, normal = wd.Coherence(), reflectance_factors.normal_reflectance(1.5)
     frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
-    frame.light_up([light], window, 1.0, normal=normal)
-    frame.survey(hf, window)
+    frame.set_lights([light], window, 1.0, normal=normal)
+    frame.measure_directions(hf, window)
     deflections, _, gains = frame.directions()
     found = light.power * stam_directions(hf, deflections, np.float64(gains), colours=colours)
     return np.where(gains[:, None] > 0.0, found, 0.0).reshape(view.height, view.width, 3)

@@ -19,7 +19,7 @@ from warpdiff.bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
 from warpdiff.bench.suite.timing import in_turns
 from warpdiff.bench.truth import errors, reference
 from warpdiff.compute.device import resolve_device
-from warpdiff.plans.direction_range import Scope
+from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def ours(hf: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Sh
     """A plan, called like a peer."""
     import warp as wp
 
-    scope = Scope.of(hf, plan.coherence, seen.deflections, seen.to_lights, seen.gains > 0.0)
+    scope = DirectionRange.of(hf, plan.coherence, seen.deflections, seen.to_lights, seen.gains > 0.0)
     lights: dict[int, Any] = {}
     made: dict[int, Integrator] = {}
 

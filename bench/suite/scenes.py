@@ -83,8 +83,8 @@ def seen(
 ) -> tuple[Directions, np.ndarray]:
     """What the lit pixels of a picture see, and which pixels (n,) these are."""
     frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
-    frame.light_up([light], coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
-    frame.survey(hf, coherence)
+    frame.set_lights([light], coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
+    frame.measure_directions(hf, coherence)
     deflections, to_lights, gains = frame.directions()
     lit = np.flatnonzero(gains > 0.0)
     return Directions(np.float64(to_lights[lit]), deflections[lit], np.float64(gains[lit])), lit

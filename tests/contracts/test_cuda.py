@@ -34,11 +34,11 @@ CPU_ONLY = {"launch_slices"}
 # Numbers that hosts need, too.
 WITHOUT_WARP = {"cell_levels", "limits"}
 KERNELS = {
-    "bvh": {"cast"},
-    "ray_hits": {"cover", "meet", "scatter", "stand"},
-    "shadow_grid": {"count", "fill", "hide", "project"},
-    "scattering": {"deflect_pixels", "pick", "spread_pixels", "sum_up"},
-    "adaptive": {"accumulate", "choose", "collect", "estimate", "share_out"},
+    "bvh": {"trace_bvh"},
+    "ray_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
+    "shadow_grid": {"count", "fill", "trace_shadow_rays", "project"},
+    "scattering": {"scattering_vectors", "sample_directions", "pixel_footprints", "reduce_directions"},
+    "adaptive": {"accumulate", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
     "spectral_sum": {"integrate", "sample"},
     "work_queues": {"count_up", "find_floor", "go_on", "keep_larger", "list_up", "mark_around", "take", "tally"},
     "colour_lookup": {"blur", "integrate", "interpolate"},

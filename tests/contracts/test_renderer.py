@@ -18,7 +18,7 @@ from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
 from warpdiff import meshes
-from warpdiff.compute.pipeline import Step
+from warpdiff.compute.pipeline import KernelCall
 from warpdiff.kernels import work_queues
 from warpdiff.render import adaptive_sampling, renderer
 
@@ -131,17 +131,17 @@ def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
 
 def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"], threads=2)
-    native = Step.native
+    native = KernelCall.native
 
     def fail(step):
-        if step.kernel.key == "cover":
+        if step.kernel.key == "rasterize":
             raise MemoryError
         return native(step)
 
-    monkeypatch.setattr(Step, "native", fail)
+    monkeypatch.setattr(KernelCall, "native", fail)
     with pytest.raises(MemoryError):
         drawn.draw(view=view(0.3))
-    monkeypatch.setattr(Step, "native", native)
+    monkeypatch.setattr(KernelCall, "native", native)
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
 

@@ -69,7 +69,7 @@ def kernel_gain(lights, views, normal, masking, device):
     none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
     for i in range(count):
         inputs = [pixels, given, i, reflection, 1.0, 0.0, False, False, array([], wp.bool), i, 1]
-        wp.launch(scattering.deflect_pixels, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
+        wp.launch(scattering.scattering_vectors, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     np.testing.assert_allclose(found[0].numpy(), -lights - unit_views, atol=1e-12)
     return found[2].numpy()

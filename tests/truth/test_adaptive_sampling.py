@@ -205,7 +205,7 @@ def test_neither_threads_nor_parts_matter(fingers, table, monkeypatch):
         np.testing.assert_array_equal(found.xyz, expected.xyz)
         np.testing.assert_array_equal(found.error, expected.error)
     # As if memory were short: of the faces that cells see.
-    monkeypatch.setattr(pixel_filters, "_MOST_FOUND", 1024)
+    monkeypatch.setattr(pixel_filters, "_MOST_RASTERIZED", 1024)
     found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     monkeypatch.setattr(adaptive_sampling, "_MOST_PIXELS", 300)
@@ -234,11 +234,11 @@ def test_cells_stand_for_the_filter(level, means):
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])
     places = (np.arange(3 * 2**level) + 0.5) / 2**level - 1.5
-    assert weights @ places**2 + deviation**2 == pytest.approx(cell_levels.DEVIATION**2, rel=0.05)
+    assert weights @ places**2 + deviation**2 == pytest.approx(cell_levels.FILTER_SIGMA**2, rel=0.05)
     if means:
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
-        exact = np.exp(-0.5 * (x / cell_levels.DEVIATION) ** 2) / cell_levels.DEVIATION
+        exact = np.exp(-0.5 * (x / cell_levels.FILTER_SIGMA) ** 2) / cell_levels.FILTER_SIGMA
         np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
 
 
@@ -298,7 +298,7 @@ def test_errors_are_estimated_by_those_beside(size, slices, rng):
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        wp.launch(kernels.estimate, (1, 1), inputs, [found, wanted], device="cpu")
+        wp.launch(kernels.estimate_errors, (1, 1), inputs, [found, wanted], device="cpu")
     expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3)
     np.testing.assert_allclose(found.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3

@@ -11,7 +11,7 @@ import warp as wp
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.bench.truth.brute_force import shading_frame
-from warpdiff.compute.pipeline import launch_in_turn
+from warpdiff.compute.pipeline import launch_pipeline
 from warpdiff.kernels import scattering
 from warpdiff.kernels.structs import Footprint
 from warpdiff.render.frame import Frame
@@ -124,7 +124,7 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
         step = integrator.steps(given, to_lights, factors, "D65", xyz, footprints)[0]
         step = dataclasses.replace(step, inputs=[*step.inputs[:-1], run], block=run)
-        launch_in_turn([step], count, device=device, threads=1, slice_size=count)
+        launch_pipeline([step], count, device=device, threads=1, slice_size=count)
         found.append(xyz.numpy())
     for each in found[1:]:
         np.testing.assert_array_equal(each, found[0])
@@ -202,13 +202,13 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     }[place]
     surface, deviation = prepare_surface(tube), 0.4
     frame = Frame(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
-    frame.light_up([LIGHT], SHORT, 1.0, normal=0.04, shadows=False)
+    frame.set_lights([LIGHT], SHORT, 1.0, normal=0.04, shadows=False)
     frame.deflect(0, 0)
     pixels = frame.seen.pixels
     found, among = wp.empty(48 * 36, dtype=Footprint, device="cpu"), frame.may_see
     given = [frame._camera, frame._scene.bare, pixels, frame.seen.deflections]
     inputs = [*given, deviation, among.start, len(among)]
-    wp.launch(scattering.spread_pixels, (1, 1), inputs, [found], device="cpu")
+    wp.launch(scattering.pixel_footprints, (1, 1), inputs, [found], device="cpu")
     hit = np.flatnonzero(frame._hits())
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]

@@ -33,7 +33,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     count = view.width * view.height
     pixels = pixels_for(count)
     axes = camera_of(view, surface)
-    launches = [(bvh.cast, count, [axes, scene.with_hierarchy(), sampling, pixels], [])]
+    launches = [(bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling, pixels], [])]
     if covers:
         pixels.nearest = wp.full(count, ray_hits.UNSEEN, dtype=wp.uint64, device="cpu")
         sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
@@ -41,11 +41,11 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         no_rows = wp.empty(0, dtype=wp.int32, device="cpu")
         given = [axes, scene.bare, sampling, Cells(), reach]
         launches = [
-            (ray_hits.scatter, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
-            (ray_hits.cover, scene.face_count, given, [pixels.nearest, no_rows]),
-            (ray_hits.meet, count, [axes, scene.bare, sampling, pixels], []),
+            (ray_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
+            (ray_hits.rasterize, scene.face_count, given, [pixels.nearest, no_rows]),
+            (ray_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
         ]
-    launches.append((ray_hits.stand, count, [scene.bare, pixels], []))
+    launches.append((ray_hits.make_shading_frames, count, [scene.bare, pixels], []))
     for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
             wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
@@ -286,12 +286,12 @@ def test_cells_are_found_face_by_face(make, level, slices, request):
     camera = camera_of(view, surface)
     for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
         inputs = [camera, scene.bare, Sampling(), cells, 0.0, int(begin), int(end - begin)]
-        wp.launch(ray_hits.cover, 1, inputs, [nearest, rows], device="cpu")
+        wp.launch(ray_hits.rasterize, 1, inputs, [nearest, rows], device="cpu")
     sampling = Sampling()
     sampling.tiles = wp.array(chosen, dtype=wp.int32, device="cpu")
     sampling.places = pixel_filters.places_at(level, "cpu")
     found = []
-    for kernel in (ray_hits.meet, bvh.cast):
+    for kernel in (ray_hits.intersect_known_faces, bvh.trace_bvh):
         pixels = pixels_for(count)
         pixels.nearest = nearest
         # Some slices begin within a pixel.
@@ -323,7 +323,7 @@ def test_pixels_beside_those_that_are_split_are_left_alone():
     count = 16 * len(pixels)
     nearest = wp.full(count + 500, ray_hits.UNSEEN, dtype=wp.uint64, device="cpu")
     inputs = [camera_of(view, surface), scene.bare, Sampling(), cells, 0.0, 0, scene.face_count]
-    wp.launch(ray_hits.cover, 1, inputs, [nearest, wp.empty(0, dtype=wp.int32, device="cpu")], device="cpu")
+    wp.launch(ray_hits.rasterize, 1, inputs, [nearest, wp.empty(0, dtype=wp.int32, device="cpu")], device="cpu")
     met = nearest.numpy() != int(ray_hits.UNSEEN)
     assert np.all(met[:count])
     assert not np.any(met[count:])

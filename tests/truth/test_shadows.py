@@ -14,7 +14,7 @@ from warpdiff import meshes
 from warpdiff.bench.truth.brute_force import intersect
 from warpdiff.compute.pipeline import launch
 from warpdiff.kernels.shading_frames import LIFT
-from warpdiff.kernels.shadow_grid import hide
+from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Pixels
 from warpdiff.render import frame
 from warpdiff.scene import shadow_grid
@@ -80,7 +80,15 @@ def hidden(grid, light, origins, threads=1):
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
     found = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
-    launch(hide, len(origins), [grid, to_lights, 0, pixels], [found], device=device, threads=threads, in_runs=True)
+    launch(
+        trace_shadow_rays,
+        len(origins),
+        [grid, to_lights, 0, pixels],
+        [found],
+        device=device,
+        threads=threads,
+        in_runs=True,
+    )
     return found.numpy()
 
 

@@ -9,9 +9,9 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff.compute.device import resolve_device
-from warpdiff.compute.pipeline import launch_in_turn
-from warpdiff.plans.direction_range import DirectionSample, Scope, sample_ranks, stratified
-from warpdiff.render.direction_statistics import BLOCK, Survey
+from warpdiff.compute.pipeline import launch_pipeline
+from warpdiff.plans.direction_range import DirectionRange, DirectionSample, sample_ranks, stratified
+from warpdiff.render.direction_statistics import BLOCK, DirectionStatistics
 
 WINDOWS = [
     wd.Coherence(),
@@ -33,7 +33,7 @@ def test_scope_and_sample_are_those_of_all(coherence, share, device, rng):
     to_lights = hemisphere(rng, count).astype(np.float32)
     deflections = -to_lights - hemisphere(rng, count)
     gains = np.where(rng.uniform(size=count) < share, rng.uniform(0.1, 1.0, count), 0.0).astype(np.float32)
-    expected = Scope.of(hf, coherence, deflections, to_lights, gains > 0.0)
+    expected = DirectionRange.of(hf, coherence, deflections, to_lights, gains > 0.0)
     expected_some = DirectionSample.among(deflections, to_lights, gains)
     dtypes = (wp.vec3d, wp.vec3f, wp.float32)
     arrays = [
@@ -41,8 +41,8 @@ def test_scope_and_sample_are_those_of_all(coherence, share, device, rng):
         for each, dtype in zip((deflections, to_lights, gains), dtypes, strict=True)
     ]
     for threads in (1, 3):
-        summary = Survey(hf, coherence, count, device=resolve_device(device))
-        launch_in_turn([summary.step(*arrays)], count, device=resolve_device(device), threads=threads)
+        summary = DirectionStatistics(hf, coherence, count, device=resolve_device(device))
+        launch_pipeline([summary.step(*arrays)], count, device=resolve_device(device), threads=threads)
         scope, lit, some = summary.found()
         assert lit == np.count_nonzero(gains)
         for name in ("max_uv", "max_lateral", "min_w", "max_w"):
@@ -63,9 +63,9 @@ def test_parts_of_a_picture_are_surveyed_alone(device, rng):
         each[seen] = values[seen]
     dtypes = (wp.vec3d, wp.vec3f, wp.float32)
     arrays = [wp.array(each, dtype=dtype, device=device) for each, dtype in zip(given, dtypes, strict=True)]
-    summary = Survey(hf, wd.Coherence(), among.stop, device=resolve_device(device))
+    summary = DirectionStatistics(hf, wd.Coherence(), among.stop, device=resolve_device(device))
     step = summary.step(*(each[: among.stop] for each in arrays))
-    launch_in_turn([step], among, device=resolve_device(device), threads=2)
+    launch_pipeline([step], among, device=resolve_device(device), threads=2)
     scope, lit, some = summary.found(among=among)
     assert lit == len(among)
     assert scope.max_w == pytest.approx(np.abs(deflections[seen, 2]).max(), rel=1e-14)

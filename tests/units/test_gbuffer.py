@@ -14,13 +14,13 @@ def none_kept(monkeypatch):
 
 
 def shared(parts, *, leaves_out=False, coloured=False):
-    return gbuffer.shared_room(parts, leaves_out=leaves_out, coloured=coloured, device=resolve_device("cpu"))
+    return gbuffer.shared_tile_buffers(parts, leaves_out=leaves_out, coloured=coloured, device=resolve_device("cpu"))
 
 
 def test_a_room_is_found_again_where_it_is_large_enough():
     with shared(2) as first:
         assert first.parts == 2
-        assert len(first.room.colours) >= 2 * pixel_filters.MOST_RAYS
+        assert len(first.buffers.colours) >= 2 * pixel_filters.MOST_RAYS
     for parts in (1, 2):
         with shared(parts) as again:
             assert again is first
@@ -28,10 +28,10 @@ def test_a_room_is_found_again_where_it_is_large_enough():
         assert larger is not first
     with shared(1, leaves_out=True) as other:
         assert other is not larger
-        assert len(other.room.left_out) == len(other.room.colours)
+        assert len(other.buffers.left_out) == len(other.buffers.colours)
     with shared(1, coloured=True) as other:
         assert other is not larger
-        assert len(other.room.seen.pixels.base_colour) == len(other.room.colours)
+        assert len(other.buffers.seen.pixels.base_colour) == len(other.buffers.colours)
     with shared(3) as again:
         assert again is larger
 

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from warpdiff.compute.device import resolve_device
-from warpdiff.compute.pipeline import Chain, Step, begin_in_turn, launch, launch_in_turn
+from warpdiff.compute.pipeline import KernelCall, Pipeline, begin_pipeline, launch, launch_pipeline
 from warpdiff.core.thread_pool import side_by_side
 from warpdiff.kernels.structs import Sampling
 
@@ -19,7 +19,7 @@ THREADS = (1, 2, 5)
 
 def test_progress_is_told_of_nothing():
     told = []
-    launch_in_turn([], 0, device=resolve_device("cpu"), threads=2, progress=told.append)
+    launch_pipeline([], 0, device=resolve_device("cpu"), threads=2, progress=told.append)
     assert told == [1.0]
 
 
@@ -39,29 +39,29 @@ def double(values: wp.array(dtype=wp.int32), first: wp.int32):
 def test_slices_take_every_element_through_all_kernels_in_turn(threads, size):
     device = resolve_device("cpu")
     values = wp.array(np.arange(size), dtype=wp.int32, device=device)
-    steps = [Step(add_in_runs, [values], [], in_runs=True), Step(double, [values], [])]
+    steps = [KernelCall(add_in_runs, [values], [], in_runs=True), KernelCall(double, [values], [])]
     for _ in range(2):
-        launch_in_turn(steps, size, device=device, threads=threads)
+        launch_pipeline(steps, size, device=device, threads=threads)
     np.testing.assert_array_equal(values.numpy(), 4 * np.arange(size) + 6)
     expected = values.numpy().copy()
     among = range(size // 3, size // 2)
     expected[among.start : among.stop] = 2 * expected[among.start : among.stop] + 2
-    begin_in_turn(steps, among, device=device, threads=threads, slice_size=7).finish()
+    begin_pipeline(steps, among, device=device, threads=threads, slice_size=7).finish()
     np.testing.assert_array_equal(values.numpy(), expected)
 
 
 def test_blocks_are_whole_but_for_the_last():
     device = resolve_device("cpu")
     blocks, values = wp.zeros(3, dtype=wp.int32, device=device), wp.ones(13, dtype=wp.int32, device=device)
-    steps = [Step(add_in_runs, [blocks], [], in_runs=True, block=5), Step(double, [values], [])]
-    launch_in_turn(steps, 13, device=device, threads=2, slice_size=1)
+    steps = [KernelCall(add_in_runs, [blocks], [], in_runs=True, block=5), KernelCall(double, [values], [])]
+    launch_pipeline(steps, 13, device=device, threads=2, slice_size=1)
     np.testing.assert_array_equal(blocks.numpy(), 1)
     np.testing.assert_array_equal(values.numpy(), 2)
 
 
 def test_threads_launch_one_chain_over_elements_of_their_own():
     values = wp.zeros(64, dtype=wp.int32, device="cpu")
-    chain = Chain([Step(add_in_runs, [values], [], in_runs=True), Step(double, [values], [])])
+    chain = Pipeline([KernelCall(add_in_runs, [values], [], in_runs=True), KernelCall(double, [values], [])])
     both = threading.Barrier(2)
 
     def add(first):
@@ -101,8 +101,8 @@ def test_arguments_of_any_type_arrive():
         sampling.places = wp.array([[0.25, 0.0]], dtype=wp.vec2d, device=device)
         for none in (None, wp.empty(0, dtype=wp.int32, device=device)):
             inputs = [sampling, wp.vec2d(0.0, 0.5), np.float32(1.5), True, values]
-            step = Step(gather_all, inputs, [none, found])
-            launch_in_turn([step], 3, device=device, threads=1)
+            step = KernelCall(gather_all, inputs, [none, found])
+            launch_pipeline([step], 3, device=device, threads=1)
             expected += 1.5 * values.numpy()[:, 1] + 0.75 + sample
     np.testing.assert_array_equal(found.numpy(), expected)
 
@@ -126,7 +126,7 @@ def test_threads_may_be_the_first_to_launch_a_kernel():
 
     def add(index):
         together.wait(60.0)
-        chain = Chain([Step(count_up, [values], [])])
+        chain = Pipeline([KernelCall(count_up, [values], [])])
         for _ in range(100):
             chain.launch(range(index, index + 1))
 

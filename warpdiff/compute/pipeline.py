@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 # Elements of a slice on the CPU, unless told: what the launches cost is little against them.
-_SLICE = 512
+_ELEMENTS_OF_SLICE = 512
 # A thread takes slices until they are so many elements, or such a share of all for each thread, before it looks whether
 # it was interrupted and tells of progress.
-_MOST_AT_A_TIME, _TIMES = 32_768, 4
+_MOST_AT_A_TIME, _TURNS_PER_THREAD = 32_768, 4
 
 
 @dataclass(frozen=True)
-class Step:
+class KernelCall:
     """A kernel with its arguments.
 
     Attributes:
@@ -117,10 +117,10 @@ def _call_of(kernel: Any, values: Sequence[Any]) -> _Call:
     return _calls.get(key) or _calls.setdefault(key, _Call(kernel, values))
 
 
-class Chain:
+class Pipeline:
     """Steps in turn on the CPU, without the interpreter in between."""
 
-    def __init__(self, steps: Sequence[Step]) -> None:
+    def __init__(self, steps: Sequence[KernelCall]) -> None:
         """Get ready to call them, once they are compiled."""
         load_now([step.kernel for step in steps], resolve_device(None))
         self.count = len(steps)
@@ -133,12 +133,13 @@ class Chain:
 
 
 class _Slices:
-    """Slices of elements, of which any thread takes the next ones through a chain."""
+    """Slices of elements, of which any thread takes the next ones through a pipeline."""
 
-    def __init__(self, chain: Chain, elements: range, *, slice_size: int, at_a_time: int) -> None:
-        self._chain, self._taken = chain, np.zeros(1, dtype=np.int32)
+    def __init__(self, pipeline: Pipeline, elements: range, *, slice_size: int, at_a_time: int) -> None:
+        self._pipeline, self._taken = pipeline, np.zeros(1, dtype=np.int32)
         values = [
-            chain.address, chain.count, elements.start, elements.stop, slice_size, at_a_time, self._taken.ctypes.data
+            pipeline.address, pipeline.count, elements.start, elements.stop, slice_size, at_a_time,
+            self._taken.ctypes.data,
         ]  # fmt: skip
         self._call = _call_of(launch_slices.run, values)
         self._arguments = self._call.arguments(values)
@@ -157,25 +158,25 @@ def launch(
     in_runs: bool = False,
     **options: Any,
 ) -> None:
-    """Launch one kernel: see :class:`Step` and, for the options, :func:`launch_in_turn`."""
-    launch_in_turn([Step(kernel, inputs, outputs, in_runs)], size, **options)
+    """Launch one kernel: see :class:`KernelCall` and, for the options, :func:`launch_pipeline`."""
+    launch_pipeline([KernelCall(kernel, inputs, outputs, in_runs)], size, **options)
 
 
-def launch_in_turn(steps: Sequence[Step], elements: int | range, **options: Any) -> None:
+def launch_pipeline(steps: Sequence[KernelCall], elements: int | range, **options: Any) -> None:
     """Launch kernels of which each reads of an element what those before it wrote of the same one.
 
-    See :func:`begin_in_turn`.
+    See :func:`begin_pipeline`.
     """
-    begin_in_turn(steps, elements, joins=True, **options).finish()
+    begin_pipeline(steps, elements, joins=True, **options).finish()
 
 
-def begin_in_turn(
-    steps: Sequence[Step],
+def begin_pipeline(
+    steps: Sequence[KernelCall],
     elements: int | range,
     *,
     device: wp.Device,
     threads: int,
-    slice_size: int = _SLICE,
+    slice_size: int = _ELEMENTS_OF_SLICE,
     progress: Callable[[float], None] | None = None,
     joins: bool = False,
 ) -> Work:
@@ -210,8 +211,8 @@ def begin_in_turn(
     block = math.lcm(*(step.block for step in steps))
     size = -(-slice_size // block) * block
     slices = -(-len(among) // size)
-    at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TIMES * threads)), 1)
-    taken = _Slices(Chain(steps), among, slice_size=size, at_a_time=at_a_time)
+    at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TURNS_PER_THREAD * threads)), 1)
+    taken = _Slices(Pipeline(steps), among, slice_size=size, at_a_time=at_a_time)
     # Whoever has taken so many helps those that have not.
     times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
     return Work(taken.take, range(times), threads=threads, progress=progress, joins=joins)

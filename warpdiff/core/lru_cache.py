@@ -13,7 +13,7 @@ _T = TypeVar("_T")
 _lock = fork_safety.lock()
 
 
-def found_again(kept: dict[Any, _T], key: Any, make: Callable[[], _T], *, most: int) -> _T:
+def get_or_make(kept: dict[Any, _T], key: Any, make: Callable[[], _T], *, most: int) -> _T:
     """What is kept under a key, or made now; of more than ``most``, what was not asked for longest goes."""
     with _lock:
         found = key in kept

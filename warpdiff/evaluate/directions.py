@@ -19,7 +19,7 @@ from warpdiff.kernels.limits import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.planning.planner import broadcast_directions, check_request, plan_for, warn_outside
-from warpdiff.plans.direction_range import DirectionSample, Scope
+from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.plans.plan import Plan
 from warpdiff.tables.coefficient_table import table_for
 from warpdiff.tables.integrator import Integrator
@@ -359,7 +359,7 @@ class _Call:
             self._lights, self._views, normal=normal, masking=masking, per_light_cosine=per_cosine
         )
         lit = self._gains > 0.0
-        self._scope = Scope.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
+        self._scope = DirectionRange.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
         if plan is None:
             sample = DirectionSample.among(self._deflections, self._lights, self._gains)
             plan = plan_for(

@@ -20,7 +20,7 @@ from warpdiff.tables import coefficient_table
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from warpdiff.plans.direction_range import DirectionSample, Scope
+    from warpdiff.plans.direction_range import DirectionRange, DirectionSample
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
@@ -36,7 +36,7 @@ _SEED = 1
 
 
 def watched(
-    hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan, *, threads: int
+    hf: HeightField, scope: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> tuple[DirectionSample, NDArray[np.bool_]]:
     """The directions whose brightness is looked at, and which of them are suspects.
 
@@ -106,7 +106,9 @@ def _some(
     return seen.some(chosen, stands_for * seen.weights[chosen] / share[picked])
 
 
-def _suspects(hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan, *, threads: int) -> NDArray[np.int64]:
+def _suspects(
+    hf: HeightField, scope: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
+) -> NDArray[np.int64]:
     """Directions that may decide however few they are: by the mirror, by orders, of large gain, at the ranges' ends."""
     u, v, w = sample.deflections.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
@@ -124,7 +126,7 @@ def _suspects(hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan
 
 
 def _by_orders(
-    hf: HeightField, scope: Scope, sample: DirectionSample, plan: Plan, *, threads: int
+    hf: HeightField, scope: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
     """How much light directions may see of each of the strongest orders but the mirror's, by the logarithm, (n, m)."""
     found, block, grid = coefficient_table.coefficients_for(

@@ -24,7 +24,7 @@ from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.planning import search, trial
-from warpdiff.plans.direction_range import DirectionSample, Scope, hemisphere_pairs, lateral, stratified
+from warpdiff.plans.direction_range import DirectionRange, DirectionSample, hemisphere_pairs, lateral, stratified
 from warpdiff.plans.plan import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
 from warpdiff.surface import aliasing, scalar_validity
 from warpdiff.surface.heightfield import check_whole
@@ -78,23 +78,23 @@ _LESS_COHERENT = {
 # Float32 rounds each term of a series to half a unit in the last place.
 _FLOAT32_ROUNDING = 2.0**-24
 # What a search makes of the cost of bounds: a fifth, or less.
-_SEARCHED_COST = 5.0
+_SEARCH_SAVES_FACTOR = 5.0
 # A picture that is worth a table is rendered again, with another light or view.
-_REPEATS = 3.0
+_EXPECTED_REPEATS = 3.0
 # Calls of fewer directions are computed by the bounds: to search would take longer than it saves. Of copies, for which
 # it saves the most, fewer.
 FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
 # Of an explicit method that adds powers in float32.
 _FEWEST_TRIED = 16
 # Directions whose cost is counted where none are tried.
-_COUNTED = 64
+_DIRECTIONS_FOR_COST = 64
 # A plan holds a little further than the directions that it was made for: its ranges are rounded up.
-_LITTLE = 0.03
+_RANGE_MARGIN = 0.03
 _SEED = 0
 # Directions that stand for the whole hemisphere.
-_ANYWHERE = 8192
+_HEMISPHERE_DIRECTIONS = 8192
 # A tolerance for which a plan only tells what is bright.
-_COARSE = 0.5
+_COARSE_TOLERANCE = 0.5
 _SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 
 
@@ -163,12 +163,12 @@ def directions_of(
     coherence: Coherence,
     normal: float,
     masking: bool,
-) -> tuple[Scope, DirectionSample, float]:
+) -> tuple[DirectionRange, DirectionSample, float]:
     """The scope of directions, some of them, and their number; None is the whole hemisphere.
 
     A plan for directions that are not yet known is made for many.
     """
-    some_lights, some_views = hemisphere_pairs(_ANYWHERE, _SEED)
+    some_lights, some_views = hemisphere_pairs(_HEMISPHERE_DIRECTIONS, _SEED)
     if to_light is not None and to_view is not None:
         lights, views, _ = broadcast_directions(to_light, to_view)
     else:
@@ -176,7 +176,7 @@ def directions_of(
         views = some_views if to_view is None else _some_of(to_view, "to_view")
     count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
     deflections, lit = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
-    scope = Scope.of(hf, coherence, deflections, lights, lit)
+    scope = DirectionRange.of(hf, coherence, deflections, lights, lit)
     if to_light is None or to_view is None:
         given = views if to_light is None else lights
         scope = _any_direction(hf, coherence, scope, None if to_light is None and to_view is None else given)
@@ -190,12 +190,14 @@ def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:
     """As many of the given directions as there are for those that are not given, repeated where they are fewer."""
     given, _ = checks.directions(directions, name)
     if not len(given):
-        return np.zeros((_ANYWHERE, 3))
-    some = given[stratified(len(given), _ANYWHERE)]
-    return np.asarray(some[np.arange(_ANYWHERE) % len(some)])
+        return np.zeros((_HEMISPHERE_DIRECTIONS, 3))
+    some = given[stratified(len(given), _HEMISPHERE_DIRECTIONS)]
+    return np.asarray(some[np.arange(_HEMISPHERE_DIRECTIONS) % len(some)])
 
 
-def _any_direction(hf: HeightField, coherence: Coherence, scope: Scope, given: NDArray[np.float64] | None) -> Scope:
+def _any_direction(
+    hf: HeightField, coherence: Coherence, scope: DirectionRange, given: NDArray[np.float64] | None
+) -> DirectionRange:
     """A scope that holds for the whole hemisphere on one side and the given directions, or all, on the other."""
     max_uv = min_w = max_w = 0.0
     if given is None:
@@ -206,7 +208,7 @@ def _any_direction(hf: HeightField, coherence: Coherence, scope: Scope, given: N
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
     # A grazing source has no largest bandwidth: what exceeds the sample's takes the largest set of wavelengths.
     most = {"source": max(scope.max_lateral, max_uv), "replicas": max_uv * max(hf.size_um)}
-    return Scope(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
+    return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
 
 def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
@@ -236,7 +238,7 @@ def broadcast_directions(
 @on_one_thread()
 def plan_for(
     hf: HeightField,
-    scope: Scope,
+    scope: DirectionRange,
     sample: DirectionSample,
     *,
     tolerance: float,
@@ -270,7 +272,7 @@ def plan_for(
         return ample
     blurs = footprint and coherence.adds_powers and method == "auto"
     if footprint and not blurs:
-        count *= cell_levels.rays_at(cell_levels.LEAST_OF_POINTS)
+        count *= cell_levels.rays_at(cell_levels.LEAST_LEVEL_OF_POINTS)
     most_making = math.inf if integration == "table" or blurs else 0.0
     if method == "auto" and colour and not most_making:
         most_making = _most_making(hf, ample, count)
@@ -311,7 +313,7 @@ def plan_for(
 def _by_trial(
     plan: Plan,
     hf: HeightField,
-    scope: Scope,
+    scope: DirectionRange,
     sample: DirectionSample,
     *,
     method: str,
@@ -329,7 +331,7 @@ def _by_trial(
     A table may take ``most_making`` multiply-adds to make; 0 is none.
     """
     tolerance, colour = plan.tolerance, wavelengths_nm is None
-    coarse = _ample(hf, scope, tolerance=_COARSE, method=method, coherence=plan.coherence, colour=colour)
+    coarse = _ample(hf, scope, tolerance=_COARSE_TOLERANCE, method=method, coherence=plan.coherence, colour=colour)
     # Half the wavelengths of bounds, which are ample, tell as well what is bright.
     coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
     coarse = replace(coarse, terms=min(coarse.terms, coefficient_table.LANES)) if method not in EXPANSIONS else coarse
@@ -358,7 +360,7 @@ def _with_cost(plan: Plan, hf: HeightField, sample: DirectionSample) -> Plan:
     """The plan with the mean cost of some directions, where there are any."""
     if not len(sample):
         return plan
-    places = stratified(len(sample), _COUNTED)
+    places = stratified(len(sample), _DIRECTIONS_FOR_COST)
     deflections, to_lights = sample.deflections[places], sample.to_lights[places]
     reaches = lateral(hf, plan.coherence, deflections, to_lights)
     return replace(plan, multiply_adds=search.mean_cost(hf, plan, reaches, np.abs(deflections[:, 2])))
@@ -375,11 +377,13 @@ def _most_making(hf: HeightField, plan: Plan, count: float) -> float:
     if rung is None or not has_table(plan.method, plan.coherence):
         return 0.0
     smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
-    saved = _REPEATS * count * plan.multiply_adds / _SEARCHED_COST
+    saved = _EXPECTED_REPEATS * count * plan.multiply_adds / _SEARCH_SAVES_FACTOR
     return saved if saved > polar_layout.making_multiply_adds(hf, smallest) else 0.0
 
 
-def _ample(hf: HeightField, scope: Scope, *, tolerance: float, method: str, coherence: Coherence, colour: bool) -> Plan:
+def _ample(
+    hf: HeightField, scope: DirectionRange, *, tolerance: float, method: str, coherence: Coherence, colour: bool
+) -> Plan:
     """The plan that follows from bounds alone."""
     series = AUTOMATIC if method in ("auto", "direct") else method
     # A fitted basis is made from the Jacobi-Anger series.
@@ -499,7 +503,7 @@ def _with_wavelengths(hf: HeightField, plan: Plan) -> Plan:
     return replace(plan, wavelengths=count, subdivisions=divisions)
 
 
-def warn_outside(plan: Plan, hf: HeightField, scope: Scope) -> None:
+def warn_outside(plan: Plan, hf: HeightField, scope: DirectionRange) -> None:
     """Warn where a call with an explicit plan goes beyond what the plan's numbers hold for."""
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"
@@ -509,7 +513,7 @@ def warn_outside(plan: Plan, hf: HeightField, scope: Scope) -> None:
             ("1/λ [1/µm] up to", 1e3 / scope.lambda_min_nm, 1e3 / plan.lambda_min_nm),
             ("a height range [µm] of", hf.height_range_um, plan.height_range_um),
         )
-        if value > planned * (1.0 + _LITTLE) + 1e-9
+        if value > planned * (1.0 + _RANGE_MARGIN) + 1e-9
     ]
     if beyond and plan.method != "direct":
         warnings.warn(
@@ -552,7 +556,7 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
     warnings.warn(message, WarpdiffWarning, stacklevel=4)
 
 
-def _warn_of_aliasing(scope: Scope, pitch_um: float, radius: float) -> None:
+def _warn_of_aliasing(scope: DirectionRange, pitch_um: float, radius: float) -> None:
     """Warn where the directions ask for frequencies beyond what the pitch can carry.
 
     Neighbours beyond it repeat those within, but for the phase of a window that lies between samples: their radius

@@ -21,7 +21,7 @@ from warpdiff.fourier.phase_series import EXPANSIONS
 from warpdiff.kernels import spectral_sum
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.planning.trial import kernels_tried
-from warpdiff.plans.direction_range import Scope
+from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.plans.plan import FUNCTIONS
 from warpdiff.tables import coefficient_table, colour_table, polar_layout
 
@@ -48,11 +48,11 @@ _LATERAL_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
 # Up to so many times the lateral of bright pilots these tell how little of its bound suffices; else this is the least.
-_TELLS_OF, _UNTOLD = 2.0, -0.25
+_TRUSTED_LATERAL_FACTOR, _LEAST_LATERAL_STEP = 2.0, -0.25
 _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, and then of those that will do by
 # what it errs. The largest take seconds, and are not the first.
-_LIKELY, _SURELY_MEASURED, _HOPE = 0.85, 48, 1.25
+_LIKELY_SHARE, _ALWAYS_MEASURED_FROM_NODES, _PROMISING_FACTOR = 0.85, 48, 1.25
 # More functions of w, which make look-ups dearer, are tried up to so many targets, taken where they leave so little.
 _MENDED_BY_FUNCTIONS, _WORTH_FUNCTIONS = 4.0, 0.9
 _WIDENINGS = 3
@@ -61,27 +61,27 @@ _WIDENINGS = 3
 _REPAIRS, _MORE_EXPONENT, _WORTH_A_REPAIR = 8, 2.0, 0.95
 # The least weight is at most a thousandth, a picture's floor, of the tolerance: pilots may miss the few directions that
 # see the tail of a bright order and little else.
-_FLOOR = 1e-3
+_LEAST_WEIGHT_SHARE = 1e-3
 # Functions of w that tables have at these tolerances, of most surfaces. Kernels of more terms take long to compile.
 _LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
-_SLACK = 1.2
+_SCATTER_FACTOR = 1.2
 _SUBDIVISION_SHARE = 0.3
 # Of so few bright directions in the jury, others may err by more: terms and wavelengths get this share of theirs, or
 # wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the dark. Tables,
 # whose errors fall slowly with their size, get a larger share.
-_FEW, _TOO_FEW, _MARGIN_OF_FEW, _TABLES_OF_FEW = 64, 8, 0.1, 0.5
+_ENOUGH_BRIGHT, _FEWEST_BRIGHT, _SHARE_BY_FEW, _TABLE_SHARE_BY_FEW = 64, 8, 0.1, 0.5
 # Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
-_TOLD, _TOLD_BY_FEW = 2.0, 2.5
+_PREDICTED_PER_JUDGED, _PREDICTED_PER_JUDGED_BY_FEW = 2.0, 2.5
 # And no less than this share of the tolerance, which no few hundred directions vouch for.
-_LEAST_TOLD = 0.1
+_LEAST_PREDICTED_SHARE = 0.1
 # Error of a fitted basis in float32, measured against the direct sum.
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
-_HOPELESS = 10.0
+_HOPELESS_FACTOR = 10.0
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
 # neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
-_A_WAVELENGTH, _A_TERM, _A_NEIGHBOUR, _A_FACTOR = 340.0, 16.0, 20.0, 280.0
+_COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_COPIES_FACTOR = 340.0, 16.0, 20.0, 280.0
 
 
 def begin_to_load(
@@ -107,7 +107,7 @@ def begin_to_load(
         tolerance: Of the plan.
         device: Where.
     """
-    terms = low_rank_basis.series_terms(hf, Scope(0.0, 0.0, 0.0, max_w).kappas)
+    terms = low_rank_basis.series_terms(hf, DirectionRange(0.0, 0.0, 0.0, max_w).kappas)
     if terms > _MOST_GUESSED:
         return
     needed = [each.integrate for each in kernels_tried(terms, method, coefficient_table.LANES, coherence)]
@@ -134,18 +134,18 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     target = plan.tolerance / SAFETY
     plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
     by_mirror, bright = trial.bright
-    terms_share = (1.0 if by_mirror >= _FEW else _MARGIN_OF_FEW) * _TERMS_SHARE
+    terms_share = (1.0 if by_mirror >= _ENOUGH_BRIGHT else _SHARE_BY_FEW) * _TERMS_SHARE
     fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     if rounding > target and automatic:
         # Powers of coefficients that vanish with a high power of κ cancel in float32; amplitudes do not.
         plan = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
         fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     plan, neighbourhood, quadrature = fewer, 0.0, 0.0
-    if by_mirror >= _FEW:
+    if by_mirror >= _ENOUGH_BRIGHT:
         plan, neighbourhood = _fewer_neighbours(plan, trial, _NEIGHBOUR_SHARE * target)
-    if trial.integrates and bright >= _TOO_FEW:
+    if trial.integrates and bright >= _FEWEST_BRIGHT:
         # Errors fall so fast with the number of wavelengths that a wide margin takes few more.
-        margin = 1.0 if bright >= _FEW else _MARGIN_OF_FEW
+        margin = 1.0 if bright >= _ENOUGH_BRIGHT else _SHARE_BY_FEW
         plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
     plan, whole = _enough_of_all(plan, trial, target)
     if whole > target and automatic and plan.method != trial.finest.method:
@@ -179,19 +179,20 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         needed: Whether the finest is to be tried, however little it promises.
         most_making: Multiply-adds that making one may take.
     """
-    target = plan.tolerance / SAFETY * (1.0 if footprint or trial.bright[1] >= _FEW else _TABLES_OF_FEW)
+    target = plan.tolerance / SAFETY * (1.0 if footprint or trial.bright[1] >= _ENOUGH_BRIGHT else _TABLE_SHARE_BY_FEW)
     if plan.coherence.kind == "source":
         # What surrounds the mirror direction is sampled.
         plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target)
     # What hardly any of the jury tells, the largest error that tables make does.
-    few = polar_layout.stand_apart(trial.hf, plan.coherence) or trial.bright[1] < _TOO_FEW
+    few = polar_layout.stand_apart(trial.hf, plan.coherence) or trial.bright[1] < _FEWEST_BRIGHT
     sizes = polar_layout.rungs(plan.coherence)
     best, least = None, math.inf
     likely = [
         rung
         for rung in sizes
-        if polar_layout.expected_error(rung[0], few=few) <= _LIKELY * target or rung[0] >= _SURELY_MEASURED
+        if polar_layout.expected_error(rung[0], few=few) <= _LIKELY_SHARE * target
+        or rung[0] >= _ALWAYS_MEASURED_FROM_NODES
     ]
     functions = 0
     by_terms: float | None = None
@@ -237,7 +238,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
             plan, truncation, by_terms = longer, by_terms, None
             likely.insert(0, (nodes, rays_per_width))
         else:
-            hoped = _HOPE * target
+            hoped = _PROMISING_FACTOR * target
             promising = [rung for rung in likely if error * (nodes / rung[0]) ** polar_layout.ORDER <= hoped]
             likely = promising or (_finest(likely, tried) if needed else [])
     return best if needed or footprint or least <= target else None
@@ -251,10 +252,10 @@ def _finest(rungs: list[tuple[int, float]], plan: Plan) -> list[tuple[int, float
 
 def _told(error: float, plan: Plan, trial: Trial) -> float:
     """The error to predict by the jury's, the larger the less it stands for the call; no reason to refuse a plan."""
-    ample = _TOLD if trial.bright[1] >= _FEW else _TOLD_BY_FEW
+    ample = _PREDICTED_PER_JUDGED if trial.bright[1] >= _ENOUGH_BRIGHT else _PREDICTED_PER_JUDGED_BY_FEW
     factor = SAFETY if math.isinf(trial.bright[0]) else ample
     told = min(factor * error, max(SAFETY * error, plan.tolerance))
-    return max(told, _LEAST_TOLD * plan.tolerance)
+    return max(told, _LEAST_PREDICTED_SHARE * plan.tolerance)
 
 
 def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
@@ -343,9 +344,13 @@ def mean_cost(
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         widths = [2.0 * radius * length if n > 1 else 1.0 for n, length in zip(hf.shape, hf.size_um, strict=True)]
         neighbours = math.prod(widths)
-    each = _A_WAVELENGTH + _A_TERM * lanes * min(1.0, neighbours) + neighbours * (_A_NEIGHBOUR + parts * lanes)
+    each = (
+        _COST_OF_WAVELENGTH
+        + _COST_OF_TERM * lanes * min(1.0, neighbours)
+        + neighbours * (_COST_OF_NEIGHBOUR + parts * lanes)
+    )
     if plan.coherence.kind == "replicas":
-        each += _A_FACTOR * plan.subdivisions
+        each += _COST_OF_COPIES_FACTOR * plan.subdivisions
     return float(np.average(samples, weights=weights) * each)
 
 
@@ -361,7 +366,7 @@ def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, flo
 
     most = math.floor(-math.log(plan.least_weight) / _EXPONENT_STEP)
     best, error = plan, 0.0
-    low, high = min(math.ceil(-math.log(_FLOOR * plan.tolerance) / _EXPONENT_STEP), most) - 1, most
+    low, high = min(math.ceil(-math.log(_LEAST_WEIGHT_SHARE * plan.tolerance) / _EXPONENT_STEP), most) - 1, most
     while high - low > 1:
         middle = (low + high) // 2
         tried, left_out = attempt(middle)
@@ -419,7 +424,7 @@ def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, fl
         if plan.subdivisions > 1:
             adapted = dataclasses.replace(adapted, subdivisions=math.ceil(per_sample / adapted.wavelengths))
         error = trial.error(trial.run(adapted), exact)
-        if error <= share * _SLACK:
+        if error <= share * _SCATTER_FACTOR:
             return adapted, error
     return plan, trial.error(trial.run(plan), exact)
 
@@ -462,7 +467,7 @@ def _bandwidths(
     sizes: list[int] = []
     errors: list[NDArray[np.float64]] = []
     size = coefficient_table.set_size(plan.wavelengths)
-    while not sizes or (size < sizes[-1] and np.median(errors[-1]) < _HOPELESS * plan.tolerance):
+    while not sizes or (size < sizes[-1] and np.median(errors[-1]) < _HOPELESS_FACTOR * plan.tolerance):
         divisions = math.ceil(per_sample / size) if plan.subdivisions > 1 else 1
         values = trial.run(dataclasses.replace(plan, wavelengths=size, subdivisions=divisions, adaptive=False))
         sizes.append(size)
@@ -471,8 +476,8 @@ def _bandwidths(
 
     # Of a source, grazing light is foreshortened beyond what bright pilots tell of.
     seen = float(np.max(trial.lateral, initial=0.0, where=trial.pilots.above.all(axis=0)))
-    known_to = plan.coherence.kind != "source" or seen * _TELLS_OF >= trial.max_lateral
-    lateral_steps = _LATERAL_STEPS if known_to else _LATERAL_STEPS[_LATERAL_STEPS >= _UNTOLD]
+    known_to = plan.coherence.kind != "source" or seen * _TRUSTED_LATERAL_FACTOR >= trial.max_lateral
+    lateral_steps = _LATERAL_STEPS if known_to else _LATERAL_STEPS[_LATERAL_STEPS >= _LEAST_LATERAL_STEP]
     factors = np.stack(np.meshgrid(lateral_steps, _HEIGHT_STEPS, _COLOUR_STEPS, indexing="ij"), axis=-1)
     parts = 2.0 ** factors.reshape(-1, 3) * plan.bandwidth_um
     counts = 1.0 + _SPAN * (np.outer(parts[:, 0], trial.lateral) + np.outer(parts[:, 1], trial.w) + parts[:, 2:])

@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.plans.direction_range import DirectionSample, Scope
+    from warpdiff.plans.direction_range import DirectionRange, DirectionSample
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
 # Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
-_LUCKY = 4
+_LUCKY_BRIGHTEST = 4
 # Light that is this weak against a mirror's is darkness, whatever else a call sees.
 DARK = 1e-10
 # A picture's floor, as a share of its brightness.
-_FLOOR = 1e-3
+_FLOOR_SHARE = 1e-3
 # Neighbours' share of what a truth may leave out.
-_LEFT_OUT = 0.25
+_TRUTH_NEIGHBOUR_SHARE = 0.25
 # Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
 TRUTH = "jacobi-anger"
 _SPECTRAL_SAMPLES = 64
 # Directions are few and dear: a launch is cut into slices that keep every thread busy.
-_SLICE = 8
+_DIRECTIONS_OF_SLICE = 8
 
 
 class Group:
@@ -92,7 +92,7 @@ class Trial:
         self,
         plan: Plan,
         hf: HeightField,
-        scope: Scope,
+        scope: DirectionRange,
         sample: DirectionSample,
         illuminants: tuple[str, ...],
         wavelengths_nm: NDArray[np.float64] | None,
@@ -165,18 +165,18 @@ class Trial:
         with them and by one without.
         """
         order = np.argsort(luminance[0])
-        kept = [order] if self._sees_all else [order, order[: -_LUCKY * self._points]]
+        kept = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
         weights = self._watched.weights
         bright = [
             [brightness(each[some], weights[some], with_median=self.integrates) for some in kept] for each in luminance
         ]
-        self._floors = np.maximum(_FLOOR * np.asarray(bright), DARK)
+        self._floors = np.maximum(_FLOOR_SHARE * np.asarray(bright), DARK)
 
     def sharpen(self, plan: Plan) -> None:
         """Judge by twice the wavelengths of a plan."""
         if plan.coherence.adds_powers:
             # The mirror's coefficient, of power 1, must not show in what is far darker.
-            needed = _LEFT_OUT * plan.tolerance * float(self._floors.min()) / self._gain
+            needed = _TRUTH_NEIGHBOUR_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
         if self.integrates:
             self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
@@ -205,14 +205,14 @@ class Trial:
             values = wp.empty((len(group), self._points), dtype=wp.float32, device=self._device)
             launch(
                 table.sample, len(group), [table.arguments, *seen, self._wavenumbers], [values], device=self._device,
-                threads=self._threads, slice_size=_SLICE,
+                threads=self._threads, slice_size=_DIRECTIONS_OF_SLICE,
             )  # fmt: skip
             return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
         integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
         results = []
         for illuminant in self._illuminants:
             xyz = wp.zeros(len(group), dtype=wp.vec3f, device=self._device)
-            integrator.add(*seen, illuminant, xyz, slice_size=_SLICE)
+            integrator.add(*seen, illuminant, xyz, slice_size=_DIRECTIONS_OF_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 

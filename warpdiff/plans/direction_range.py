@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from warpdiff.surface.heightfield import HeightField
 
 # Directions of a call that a plan looks at, ...
-_CROWD = 8192
+_MOST_SAMPLED = 8192
 # ... and from how many on it leaves half of them unseen.
-_HALF_FROM = 4096
+_SAMPLED_FROM = 4096
 _SEED = 2
 
 
@@ -78,8 +78,8 @@ class DirectionSample:
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
     """Which of so many lit directions a plan looks at, where ``parts`` passes share the sample."""
-    most = min(_CROWD // parts, count // 2)
-    return np.arange(count) if count * parts < _HALF_FROM else stratified(count, most)
+    most = min(_MOST_SAMPLED // parts, count // 2)
+    return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
 
 def stratified(count: int, most: int) -> NDArray[np.int64]:
@@ -94,7 +94,7 @@ def stratified(count: int, most: int) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class Scope:
+class DirectionRange:
     """Range of the lit directions and of the wavelengths of a call.
 
     Attributes:
@@ -122,7 +122,7 @@ class Scope:
         to_lights: NDArray[np.float64],
         lit: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
-    ) -> Scope:
+    ) -> DirectionRange:
         """The scope of lit ones among deflections and directions to the light, both of shape (n, 3)."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
@@ -137,13 +137,13 @@ class Scope:
             max_lateral = float(np.max(lateral(hf, coherence, deflections, to_lights)))
         return cls(max_uv, max_lateral, float(-w.max()), float(-w.min()), *band)
 
-    def joined(self, other: Scope) -> Scope:
+    def joined(self, other: DirectionRange) -> DirectionRange:
         """The scope of both; one without lit directions adds nothing."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:
             return other
-        return Scope(
+        return DirectionRange(
             max(self.max_uv, other.max_uv),
             max(self.max_lateral, other.max_lateral),
             min(self.min_w, other.min_w),

@@ -12,7 +12,7 @@ from warpdiff.fourier.low_rank_basis import POWER_METHODS, holds_powers
 from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.colorimetry import LONGEST_NM, SHORTEST_NM
-from warpdiff.plans.direction_range import Scope
+from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.surface import scalar_validity
 
 INTEGRATIONS = ("sampled", "table")
@@ -25,7 +25,7 @@ LABELS = {
 }
 # What a core of a present processor does in a second, of a kernel's multiply-adds: of sums over wavelengths and of the
 # making of tables, and of look-ups, which wait for memory.
-_SUMMED, _LOOKED_UP = 9e9, 2.7e9
+_SUMMED_A_SECOND, _LOOKED_UP_A_SECOND = 9e9, 2.7e9
 # An octave, of a table.
 MIN_NODES, MAX_NODES = 4, 512
 # Functions of w come in multiples of these.
@@ -177,17 +177,19 @@ class Plan:
     @property
     def microseconds(self) -> float:
         """Estimated time of a direction [µs] on one core of a CPU."""
-        return 1e6 * self.multiply_adds / (_LOOKED_UP if self.nodes else _SUMMED)
+        return 1e6 * self.multiply_adds / (_LOOKED_UP_A_SECOND if self.nodes else _SUMMED_A_SECOND)
 
     @property
     def table_seconds(self) -> float:
         """Estimated time of making the table [s] on one core of a CPU, once for all calls; 0 without one."""
-        return self.table_multiply_adds / _SUMMED
+        return self.table_multiply_adds / _SUMMED_A_SECOND
 
     @property
-    def scope(self) -> Scope:
+    def scope(self) -> DirectionRange:
         """The range of directions and wavelengths that the numbers hold for."""
-        return Scope(self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm)
+        return DirectionRange(
+            self.max_uv, self.max_lateral, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm
+        )
 
     def __str__(self) -> str:
         if self.method == "direct":

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.pipeline import Chain, Step, launch, launch_in_turn
+from warpdiff.compute.pipeline import KernelCall, Pipeline, launch, launch_pipeline
 from warpdiff.kernels import adaptive, cell_levels, work_queues
 from warpdiff.render import pixel_filters
-from warpdiff.render.gbuffer import Room, shared_room
+from warpdiff.render.gbuffer import TileBuffers, shared_tile_buffers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,13 +30,13 @@ _MOST_RAYS = 1 << 20
 
 
 @dataclass(frozen=True)
-class Light:
+class LightRefinement:
     """A picture under one light, by one ray a pixel, whose pixels are to be split.
 
     Attributes:
         frame: What rays meet.
         integrator: What colours are from.
-        which: The light.
+        light_index: Which of the picture's lights it is.
         illuminant: Its name.
         colours: XYZ of pixels, before and after.
         errors: What they err by, ‖ΔXYZ‖.
@@ -48,7 +48,7 @@ class Light:
 
     frame: Frame
     integrator: Integrator
-    which: int
+    light_index: int
     illuminant: str
     colours: wp.array
     errors: wp.array
@@ -70,49 +70,56 @@ class Light:
         """Whether all pixels are split beyond a level, and to which the rims are."""
         return level < self.least, pixel_filters.RIM_LEVEL if self.refine else 0
 
-    def estimate(self, floor: wp.array, wanted: wp.array) -> Step:
+    def estimate_errors(self, floor: wp.array, wanted: wp.array) -> KernelCall:
         """Which pixels are to be split."""
         seen, view, among = self.frame.seen, self.frame.view, self.frame.may_see
         inputs = [
             self.colours, seen.deflections, seen.pixels.hit, view.width, among.start, among.stop, floor, self._bound,
             self.least > 0, self.refine,
         ]  # fmt: skip
-        return Step(adaptive.estimate, inputs, [self.errors, wanted], in_runs=True)
+        return KernelCall(adaptive.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
 
-    def share_out(self, level: int, room: Room, given: Any, *, shadows: bool) -> list[Step]:
+    def splat_cells(self, level: int, buffers: TileBuffers, given: Any, *, shadows: bool) -> list[KernelCall]:
         """What finds the shares of pixels around those whose cells are in a room."""
         means, name = self.integrator.blurs, self.frame.options["device"].alias
-        steps = self.frame.steps_of_cells(self.integrator, self.which, self.illuminant, level, room, shadows=shadows)
+        steps = self.frame.steps_of_cells(
+            self.integrator, self.light_index, self.illuminant, level, buffers, shadows=shadows
+        )
         weights = pixel_filters.weights_at(level, means, name)
         inputs = [
-            room.colours, room.seen.pixels.hit, self.frame.hidden_of(room.seen, shadows=shadows), room.tiles[level],
+            buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows), buffers.tiles[level],
             self.colours, given.ranks, weights, level,
         ]  # fmt: skip
         outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
-        return [*steps, Step(adaptive.share_out, inputs, outputs, in_runs=True, block=cell_levels.rays_at(level))]
+        return [
+            *steps,
+            KernelCall(adaptive.splat_cells, inputs, outputs, in_runs=True, block=cell_levels.rays_at(level)),
+        ]
 
-    def collect(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> Step:
+    def resolve_pixels(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> KernelCall:
         """What sets pixels to what cells give them."""
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
         bound = self._bound
         if self.refine and level == cell_levels.MOST_LEVEL:
-            bound = pixel_filters.OF_UNSETTLED * self.tolerance
+            bound = pixel_filters.UNSETTLED_FACTOR * self.tolerance
         inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
-        return Step(adaptive.collect, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True)
+        return KernelCall(
+            adaptive.resolve_pixels, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True
+        )
 
-    def choose(
+    def select_cells(
         self, level: int, given: Any, tiles: wp.array, floor: wp.array, wanted: wp.array, chosen: wp.array
-    ) -> Step:
+    ) -> KernelCall:
         """Which pixels are split again."""
         view = self.frame.view
         inputs = [
             given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor, self._bound, level,
             *self._goes_on(level),
         ]  # fmt: skip
-        return Step(adaptive.choose, inputs, [chosen], in_runs=True)
+        return KernelCall(adaptive.select_cells, inputs, [chosen], in_runs=True)
 
-    def room_for_shares(self, pixels: int) -> Any:
+    def empty_shares(self, pixels: int) -> Any:
         """The struct ``Shares`` of the kernels for so many pixels that are split."""
         device = self.frame.options["device"]
         result = adaptive.Shares()
@@ -125,7 +132,7 @@ class Light:
         return result
 
 
-def split(light: Light, progress: Callable[[float], None] | None = None) -> tuple[int, int]:
+def split(light: LightRefinement, progress: Callable[[float], None] | None = None) -> tuple[int, int]:
     """Split pixels on threads of the host, and say how many there were at first, and in the end."""
     frame = light.frame
     among, options, view = frame.may_see, frame.options, frame.view
@@ -141,20 +148,20 @@ def split(light: Light, progress: Callable[[float], None] | None = None) -> tupl
     floor = array(np.array([least], dtype=np.float32), wp.float32)
     is_wanted = np.zeros(size, dtype=np.uint8)
     wanted = array(is_wanted, wp.uint8)
-    launch_in_turn([light.estimate(floor, wanted)], among, slice_size=_SLICE, **options)
+    launch_pipeline([light.estimate_errors(floor, wanted)], among, slice_size=_SLICE, **options)
     if not light.splits:
         return 0, 0
     pixels = (np.flatnonzero(is_wanted[some]) + among.start).astype(np.int32)
     dark = np.zeros(size, dtype=np.bool_)
     unsettled = 0
     threads = min(options["threads"], pixel_filters.most_threads(size))
-    with shared_room(
+    with shared_tile_buffers(
         threads, leaves_out=light.integrator.leaves_out, coloured=frame.pigmented, device=device
     ) as shared:
         for first in range(0, len(pixels), _MOST_PIXELS):
             part = pixels[first : first + _MOST_PIXELS]
             tiles = np.flatnonzero(pixel_filters.around(part, view.width, view.height)).astype(np.int32)
-            given, together = light.room_for_shares(len(tiles)), len(part)
+            given, together = light.empty_shares(len(tiles)), len(part)
             ranks = np.empty(size, dtype=np.int32)
             ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
             given.ranks = array(ranks)
@@ -171,35 +178,35 @@ def split(light: Light, progress: Callable[[float], None] | None = None) -> tupl
                 tiles = np.concatenate([tiles[~beside_dark[tiles]], tiles[beside_dark[tiles]]])
                 for met in pixel_filters.parts(tiles, level):
                     in_light = int(np.count_nonzero(~beside_dark[met]))
-                    chains = [
-                        (Chain(light.share_out(level, shared.room, given, shadows=shadows)), each)
+                    pipelines = [
+                        (Pipeline(light.splat_cells(level, shared.buffers, given, shadows=shadows)), each)
                         for shadows, each in ((False, range(in_light)), (True, range(in_light, len(met))))
                         if each
                     ]
-                    nearest = frame.meet_cells(
+                    nearest = frame.rasterize_cells(
                         pixel_filters.grid_of(met, level, view.width, view.height, device), len(met)
                     )
-                    shared.meet(level, met, chains, nearest, threads=threads)
+                    shared.meet(level, met, pipelines, nearest, threads=threads)
                 if progress is not None:
                     progress((first + level / cell_levels.MOST_LEVEL * together) / len(pixels))
                 part = part[is_wanted[part] != 0]
-                step = light.collect(level, given, array(part), floor, wanted)
-                launch_in_turn([step], len(part), slice_size=_SLICE, **options)
+                step = light.resolve_pixels(level, given, array(part), floor, wanted)
+                launch_pipeline([step], len(part), slice_size=_SLICE, **options)
                 if level == cell_levels.MOST_LEVEL:
                     unsettled += int(np.count_nonzero(is_wanted[part]))
                     break
-                step = light.choose(level, given, array(tiles), floor, wanted, array(is_chosen, wp.uint8))
-                launch_in_turn([step], len(tiles), slice_size=_SLICE, **options)
+                step = light.select_cells(level, given, array(tiles), floor, wanted, array(is_chosen, wp.uint8))
+                launch_pipeline([step], len(tiles), slice_size=_SLICE, **options)
                 tiles = tiles[is_chosen[tiles] != 0]
                 if not len(tiles):
                     break
     return len(pixels), unsettled
 
 
-class Queue:
+class DeviceQueue:
     """Lists of pixels to be split, which the device that finds them works off without the host."""
 
-    def __init__(self, light: Light, pixels: int) -> None:
+    def __init__(self, light: LightRefinement, pixels: int) -> None:
         """Room for a picture under lights like this one."""
         options = light.frame.options
         device = options["device"]
@@ -211,14 +218,14 @@ class Queue:
         self._options: dict[str, Any] = {**options, "slice_size": _SLICE}
         self._tallies, self._floor = empty(work_queues.GROUPS * (1 + work_queues.BINS)), empty(1, wp.float32)
         self._wanted, self._chosen, self._of_all = empty(pixels, wp.uint8), empty(pixels, wp.uint8), empty(0)
-        self._given = light.room_for_shares(pixels)
+        self._given = light.empty_shares(pixels)
         self._listed, self._counts = empty(pixels), empty(1)
         self._found, self._most_found = empty(2), wp.zeros(2, dtype=wp.int32, device=device)
         self._taken, self._left = empty(1), empty(1)
         whole = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
         kind = {"leaves_out": light.integrator.leaves_out, "coloured": light.frame.pigmented}
-        self._room = Room.by(rays, **kind, device=device)
+        self._buffers = TileBuffers.by(rays, **kind, device=device)
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -230,41 +237,41 @@ class Queue:
         """Launch a kernel over all pixels, or so many of something."""
         launch(kernel, self._pixels if size is None else size, inputs, outputs, in_runs=True, **self._options)
 
-    def _launch_step(self, step: Step) -> None:
-        launch_in_turn([step], self._pixels, **self._options)
+    def _launch_step(self, step: KernelCall) -> None:
+        launch_pipeline([step], self._pixels, **self._options)
 
-    def work_off(self, light: Light) -> None:
+    def work_off(self, light: LightRefinement) -> None:
         """Launch what splits pixels until none is left."""
         self._find_floor(light.colours, light.frame.seen.gains)
         self._found.zero_()
-        self._launch_step(light.estimate(self._floor, self._wanted))
+        self._launch_step(light.estimate_errors(self._floor, self._wanted))
         if light.splits:
             self._split_all(light)
-        inputs = [self._found, light.which == 0]
+        inputs = [self._found, light.light_index == 0]
         wp.launch(work_queues.keep_larger, dim=2, inputs=inputs, outputs=[self._most_found], device=self._device)
 
-    def _split_all(self, light: Light) -> None:
+    def _split_all(self, light: LightRefinement) -> None:
         view = light.frame.view
         self._launch(work_queues.count_up, [self._wanted], [self._found[:1]])
         self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
         for level in cell_levels.LEVELS:
-            self._meet(level, light.share_out(level, self._room, self._given, shadows=True))
-            self._launch_step(light.collect(level, self._given, self._of_all, self._floor, self._wanted))
+            self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
+            self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))
             if level < cell_levels.MOST_LEVEL:
-                chosen = light.choose(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
+                chosen = light.select_cells(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
                 self._launch_step(chosen)
         self._launch(work_queues.count_up, [self._wanted], [self._found[1:]])
 
     def _find_floor(self, colours: wp.array, gains: wp.array) -> None:
         """Set the floor to that of a picture."""
         self._tallies.zero_()
-        apart = pixel_filters.glimpse(self._pixels)
+        apart = pixel_filters.luminance_stride(self._pixels)
         self._launch(work_queues.tally, [colours, gains, apart], [self._tallies], -(-self._pixels // apart))
         wp.launch(work_queues.find_floor, dim=1, inputs=[self._tallies], outputs=[self._floor], device=self._device)
 
-    def _meet(self, level: int, steps: Sequence[Step]) -> None:
+    def _meet(self, level: int, steps: Sequence[KernelCall]) -> None:
         """Launch steps over the cells of as many chosen pixels as there is room for until none is left; −1 is none."""
-        tiles = self._room.tiles[level]
+        tiles = self._buffers.tiles[level]
         self._counts.zero_()
         self._taken.zero_()
         self._launch(work_queues.list_up, [self._chosen], [self._listed, self._counts])
@@ -275,8 +282,8 @@ class Queue:
 
         def meet() -> None:
             self._launch(work_queues.take, [self._listed, self._counts, self._taken], [tiles], len(tiles))
-            self._room.colours.zero_()
-            launch_in_turn(steps, len(tiles) * cell_levels.rays_at(level), device=self._device, threads=1)
+            self._buffers.colours.zero_()
+            launch_pipeline(steps, len(tiles) * cell_levels.rays_at(level), device=self._device, threads=1)
             go_on(len(tiles))
 
         go_on(0)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.pipeline import Step, launch
+from warpdiff.compute.pipeline import KernelCall, launch
 from warpdiff.kernels import scattering
-from warpdiff.plans.direction_range import DirectionSample, Scope, sample_ranks
+from warpdiff.plans.direction_range import DirectionRange, DirectionSample, sample_ranks
 
 if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 BLOCK = 512
 
 
-class Survey:
+class DirectionStatistics:
     """The scope of the lit ones among deflections, their number, and some of them, spread over their order.
 
-    They are those of ``Scope.of`` and ``DirectionSample.among``.
+    They are those of ``DirectionRange.of`` and ``DirectionSample.among``.
     """
 
     def __init__(
@@ -44,13 +44,13 @@ class Survey:
         self._scope = [wp.vec2d(*per_uv), coherence.kind == "source"]
         self._seen: tuple[wp.array, wp.array, wp.array]
 
-    def step(self, deflections: wp.array, to_lights: wp.array, gains: wp.array) -> Step:
+    def step(self, deflections: wp.array, to_lights: wp.array, gains: wp.array) -> KernelCall:
         """What is to be launched over the deflections before ``found``."""
         self._seen = deflections, to_lights, gains
         inputs = [*self._seen, *self._scope, BLOCK]
-        return Step(scattering.sum_up, inputs, [self._counts, self._ranges], in_runs=True, block=BLOCK)
+        return KernelCall(scattering.reduce_directions, inputs, [self._counts, self._ranges], in_runs=True, block=BLOCK)
 
-    def found(self, *, parts: int = 1, among: range | None = None) -> tuple[Scope, int, DirectionSample]:
+    def found(self, *, parts: int = 1, among: range | None = None) -> tuple[DirectionRange, int, DirectionSample]:
         """The scope, the number of lit deflections, and some of these.
 
         Args:
@@ -61,11 +61,11 @@ class Survey:
         counts = self._counts.numpy()[first:end]
         count = int(counts.sum(dtype=np.int64))
         if not count:
-            return Scope(0.0, 0.0, 0.0, 0.0), 0, DirectionSample.none()
+            return DirectionRange(0.0, 0.0, 0.0, 0.0), 0, DirectionSample.none()
         # Blocks without lit ones neither raise a maximum nor lower a minimum.
         ranges = self._ranges.numpy()[first:end]
         uv2, lateral2, _, max_w = ranges.max(axis=0)
-        scope = Scope(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
+        scope = DirectionRange(math.sqrt(uv2), math.sqrt(lateral2), float(ranges[:, 2].min()), float(max_w))
         if not parts:
             return scope, count, DirectionSample.none()
         before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
@@ -76,7 +76,7 @@ class Survey:
             wp.array(each, dtype=wp.int32, device=self._device) for each in (first + block, ranks - before[block])
         ]
         inputs = [*self._seen, *places, BLOCK]
-        launch(scattering.pick, len(ranks), inputs, picked, in_runs=True, device=self._device, threads=1)
+        launch(scattering.sample_directions, len(ranks), inputs, picked, in_runs=True, device=self._device, threads=1)
         deflections, to_lights, gains = (each.numpy().astype(np.float64) for each in picked)
         weights = np.full(len(ranks), count / len(ranks))
         return scope, count, DirectionSample(deflections, to_lights, gains, weights)

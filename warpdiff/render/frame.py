@@ -9,18 +9,18 @@ import numpy as np
 import warp as wp
 
 from warpdiff.compute.device import load
-from warpdiff.compute.pipeline import Step, begin_in_turn, launch, launch_in_turn
+from warpdiff.compute.pipeline import KernelCall, begin_pipeline, launch, launch_pipeline
 from warpdiff.core import fork_safety
 from warpdiff.evaluate.directions import direct_colour
 from warpdiff.image.image import Image, relative_errors
 from warpdiff.kernels import adaptive, bvh, ray_hits, scattering, shadow_grid
-from warpdiff.kernels.shadow_grid import hide
+from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.plans.direction_range import DirectionSample, Scope
+from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.render import adaptive_sampling, pixel_filters
-from warpdiff.render.direction_statistics import BLOCK, Survey
-from warpdiff.render.gbuffer import Seen
+from warpdiff.render.direction_statistics import BLOCK, DirectionStatistics
+from warpdiff.render.gbuffer import GBuffer
 from warpdiff.scene import device_mesh
 from warpdiff.scene.shadow_grid import grid_for, grid_pays, no_grid
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from warpdiff.core.thread_pool import Work
     from warpdiff.optics.coherence import Coherence
     from warpdiff.plans.plan import Plan
-    from warpdiff.render.gbuffer import Room
+    from warpdiff.render.gbuffer import TileBuffers
     from warpdiff.scene.camera import View
     from warpdiff.scene.lights import DirectionalLight
     from warpdiff.scene.mesh_import import Surface
@@ -41,20 +41,20 @@ if TYPE_CHECKING:
 
 _SEED = 0
 # Samples of a pixel that are surveyed; rays of means, whose cells see more than pixels' centres do, and of a pixel.
-_SURVEYED, _CELLS_SURVEYED, _MOST_SURVEYED = 4, 8192, 16
+_SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most.
-_OF_PLAN = 0.3
+_MEAN_ERROR_PER_PLAN_ERROR = 0.3
 # Pixels' own rays, as a share of a light's progress.
-_FIRST_RAYS = 0.3
+_PROGRESS_OF_FIRST_RAYS = 0.3
 # Shadow rays of a pixel and its cells, in the mean over a picture, about.
 _SHADOW_RAYS_OF_MEANS = 4
 # Of a slice: pixels whose rays are found, or whose colours are, and faces.
-_SLICE, _COLOURS, _FACES = 8192, 2048, 2048
+_RAYS_OF_SLICE, _COLOURS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048, 2048
 
 
 def load_kernels(device: wp.Device) -> None:
     """Begin to load what every picture needs, while the mesh is looked at."""
-    load([ray_hits.meet, scattering.deflect_pixels, shadow_grid.hide], device)
+    load([ray_hits.intersect_known_faces, scattering.scattering_vectors, shadow_grid.trace_shadow_rays], device)
 
 
 class Frame:
@@ -68,35 +68,35 @@ class Frame:
         smooth: bool = True,
         samples: int = 1,
         means: bool = False,
-        alone: bool | None = None,
+        device_driven: bool | None = None,
         device: wp.Device,
         threads: int,
     ) -> None:
         """A frame of so many samples a pixel, or of means over pixels that are split into at least as many cells.
 
-        If ``alone`` the device fills it from the view and the lights on without the host, so that its launches may be
-        recorded; None is so on a GPU. Otherwise the host has a part, which is faster on the CPU.
+        If ``device_driven`` the device fills it from the view and the lights on without the host, so that its launches
+        may be recorded; None is so on a GPU. Otherwise the host has a part, which is faster on the CPU.
         """
         # Means begin with one ray a pixel.
         self._samples, self._least = 1 if means else samples, samples
         self._device = device
         self._threads = threads
-        self._alone = not device.is_cpu if alone is None else alone
+        self._device_driven = not device.is_cpu if device_driven is None else device_driven
         self._surface = surface
         self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self._size = size = view.width * view.height
         self._means = means
         # The pixels that may see anything, of whole blocks and with a row more on either side, once faces have told.
-        self.may_see = range(size if self._alone else 0)
+        self.may_see = range(size if self._device_driven else 0)
         self._rows = wp.empty(2, dtype=wp.int32, device=device)
         # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
-        self._nearest = wp.empty(0 if self._alone else size, dtype=wp.uint64, device=device)
+        self._nearest = wp.empty(0 if self._device_driven else size, dtype=wp.uint64, device=device)
         # Where rays of a sample lie, if each pixel's lies elsewhere.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         # Faces that are yet finding their pixels.
         self._covering: Work | None = None
-        self.look(view)
+        self.set_view(view)
         # While these are at it: room for what they see.
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         # XYZ, coverage, and what any light reaches: zeros, which are no memory yet, where no pixel is written to.
@@ -111,7 +111,7 @@ class Frame:
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
-        self._queue: adaptive_sampling.Queue | None = None
+        self._queue: adaptive_sampling.DeviceQueue | None = None
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._shadows = False
@@ -124,21 +124,21 @@ class Frame:
         """Where launches go."""
         return {"device": self._device, "threads": self._threads}
 
-    def look(self, view: View) -> None:
+    def set_view(self, view: View) -> None:
         """Set the view, of the same size as any before."""
         self._end_covering()
         self.view = view
         self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
         self._may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
-        if not self._alone and self._samples == 1:
-            self._covering = self._begin_to_cover(self._sampling(0, 1))
-        self.begin()
+        if not self._device_driven and self._samples == 1:
+            self._covering = self._begin_to_rasterize(self._sampling(0, 1))
+        self.invalidate_gbuffer()
 
     @fork_safety.cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> GBuffer:
         """What the pixels' own rays see under the last light."""
         coloured = self._surface.has_base_colour
-        return Seen.by(self._size, device=self._device, means=self._means, coloured=coloured)
+        return GBuffer.by(self._size, device=self._device, means=self._means, coloured=coloured)
 
     def _end_covering(self) -> None:
         """Wait for faces that are finding pixels of a view that is no longer looked at."""
@@ -146,12 +146,12 @@ class Frame:
         if covering is not None:
             covering.abandon()
 
-    def begin(self) -> None:
+    def invalidate_gbuffer(self) -> None:
         """Forget what was cast and deflected."""
         # The sample and the light whose are what arrays hold.
         self._now: tuple[int | None, int | None] = (None, None)
 
-    def light_up(
+    def set_lights(
         self,
         lights: Sequence[DirectionalLight],
         window: Coherence,
@@ -203,31 +203,33 @@ class Frame:
         """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
         return len(self._to_lights), self.view.extent_y is None, self.casts_shadows, self.pigmented
 
-    def survey(self, hf: HeightField, window: Coherence, *, sampled: bool = True) -> tuple[Scope, int, DirectionSample]:
+    def measure_directions(
+        self, hf: HeightField, window: Coherence, *, sampled: bool = True
+    ) -> tuple[DirectionRange, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them unless they are of no use.
 
         That is a first pass over the rays, which cost a hundredth of the colours.
         """
-        within, count = Scope(0.0, 0.0, 0.0, 0.0), 0
+        within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         seen = []
         # A few rays a pixel see what all do, and of many pixels their own rays what cells do.
-        samples, surveyed = self._samples, min(self._samples, _SURVEYED)
+        samples, measured = self._samples, min(self._samples, _SAMPLES_MEASURED)
         if self._means:
             pixels = max(device_mesh.pixels_within(self._surface, self.view), 1)
-            samples = surveyed = min(-(-_CELLS_SURVEYED // pixels), _MOST_SURVEYED)
-        for sample in range(surveyed):
-            for which in range(len(self._to_lights)):
-                summary = Survey(hf, window, self._size, device=self._device)
+            samples = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
+        for sample in range(measured):
+            for light_index in range(len(self._to_lights)):
+                summary = DirectionStatistics(hf, window, self._size, device=self._device)
                 # Means begin with the pixels' centres.
-                self.deflect(sample, which, summary, samples=1 if self._means and sample == 0 else samples)
-                parts = len(self._to_lights) * (surveyed if self._means else sample == 0) if sampled else 0
+                self.deflect(sample, light_index, summary, samples=1 if self._means and sample == 0 else samples)
+                parts = len(self._to_lights) * (measured if self._means else sample == 0) if sampled else 0
                 found, lit, some = summary.found(parts=parts, among=self.may_see)
                 within = within.joined(found)
                 count += lit
                 seen.append(some)
-        if surveyed > self._samples:
-            self.begin()
-        return within, count * self._samples // surveyed, DirectionSample.joined(seen)
+        if measured > self._samples:
+            self.invalidate_gbuffer()
+        return within, count * self._samples // measured, DirectionSample.joined(seen)
 
     def _passes(self, progress: Callable[[float], None] | None) -> Iterator[tuple[int, Callable[[float], None] | None]]:
         """Cast and deflect sample after sample, light after light.
@@ -236,12 +238,12 @@ class Frame:
         """
         count = len(self._to_lights)
         for sample in range(self._samples):
-            for which in range(count):
+            for light_index in range(count):
                 # The survey has left behind what a single pass needs.
-                if self._now != (sample, which):
-                    self.deflect(sample, which)
-                index, passes = sample * count + which, self._samples * count
-                yield which, _part(progress, index / passes, (index + 1) / passes)
+                if self._now != (sample, light_index):
+                    self.deflect(sample, light_index)
+                index, passes = sample * count + light_index, self._samples * count
+                yield light_index, _part(progress, index / passes, (index + 1) / passes)
 
     def integrate(
         self,
@@ -256,14 +258,14 @@ class Frame:
         if self._means:
             self._integrate_means(integrator, illuminants, tolerance=tolerance, refine=refine, progress=progress)
             return
-        left_out = self._room_for_what_is_left_out(integrator)
-        for which, share in self._passes(progress):
+        left_out = self._left_out_buffer(integrator)
+        for light_index, share in self._passes(progress):
             integrator.add(
-                *self.seen.directions, illuminants[which], self._sums[0], left_out=left_out, among=self.may_see,
+                *self.seen.directions, illuminants[light_index], self._sums[0], left_out=left_out, among=self.may_see,
                 progress=share,
             )  # fmt: skip
 
-    def _room_for_what_is_left_out(self, integrator: Integrator) -> wp.array:
+    def _left_out_buffer(self, integrator: Integrator) -> wp.array:
         """An array of a picture's size, which is made once, for a table that leaves directions out."""
         if integrator.leaves_out and not len(self._left_out):
             self._left_out = wp.empty(self._size, dtype=wp.float32, device=self._device)
@@ -282,35 +284,37 @@ class Frame:
         self._split = np.zeros(2)
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
-        left_out = self._room_for_what_is_left_out(integrator)
+        left_out = self._left_out_buffer(integrator)
         several, colours = len(self._to_lights) > 1, self._colours_of_one
         errors = self._errors[several]
         self._errors[0].zero_()
         if several:
             self._sums[0].zero_()
-        for which, share in self._passes(progress):
+        for light_index, share in self._passes(progress):
             if several:
                 errors.zero_()
-            illuminant, seen = illuminants[which], self.seen
+            illuminant, seen = illuminants[light_index], self.seen
             steps = [self._spread(seen, pixel_filters.deviation_at(0, means=True))] if integrator.blurs else []
             steps += integrator.steps(
                 *seen.directions, illuminant, colours, seen.footprints if integrator.blurs else None, left_out
             )
-            first, rest = _part(share, 0.0, _FIRST_RAYS), _part(share, _FIRST_RAYS, 1.0)
-            launch_in_turn(steps, self.may_see, slice_size=_COLOURS, progress=first, **self.options)
-            light = adaptive_sampling.Light(
-                self, integrator, which, illuminant, colours, errors, self._sums[1:], tolerance,
+            first, rest = _part(share, 0.0, _PROGRESS_OF_FIRST_RAYS), _part(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
+            launch_pipeline(steps, self.may_see, slice_size=_COLOURS_OF_SLICE, progress=first, **self.options)
+            light = adaptive_sampling.LightRefinement(
+                self, integrator, light_index, illuminant, colours, errors, self._sums[1:], tolerance,
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
-            if self._alone:
-                self._queue = self._queue or adaptive_sampling.Queue(light, self._size)
+            if self._device_driven:
+                self._queue = self._queue or adaptive_sampling.DeviceQueue(light, self._size)
                 self._queue.work_off(light)
             else:
                 self._split = np.maximum(self._split, adaptive_sampling.split(light, rest))
             if rest is not None:
                 rest(1.0)
             if several:
-                step = Step(adaptive.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True)
+                step = KernelCall(
+                    adaptive.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True
+                )
                 self._launch([step])
 
     @property
@@ -322,38 +326,45 @@ class Frame:
             self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
         return self._colours
 
-    def meet_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
-        """What ``cover`` finds of the cells of so many pixels, one after the other."""
+    def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
+        """What ``rasterize`` finds of the cells of so many pixels, one after the other."""
         nearest = wp.full(pixels * cells.across**2, ray_hits.UNSEEN, dtype=wp.uint64, device=self._device)
         inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
         launch(
-            ray_hits.cover, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES,
+            ray_hits.rasterize, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES_OF_SLICE,
             in_runs=True, **self.options,
         )  # fmt: skip
         return np.asarray(nearest.numpy())
 
     def steps_of_cells(
-        self, integrator: Integrator, which: int, illuminant: str, level: int, room: Room, *, shadows: bool
-    ) -> list[Step]:
+        self,
+        integrator: Integrator,
+        light_index: int,
+        illuminant: str,
+        level: int,
+        buffers: TileBuffers,
+        *,
+        shadows: bool,
+    ) -> list[KernelCall]:
         """What adds the colours of cells under a light to zeros in a room."""
-        seen, means = room.seen, integrator.blurs
+        seen, means = buffers.seen, integrator.blurs
         sampling = Sampling()
-        sampling.tiles, sampling.places = room.tiles[level], pixel_filters.places_at(level, self._device.alias)
+        sampling.tiles, sampling.places = buffers.tiles[level], pixel_filters.places_at(level, self._device.alias)
         steps = self._steps_of_rays(sampling, seen.pixels)
-        sums = [room.colours, *self._no_sums[1:]]
-        steps += self._deflect(which, seen, 1.0, sums, sample=0, shadows=shadows)
+        sums = [buffers.colours, *self._no_sums[1:]]
+        steps += self._deflect(light_index, seen, 1.0, sums, sample=0, shadows=shadows)
         if means:
             steps.append(self._spread(seen, pixel_filters.deviation_at(level, means=True)))
         footprints = seen.footprints if means else None
-        return [*steps, *integrator.steps(*seen.directions, illuminant, room.colours, footprints, room.left_out)]
+        return [*steps, *integrator.steps(*seen.directions, illuminant, buffers.colours, footprints, buffers.left_out)]
 
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
     ) -> None:
         """The same by the direct sum."""
-        for which, share in self._passes(progress):
+        for light_index, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
-            added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[which], progress=share)
+            added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[light_index], progress=share)
             self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
 
     def cast(self, sample: int) -> None:
@@ -361,18 +372,18 @@ class Frame:
         self._launch(self._cast(sample, self._samples))
         self._now = sample, None
 
-    def _launch(self, steps: Sequence[Step]) -> None:
+    def _launch(self, steps: Sequence[KernelCall]) -> None:
         """Launch what finds rays and directions over all pixels."""
-        launch_in_turn(steps, self.may_see, slice_size=_SLICE, **self.options)
+        launch_pipeline(steps, self.may_see, slice_size=_RAYS_OF_SLICE, **self.options)
 
-    def _begin_to_cover(self, sampling: Any) -> Work:
+    def _begin_to_rasterize(self, sampling: Any) -> Work:
         """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
         self._nearest.fill_(ray_hits.UNSEEN)
         self._rows.assign([self.view.height, -1])
         reach = 0.0 if sampling.samples == 1 else ray_hits.MOST_OFFSET
         inputs = [self._camera, self._scene.bare, sampling, Cells(), reach]
-        cover = Step(ray_hits.cover, inputs, [self._nearest, self._rows], in_runs=True)
-        return begin_in_turn([cover], self._scene.face_count, slice_size=_FACES, **self.options)
+        rasterize = KernelCall(ray_hits.rasterize, inputs, [self._nearest, self._rows], in_runs=True)
+        return begin_pipeline([rasterize], self._scene.face_count, slice_size=_FACES_OF_SLICE, **self.options)
 
     def _keep_to(self, first_row: int, last_row: int) -> None:
         """Look at pixels of these rows alone from now on, and leave zeros elsewhere.
@@ -391,12 +402,12 @@ class Frame:
             values[written.start : min(written.stop, self.may_see.start)] = 0
             values[max(written.start, self.may_see.stop) : written.stop] = 0
 
-    def _cast(self, sample: int, samples: int) -> list[Step]:
+    def _cast(self, sample: int, samples: int) -> list[KernelCall]:
         """What sends one ray through every pixel."""
-        self.begin()
+        self.invalidate_gbuffer()
         sampling = self._sampling(sample, samples)
-        if not self._alone:
-            covering, self._covering = self._covering or self._begin_to_cover(sampling), None
+        if not self._device_driven:
+            covering, self._covering = self._covering or self._begin_to_rasterize(sampling), None
             with covering:
                 self.seen.pixels.nearest = self._nearest
             self._keep_to(*self._rows.numpy())
@@ -406,23 +417,29 @@ class Frame:
         """Where a sample of every pixel lies."""
         sampling = Sampling()
         sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
-        if samples > 1 and not self._alone:
+        if samples > 1 and not self._device_driven:
             if not len(self._offsets):
                 self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self._device)
             inputs = [sample, samples, _SEED]
             launch(
-                ray_hits.scatter, self._size, inputs, [self._offsets], slice_size=_SLICE, in_runs=True, **self.options
+                ray_hits.place_samples,
+                self._size,
+                inputs,
+                [self._offsets],
+                slice_size=_RAYS_OF_SLICE,
+                in_runs=True,
+                **self.options,
             )
             sampling.offsets = self._offsets
         return sampling
 
-    def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[Step]:
+    def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """What finds where rays meet the mesh, and how it lies there."""
-        arrays = self._scene.with_hierarchy() if self._alone else self._scene.bare
-        find = bvh.cast if self._alone else ray_hits.meet
+        arrays = self._scene.with_hierarchy() if self._device_driven else self._scene.bare
+        find = bvh.trace_bvh if self._device_driven else ray_hits.intersect_known_faces
         return [
-            Step(find, [self._camera, arrays, sampling, pixels], [], in_runs=True),
-            Step(ray_hits.stand, [arrays, pixels], [], in_runs=True),
+            KernelCall(find, [self._camera, arrays, sampling, pixels], [], in_runs=True),
+            KernelCall(ray_hits.make_shading_frames, [arrays, pixels], [], in_runs=True),
         ]
 
     @property
@@ -435,54 +452,56 @@ class Frame:
         """How many shadow rays a pixel takes, about."""
         return _SHADOW_RAYS_OF_MEANS if self._means else self._samples
 
-    def _grid_of(self, which: int) -> Any:
+    def _grid_of(self, light_index: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
-        if which not in self._grids:
-            rays = 0 if self._alone else self._rays_each * int(np.count_nonzero(self._hits()))
-            self._grids[which] = self._grid_for(which, rays, **self.options)
-        return self._grids[which]
+        if light_index not in self._grids:
+            rays = 0 if self._device_driven else self._rays_each * int(np.count_nonzero(self._hits()))
+            self._grids[light_index] = self._grid_for(light_index, rays, **self.options)
+        return self._grids[light_index]
 
-    def _grid_for(self, which: int, rays: int, **options: Any) -> Any:
+    def _grid_for(self, light_index: int, rays: int, **options: Any) -> Any:
         if not grid_pays(self._scene.face_count, rays):
-            return no_grid(self._scene, few=not self._alone)
-        return grid_for(self._surface, self._scene, self._to_lights[which], **options)
+            return no_grid(self._scene, few=not self._device_driven)
+        return grid_for(self._surface, self._scene, self._to_lights[light_index], **options)
 
-    def deflect(self, sample: int, which: int, summary: Survey | None = None, *, samples: int | None = None) -> None:
+    def deflect(
+        self, sample: int, light_index: int, summary: DirectionStatistics | None = None, *, samples: int | None = None
+    ) -> None:
         """Compute the deflections and gains of a sample under one light, add its pigment, and sum up, if that is asked.
 
         Rays are cast first, if they are another sample's.
         """
-        steps: list[Step] = []
+        steps: list[KernelCall] = []
         if self._now[0] != sample:
             steps = self._cast(sample, samples or self._samples)
-            if self.casts_shadows and which not in self._grids:
+            if self.casts_shadows and light_index not in self._grids:
                 # Whether a grid is worth it, those that meet the mesh tell.
                 self._launch(steps)
                 steps = []
         sums = [self._colours_of_one, *self._sums[1:]]
-        steps += self._deflect(which, self.seen, 1.0 / (samples or self._samples), sums, sample=sample)
+        steps += self._deflect(light_index, self.seen, 1.0 / (samples or self._samples), sums, sample=sample)
         if summary is not None:
             steps.append(summary.step(*self.seen.directions))
         self._launch(steps)
-        self._now = sample, which
+        self._now = sample, light_index
 
-    def hidden_of(self, seen: Seen, *, shadows: bool = True) -> wp.array:
+    def hidden_of(self, seen: GBuffer, *, shadows: bool = True) -> wp.array:
         """From which of the points that rays meet a light is hidden; empty is none of them."""
         return seen.hidden if shadows and self.casts_shadows else self._none_hidden
 
     def _deflect(
-        self, which: int, seen: Seen, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
-    ) -> list[Step]:
+        self, light_index: int, seen: GBuffer, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
+    ) -> list[KernelCall]:
         shadows, hidden = shadows and self.casts_shadows, self.hidden_of(seen, shadows=shadows)
         # What is covered counts once.
-        counted, begins = weight if which == 0 else 0.0, which == 0 and sample == 0
+        counted, begins = weight if light_index == 0 else 0.0, light_index == 0 and sample == 0
         # Of means each light's colours are found by themselves.
         resets = begins or self._means
-        inputs = [seen.pixels, self._lights, which, self._reflection, weight, counted, begins, resets, hidden]
-        steps = [Step(scattering.deflect_pixels, inputs, [*seen.directions, *sums], in_runs=True)]
+        inputs = [seen.pixels, self._lights, light_index, self._reflection, weight, counted, begins, resets, hidden]
+        steps = [KernelCall(scattering.scattering_vectors, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
-            inputs = [self._grid_of(which), self._lights.to_lights, which, seen.pixels]
-            steps.insert(0, Step(hide, inputs, [hidden], in_runs=True))
+            inputs = [self._grid_of(light_index), self._lights.to_lights, light_index, seen.pixels]
+            steps.insert(0, KernelCall(trace_shadow_rays, inputs, [hidden], in_runs=True))
         return steps
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -508,10 +527,10 @@ class Frame:
         found[seen] = all_values[seen]
         return found
 
-    def _spread(self, seen: Seen, deviation: float) -> Step:
+    def _spread(self, seen: GBuffer, deviation: float) -> KernelCall:
         """What filters of a deviation [pixels] do to (u, v)."""
         inputs = [self._camera, self._scene.bare, seen.pixels, seen.deflections, deviation]
-        return Step(scattering.spread_pixels, inputs, [seen.footprints], in_runs=True)
+        return KernelCall(scattering.pixel_footprints, inputs, [seen.footprints], in_runs=True)
 
     @property
     def xyz(self) -> wp.array:
@@ -525,7 +544,7 @@ class Frame:
         xyz, coverage, lit = (sums.numpy() for sums in self._sums)
         coverage = coverage.astype(np.float32).reshape(shape)
         # That of a table, or of sums over wavelengths, is in proportion to the colour.
-        errors = (_OF_PLAN if self._means else 1.0) * plan.error * np.linalg.norm(xyz, axis=1)
+        errors = (_MEAN_ERROR_PER_PLAN_ERROR if self._means else 1.0) * plan.error * np.linalg.norm(xyz, axis=1)
         if self._errors:
             errors += self._errors[0].numpy()
         error = relative_errors(errors, xyz, lit) * lit

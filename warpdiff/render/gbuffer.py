@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from warpdiff.compute.pipeline import Chain
+    from warpdiff.compute.pipeline import Pipeline
 
 
 @dataclass(frozen=True)
-class Seen:
+class GBuffer:
     """What rays see: the mesh, and under the last light whether it is hidden, deflections, directions to it, gains."""
 
     pixels: Any
@@ -36,7 +36,7 @@ class Seen:
     footprints: wp.array
 
     @classmethod
-    def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> Seen:
+    def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> GBuffer:
         """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
 
         def empty(dtype: Any, size: int = rays) -> Any:
@@ -58,7 +58,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Room:
+class TileBuffers:
     """Arrays for the rays of cells.
 
     Attributes:
@@ -68,13 +68,13 @@ class Room:
         tiles: By level, the pixels whose cells these are.
     """
 
-    seen: Seen
+    seen: GBuffer
     colours: wp.array
     left_out: wp.array
     tiles: dict[int, wp.array]
 
     @classmethod
-    def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Room:
+    def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> TileBuffers:
         """Room for so many rays, with base colours if ``coloured``."""
         left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
@@ -82,10 +82,10 @@ class Room:
             level: wp.empty(rays // cell_levels.rays_at(level), dtype=wp.int32, device=device)
             for level in cell_levels.LEVELS
         }
-        return cls(Seen.by(rays, device=device, means=True, coloured=coloured), colours, left_out, tiles)
+        return cls(GBuffer.by(rays, device=device, means=True, coloured=coloured), colours, left_out, tiles)
 
 
-class SharedRoom:
+class SharedTileBuffers:
     """A room on the CPU, of which each thread takes a part: the launches over one are those over all.
 
     Attributes:
@@ -100,11 +100,11 @@ class SharedRoom:
         whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
         self._size = -(-pixel_filters.MOST_RAYS // whole) * whole
         rays = parts * self._size
-        self.room = Room.by(rays, leaves_out=leaves_out, coloured=coloured, device=device)
-        self.room.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
-        self._nearest = self.room.seen.pixels.nearest.numpy()
-        self._tiles = {level: tiles.numpy() for level, tiles in self.room.tiles.items()}
-        self._colours, self._gains = self.room.colours.numpy(), self.room.seen.gains.numpy()
+        self.buffers = TileBuffers.by(rays, leaves_out=leaves_out, coloured=coloured, device=device)
+        self.buffers.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
+        self._nearest = self.buffers.seen.pixels.nearest.numpy()
+        self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
+        self._colours, self._gains = self.buffers.colours.numpy(), self.buffers.seen.gains.numpy()
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]
 
@@ -112,7 +112,7 @@ class SharedRoom:
         self,
         level: int,
         pixels: NDArray[np.int32],
-        chains: Sequence[tuple[Chain, range]],
+        pipelines: Sequence[tuple[Pipeline, range]],
         nearest: NDArray[np.uint64],
         *,
         threads: int,
@@ -124,15 +124,15 @@ class SharedRoom:
         """
         rays = cell_levels.rays_at(level)
         slices = [
-            (chain, range(among.start + part.start, among.start + part.stop))
-            for chain, among in chains
+            (pipeline, range(among.start + part.start, among.start + part.stop))
+            for pipeline, among in pipelines
             for part in pixel_filters.slices(len(among), level, threads)
         ]
         # The largest first, so that threads finish together.
         slices.sort(key=lambda each: -len(each[1]))
 
-        def work(each: tuple[Chain, range]) -> None:
-            chain, part = each
+        def work(each: tuple[Pipeline, range]) -> None:
+            pipeline, part = each
             first = self._free.pop()
             end = first + len(part) * rays
             self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
@@ -140,7 +140,7 @@ class SharedRoom:
             self._colours[first:end] = 0.0
             # Look-ups take whole runs.
             self._gains[end : -(-end // self._run) * self._run] = 0.0
-            chain.launch(range(first, end))
+            pipeline.launch(range(first, end))
             self._free.append(first)
 
         side_by_side(work, slices, threads=threads)
@@ -148,22 +148,24 @@ class SharedRoom:
 
 # Those that no picture is in, with and without arrays for what is left out and for base colours, and how many are kept:
 # to make one takes as long as to look up thousands of pixels.
-_free: dict[tuple[bool, bool], list[SharedRoom]] = {
+_free: dict[tuple[bool, bool], list[SharedTileBuffers]] = {
     (leaves_out, coloured): [] for leaves_out in (False, True) for coloured in (False, True)
 }
 _MOST_FREE = 2
 
 
 @contextlib.contextmanager
-def shared_room(parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> Iterator[SharedRoom]:
+def shared_tile_buffers(
+    parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device
+) -> Iterator[SharedTileBuffers]:
     """A room of so many parts or more that nobody else is in."""
     free = _free[leaves_out, coloured]
     try:
-        room = free.pop()
+        buffers = free.pop()
     except IndexError:
-        room = None
-    if room is None or room.parts < parts:
-        room = SharedRoom(parts, leaves_out=leaves_out, coloured=coloured, device=device)
-    yield room
-    free.append(room)
+        buffers = None
+    if buffers is None or buffers.parts < parts:
+        buffers = SharedTileBuffers(parts, leaves_out=leaves_out, coloured=coloured, device=device)
+    yield buffers
+    free.append(buffers)
     del free[_MOST_FREE:]

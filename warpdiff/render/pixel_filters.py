@@ -18,13 +18,13 @@ import warp as wp
 from warpdiff.core.thread_pool import slices_of
 from warpdiff.kernels import structs
 from warpdiff.kernels.cell_levels import (
-    CUT,
-    DEVIATION,
-    EXCEEDED_BY,
-    LEAST_OF_POINTS,
+    BRIGHTEST_SHARE,
+    FILTER_CUT,
+    FILTER_SHARES,
+    FILTER_SIGMA,
+    LEAST_LEVEL_OF_POINTS,
     LEVELS,
     MOST_LEVEL,
-    THIRDS,
     rays_at,
 )
 from warpdiff.kernels.limits import FLOOR, TINY
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Deviation of a cell's filter over the cells' distance: half of it leaves ripples of 1.4 % between cells.
-_OVERLAP = 0.5
+_CELL_SIGMA_PER_SPACING = 0.5
 # Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
 RIM_LEVEL = 2
 # Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
-OF_UNSETTLED = 3.0
+UNSETTLED_FACTOR = 3.0
 # Pixels are split from errors of so much on, and below of (tolerance / so much)^0.4 of the tolerance: where it is
 # tighter, a larger part of what 99 of 100 pixels keep to is from estimates that were too small. See docs/decisions.md.
 _SPLIT_FROM, _BY_TIGHTNESS = 0.1, 0.4
 # Of so many pixels, some tell how bright a picture is.
-_GLIMPSE = 16_384
+_PIXELS_FOR_LUMINANCE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
 # Rays whose faces are found together, eight bytes each.
-_MOST_FOUND = 1 << 24
+_MOST_RASTERIZED = 1 << 24
 
 
 def bound_of(tolerance: float) -> float:
@@ -58,7 +58,7 @@ def bound_of(tolerance: float) -> float:
 
 def level_of(samples: int, *, means: bool) -> int:
     """The least level of at least so many rays a pixel."""
-    least = 0 if means else LEAST_OF_POINTS
+    least = 0 if means else LEAST_LEVEL_OF_POINTS
     return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
 
@@ -67,13 +67,13 @@ def deviation_at(level: int, *, means: bool) -> float:
     if not means:
         return 0.0
     # Cut, a Gaussian is narrower: by a hundredth.
-    return _OVERLAP / 2**level if level else _cut_deviation()
+    return _CELL_SIGMA_PER_SPACING / 2**level if level else _cut_deviation()
 
 
 def _cut_deviation() -> float:
-    end = CUT / DEVIATION
+    end = FILTER_CUT / FILTER_SIGMA
     beyond = math.sqrt(2.0 / math.pi) * end * math.exp(-0.5 * end * end) / math.erf(end / math.sqrt(2.0))
-    return float(DEVIATION * math.sqrt(1.0 - beyond))
+    return float(FILTER_SIGMA * math.sqrt(1.0 - beyond))
 
 
 @functools.cache
@@ -98,7 +98,7 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
     """Weights of cells along one axis, (3 · 2ⁿ,): see :func:`weights_at`."""
     across = 2**level
     away = (np.arange(3 * across) + 0.5) / across - 1.5
-    variance = DEVIATION**2 - deviation_at(level, means=means) ** 2
+    variance = FILTER_SIGMA**2 - deviation_at(level, means=means) ** 2
     weights = np.exp(-0.5 * away**2 / variance)
     return np.asarray(weights / weights.sum())
 
@@ -109,14 +109,16 @@ def per_thirds_on(means: bool, device: str) -> wp.array:
 
     On the device of a name.
     """
-    per_thirds = [np.array(THIRDS) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS]
+    per_thirds = [
+        np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
+    ]
     # There are no weights of pixels that are not split.
     return wp.array([np.ones(3), *per_thirds], dtype=wp.float32, device=device)
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
     """Pixels in parts whose cells take no more memory than there is to be."""
-    size = _MOST_FOUND // rays_at(level)
+    size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
 
@@ -157,15 +159,15 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
     """What errors are relative to at least: how bright a picture is, a part of it tells."""
-    apart = glimpse(len(gains))
+    apart = luminance_stride(len(gains))
     some = slice(-(-among.start // apart) * apart, among.stop, apart)
     bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
     if not len(bright):
         return float(TINY)
-    rank = len(bright) - 1 - int(EXCEEDED_BY * len(bright))
+    rank = len(bright) - 1 - int(BRIGHTEST_SHARE * len(bright))
     return float(max(FLOOR * float(np.partition(bright, rank)[rank]), TINY))
 
 
-def glimpse(pixels: int) -> int:
+def luminance_stride(pixels: int) -> int:
     """How far those are apart that tell how bright a picture is: an odd step does not stay in some columns."""
-    return pixels // _GLIMPSE | 1
+    return pixels // _PIXELS_FOR_LUMINANCE | 1

@@ -13,7 +13,7 @@ import warp as wp
 from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, warn_outside
 from warpdiff.render.frame import load_kernels
-from warpdiff.render.shade import Wanted, check_lights, warn_unsettled
+from warpdiff.render.shade import PictureRequest, check_lights, warn_unsettled
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
@@ -79,7 +79,7 @@ class Renderer:
         The tolerance is met for directions all over the hemisphere, as those of the pictures are not known, under the
         illuminants of these lights. The method ``"direct"`` is for single pictures.
         """
-        wanted = Wanted.checked(
+        wanted = PictureRequest.checked(
             hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
             pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
             refine=refine, plan=plan, strict=strict, device=device, threads=threads,
@@ -96,7 +96,7 @@ class Renderer:
         self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
         self._recorded = records(wanted.device)
         self._mine = _Picture(
-            functools.partial(wanted.frame, surface, view, alone=self._recorded or None), wanted.lights, view
+            functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None), wanted.lights, view
         )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
         self.draw()
@@ -129,9 +129,9 @@ class Renderer:
             # What is seen stays as it is, if the view does.
             if view is not None:
                 mine.view = view
-                mine.frame.look(view)
+                mine.frame.set_view(view)
             mine.lights = lights
-            self._wanted.light_up(mine.frame, self._hf, lights)
+            self._wanted.set_lights(mine.frame, self._hf, lights)
             if self._recorded:
                 self._replay(mine)
             else:
@@ -164,9 +164,9 @@ class Renderer:
         # Arrays of the last one may go.
         mine.graph = None
         # What ran once finds its kernels loaded and its arrays and tables made.
-        mine.frame.begin()
+        mine.frame.invalidate_gbuffer()
         self._launch(mine)
-        mine.frame.begin()
+        mine.frame.invalidate_gbuffer()
         with wp.ScopedCapture(device=self._wanted.device, force_module_load=False) as capture:
             self._launch(mine)
         mine.graph, mine.graph_is_for = capture.graph, needed

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from warpdiff.image.image import Image
-    from warpdiff.plans.direction_range import DirectionSample, Scope
+    from warpdiff.plans.direction_range import DirectionRange, DirectionSample
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
@@ -111,7 +111,7 @@ def shade(
     """
     checks.callback(progress, "progress")
     layers = check_layers(layers)
-    wanted = Wanted.checked(
+    wanted = PictureRequest.checked(
         hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
         pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
         refine=refine, plan=plan, strict=strict, device=device, threads=threads,
@@ -121,8 +121,8 @@ def shade(
         wanted.load_likely_kernels(hf, view)
     surface = prepare_surface(mesh, tangents=tangents)
     picture = wanted.frame(surface, view)
-    wanted.light_up(picture, hf, wanted.lights)
-    scope, count, sample = picture.survey(hf, wanted.window, sampled=wanted.plan is None)
+    wanted.set_lights(picture, hf, wanted.lights)
+    scope, count, sample = picture.measure_directions(hf, wanted.window, sampled=wanted.plan is None)
     found = wanted.plan
     if found is not None:
         warn_outside(found, hf, scope)
@@ -151,7 +151,7 @@ MOST_UNSETTLED = 0.03
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PictureRequest:
     """What is asked for of pictures, checked.
 
     Attributes:
@@ -212,7 +212,7 @@ class Wanted:
         strict: Any,
         device: Any,
         threads: Any,
-    ) -> Wanted:
+    ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed."""
         check_call(
             hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
@@ -258,14 +258,14 @@ class Wanted:
             threads=self.threads, **options,
         )  # fmt: skip
 
-    def light_up(self, picture: Frame, hf: HeightField, lights: list[DirectionalLight]) -> None:
+    def set_lights(self, picture: Frame, hf: HeightField, lights: list[DirectionalLight]) -> None:
         """Set a picture's lights."""
-        picture.light_up(
+        picture.set_lights(
             lights, self.window, hf.size_um[0] * hf.size_um[1], normal=self.normal, masking=self.masking,
             pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
 
-    def plan_for(self, hf: HeightField, scope: Scope, sample: DirectionSample, count: float) -> Plan:
+    def plan_for(self, hf: HeightField, scope: DirectionRange, sample: DirectionSample, count: float) -> Plan:
         """The plan for directions."""
         names = tuple(dict.fromkeys(each.illuminant for each in self.lights))
         return plan_for(

@@ -11,7 +11,7 @@ import warp as wp
 
 from warpdiff.compute.pipeline import launch
 from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.lru_cache import found_again
+from warpdiff.core.lru_cache import get_or_make
 from warpdiff.kernels import shadow_grid
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def grid_for(
     That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
     """
     make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
-    return found_again(scene.grids, tuple(to_light), make, most=_MOST_KEPT)
+    return get_or_make(scene.grids, tuple(to_light), make, most=_MOST_KEPT)
 
 
 def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:

@@ -13,7 +13,7 @@ import warp as wp
 
 from warpdiff.core import disk_cache
 from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.lru_cache import found_again
+from warpdiff.core.lru_cache import get_or_make
 from warpdiff.fourier import kaiser_bessel, low_rank_basis, transforms
 from warpdiff.fourier.low_rank_basis import Coefficients
 from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from warpdiff.fourier.transforms import Block, Grid
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.plans.direction_range import Scope
+    from warpdiff.plans.direction_range import DirectionRange
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
@@ -77,7 +77,7 @@ class Reached:
     kappa_high: float
 
     @classmethod
-    def by(cls, scope: Scope) -> Reached:
+    def by(cls, scope: DirectionRange) -> Reached:
         """What a scope reaches."""
         shortest = min(scope.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(scope.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
@@ -114,7 +114,7 @@ def coefficients_for(
     hf: HeightField,
     method: str,
     coherence: Coherence,
-    scope: Scope,
+    scope: DirectionRange,
     reach: tuple[int, int],
     *,
     terms: int,
@@ -160,14 +160,14 @@ def coefficients_for(
 
     held, fitted_to = kept(hf).coefficients, kept(hf).fitted_to
     if to_fit and key not in held:
-        return found_again(fitted_to, key, make, most=1), block, grid
+        return get_or_make(fitted_to, key, make, most=1), block, grid
     if method in EXPANSIONS and key not in held:
         series = fitted_to.get(key)
         if series is not None:
             held[key] = series
         # Memory of it would be on top of that of all tables.
         fitted_to.clear()
-    return found_again(held, key, make, most=KEPT), block, grid
+    return get_or_make(held, key, make, most=KEPT), block, grid
 
 
 def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
@@ -183,7 +183,7 @@ def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
     return spectral_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
 
-def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> Table:
+def table_for(hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.Device, threads: int) -> Table:
     """The table for a plan, and for what a call has beyond it, built or found again."""
     coherence = plan.coherence
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
@@ -213,7 +213,7 @@ def table_for(hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, t
         )
 
     # With the rows those that they are of are kept, so that no others get their number.
-    table.rows, table.basis, _ = found_again(kept(hf).rows, key, make, most=KEPT)
+    table.rows, table.basis, _ = get_or_make(kept(hf).rows, key, make, most=KEPT)
     table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from warpdiff.plans.plan import Plan
 
 # Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
-_ENTRIES = 160
+_ENTRIES_OVER_W = 160
 # Where colours are this share of the largest, errors count as there.
-_DIM_W = 1e-2
+_LEAST_SCALE_OVER_W = 1e-2
 # Samples of the colour curves from one node to the next.
-_PROJECTED = 64
+_SAMPLES_PER_NODE = 64
 # Errors of the colour curves count relative to them, down to this share of the largest: they vanish at both ends.
-_DIM = 0.005
+_LEAST_SCALE = 0.005
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     """The projection for a plan's nodes and its functions of w, or as many of these as its tolerance asks for."""
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
-    ws = np.linspace(low, high, _ENTRIES)
+    ws = np.linspace(low, high, _ENTRIES_OVER_W)
     weights = colour_weights(plan.nodes, illuminant, lines=plan.coherence.kind == "source")
     per_um = np.exp(LOG_RED + (np.arange(len(weights)) - 1.0) * math.log(2.0) / plan.nodes)
     count = len(terms.sizes)
@@ -79,7 +79,7 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     basis = terms.basis_at(kappas.ravel()).reshape(len(ws), len(per_um), count)
     matrix = (basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]).reshape(len(ws), -1)
     norms = np.linalg.norm(matrix, axis=1)
-    relative = 1.0 / np.maximum(norms, _DIM_W * norms.max())[:, None]
+    relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
     # A singular value decomposition, by the eigenvectors of so small a matrix that threads of a library, which wait for
     # each other at every step, do not make it longer where a core is not theirs.
     matrix *= relative
@@ -128,10 +128,10 @@ def _projected(products: NDArray[np.float64], nodes: int) -> NDArray[np.float64]
     """The splines' coefficients that come closest to the colour curves, shape (node_count(nodes), 3)."""
     count = node_count(nodes)
     # Nodes beyond the band see darkness there, and their splines' share of it.
-    places = (np.arange((count + 4) * _PROJECTED) + 0.5) / _PROJECTED - 2.0
+    places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     curves = _curves(products, places - 1.0, math.log(2.0) / nodes)
     size = np.linalg.norm(curves, axis=1)
-    weights = 1.0 / np.maximum(size, _DIM * size.max())[:, None]
+    weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]
     splines = spline(places[:, None] - np.arange(count)) * weights
     gram = splines.T @ splines
     gram += 1e-12 * np.trace(gram) * np.eye(count)

@@ -13,12 +13,12 @@ import warp as wp
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import free_memory
-from warpdiff.core.lru_cache import found_again
+from warpdiff.core.lru_cache import get_or_make
 from warpdiff.kernels import colour_lookup, spectrum_sampling
 from warpdiff.optics import colorimetry
 from warpdiff.tables import coefficient_table, line_spectrum
 from warpdiff.tables.colour_projection import Projection, Terms, projection, spline
-from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_levels, megabytes, near
+from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_mip_levels, megabytes, near
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,35 +26,35 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.plans.direction_range import Scope
+    from warpdiff.plans.direction_range import DirectionRange
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
-_REMAINDERS, _MOST_REMAINDER = 96, 4.4
+_REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is about so many
 # distances of rays in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's lines, whose
 # flanks are seen for themselves.
-_REACHED, _OWN = 2.5, 1.1
-_REACHED_OF_LINES = 3.1
+_TAP_RADIUS_SIGMAS, _OWN_BLUR_SPACINGS = 2.5, 1.1
+_TAP_RADIUS_SIGMAS_OF_LINES = 3.1
 # A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
 _PREFILTER = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** np.abs(np.arange(-8, 9))
-_POSITIONS = 64
+_TAP_POSITIONS = 64
 # Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
 # second node takes for none, and so many deviations from what else is in them.
-_LEFT_AT_ALIAS, _SAFE_DEVIATIONS, _NEVER = 0.05, 4.2, 1e6
+_MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # Variance within one of several parts of a footprint, times their number.
-_WITHIN = 1.2
+_VARIANCE_WITHIN_PARTS = 1.2
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
 _SMALLEST_KAPPA = 1e-3
 # What functions of w may leave out where it is most, as a share of the tolerance: cardinal polynomials add up to less
 # than each of them.
-_SHARE, _SHARE_OF_CARDINALS = 0.5, 0.05
+_FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
-_SAMPLED, _LEAST_SIZE = 4096, 1e-3
+_ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
 _MIRROR_ENTRIES, _MIRROR_WAVELENGTHS = 2048, 40
-_SLICE = 32
+_ROWS_OF_SLICE = 32
 # What a height field keeps of tables: some for other lights and views, or a search's last attempts.
 _MOST_KEPT_MEGABYTES = 1000.0
 
@@ -106,13 +106,13 @@ class _Source:
 
 
 def table_for(
-    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any]:
     """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
     kept = coefficient_table.kept(hf)
     held, spectra = kept.colours, kept.spectra
     source, how = _prepared(hf, plan, scope, illuminant, device=device, threads=threads)
-    wanted, sharp = (*source.key, illuminant, has_levels(plan)), (*source.key, illuminant, False)
+    wanted, sharp = (*source.key, illuminant, has_mip_levels(plan)), (*source.key, illuminant, False)
     options: dict[str, Any] = {"device": device, "threads": threads}
     # Other threads may make the same meanwhile, or let it go.
     found = held.get(wanted)
@@ -138,7 +138,7 @@ def table_for(
             # Levels are added to colours that have none, whose rows both then have.
             kernel, table, _ = found
             held[sharp] = kernel, table, 0.0
-            found = _blurred(source.layout.with_levels(), table, is_lines=source.is_lines, **options)
+            found = _blurred(source.layout.with_mip_levels(), table, is_lines=source.is_lines, **options)
     held.pop(wanted, None)
     held[wanted] = found
     for oldest in list(held)[:-1]:
@@ -149,14 +149,14 @@ def table_for(
 
 
 def function_count(
-    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
 ) -> int:
     """Functions of w that colours of a plan's table share."""
     return int(_prepared(hf, plan, scope, illuminant, device=device, threads=threads)[1].functions.shape[1])
 
 
 def begin_to_load(
-    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
 ) -> None:
     """Begin to load the kernels that make a plan's table and look it up."""
     _load_kernels(*_prepared(hf, plan, scope, illuminant, device=device, threads=threads), plan, device)
@@ -176,11 +176,11 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
     else:
         needed = [source.sampler.resample, projector.project]
     needed += [target.interpolate, target.integrate]
-    load([*needed, target.blur] if has_levels(plan) else needed, device)
+    load([*needed, target.blur] if has_mip_levels(plan) else needed, device)
 
 
 def _prepared(
-    hf: HeightField, plan: Plan, scope: Scope, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[_Source, Projection]:
     """What comes before the rows: layout, terms and projection."""
     reached = coefficient_table.Reached.by(plan.scope.joined(scope))
@@ -190,7 +190,7 @@ def _prepared(
     def make() -> tuple[_Source, dict[str, Projection]]:
         return _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
 
-    source, projections = found_again(coefficient_table.kept(hf).prepared, key, make, most=coefficient_table.KEPT)
+    source, projections = get_or_make(coefficient_table.kept(hf).prepared, key, make, most=coefficient_table.KEPT)
     if illuminant not in projections:
         projections[illuminant] = projection(plan, source.terms, illuminant)
     return source, projections[illuminant]
@@ -199,7 +199,7 @@ def _prepared(
 def _source(
     hf: HeightField,
     plan: Plan,
-    scope: Scope,
+    scope: DirectionRange,
     key: Any,
     reached: coefficient_table.Reached,
     *,
@@ -217,7 +217,7 @@ def _source(
         def basis_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
             return found.basis_at(at)[:, :count]
 
-        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _SHARE)
+        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _FUNCTIONS_SHARE)
         own = found.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
         mirror = np.maximum(basis_at(np.linspace(*kappas, _MIRROR_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
@@ -225,7 +225,7 @@ def _source(
         # Amplitudes of the mean plane and of others do not come apart.
         mirror = np.zeros(0, dtype=np.float32)
         nodes = _chebyshev_kappas(hf, kappas)
-        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)), _SHARE_OF_CARDINALS)
+        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)), _CARDINALS_SHARE)
         at_kappas = np.zeros((coefficient_table.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
     layout = Layout.of(plan, reached.frequency)
@@ -237,10 +237,10 @@ def _source(
 def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
     """How much each term matters, relative to rows (my, mx, terms)."""
     flat = rows.reshape(-1, rows.shape[2])
-    some = flat[:: max(1, len(flat) // _SAMPLED)].astype(np.float64)
+    some = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
     norms = np.linalg.norm(some, axis=1, keepdims=True)
     sizes = np.sqrt(np.mean((some / np.where(norms > 0.0, norms, 1.0)) ** 2, axis=0))
-    return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max()))
+    return np.asarray(np.maximum(sizes, _LEAST_TERM_SIZE * sizes.max()))
 
 
 def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
@@ -254,7 +254,7 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
             source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
-        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_SLICE)
+        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
     return values
 
 
@@ -270,7 +270,7 @@ def _coloured(
     table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
-    table.wiggles = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NEVER
+    table.wiggles = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NO_DECIMATION
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
     table.spread = math.sqrt(source.lobe2) * MIDDLE_UM
@@ -286,11 +286,11 @@ def _coloured(
         table.spread2 = source.coherence.spread**2
         table.near2 = near(source.coherence) ** 2
     # Levels come behind, if any: until then theirs is no memory on the CPU.
-    table.rows = wp.empty(layout.with_levels().rows, dtype=target.row, device=device)
+    table.rows = wp.empty(layout.with_mip_levels().rows, dtype=target.row, device=device)
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
     matrices = wp.array(how.matrices.reshape(-1, count), dtype=projector.functions, device=device)
     curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
     def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
         begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
@@ -334,7 +334,7 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
         if name not in ("firsts", "rays", "widths"):
             setattr(table, name, getattr(sharp, name))
 
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
     def fill(level: int, octave: int, on_rays: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
@@ -358,7 +358,7 @@ def _fill(
     table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
     table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
     table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
-    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE}
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
     on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
     for level in range(first_level, len(layout.rays)):
         for octave, rays in enumerate(layout.rays[level]):
@@ -372,11 +372,11 @@ def _fill(
 def blending(device: str, *, is_lines: bool) -> Any:
     """The struct ``Blending`` of the kernels for a source's lines or a spectrum, on the device of a name."""
     result = colour_lookup.Blending()
-    reached, weigh = (_REACHED_OF_LINES, _cut_off) if is_lines else (_REACHED, _closest)
+    reached, weigh = (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_lines else (_TAP_RADIUS_SIGMAS, _closest)
     weights, lengths = _blends(2 * colour_lookup.REACH, reached, weigh)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
     result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
-    result.per_variance = (_REMAINDERS - 1) / _MOST_REMAINDER
+    result.per_variance = (_REMAINING_BLURS - 1) / _MOST_REMAINING_VARIANCE
     result.parts = wp.array(_parts(colour_lookup.MOST_PARTS), dtype=wp.float32, device=device)
     return result
 
@@ -389,7 +389,7 @@ def _parts(most: int) -> NDArray[np.float64]:
     """
     result = np.zeros((most, 3, most))
     for count in range(1, most + 1):
-        within = min(1.0, _WITHIN / count)
+        within = min(1.0, _VARIANCE_WITHIN_PARTS / count)
         places, weights = np.polynomial.hermite_e.hermegauss(count)
         result[count - 1, 0] = within
         result[count - 1, 1, :count] = math.sqrt(1.0 - within) * places
@@ -405,11 +405,11 @@ def _blends(
     The fraction is how far the place lies from the middle of these. ``weigh`` takes the rays' places from there,
     (n, m), and the blur's variance.
     """
-    fractions = (np.arange(_POSITIONS) + 0.5) / _POSITIONS - 0.5
-    weights = np.zeros((_REMAINDERS, _POSITIONS, most))
-    lengths = np.zeros(_REMAINDERS, dtype=np.int32)
-    for index in range(_REMAINDERS):
-        variance = index / (_REMAINDERS - 1) * _MOST_REMAINDER
+    fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
+    weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
+    lengths = np.zeros(_REMAINING_BLURS, dtype=np.int32)
+    for index in range(_REMAINING_BLURS):
+        variance = index / (_REMAINING_BLURS - 1) * _MOST_REMAINING_VARIANCE
         count = min(math.ceil(2.0 * reached * math.sqrt(variance + 0.25)), most)
         weights[index, :, :count] = weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
         lengths[index] = count
@@ -435,7 +435,7 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
     """
     # Products of a coefficient and of what is wanted, integrated over where the Gaussian lies.
     inverse = _inverse_products(places.shape[1])
-    weights = _filtered(places, _PREFILTER, 2.0 * _OWN**2 + variance) @ inverse
+    weights = _filtered(places, _PREFILTER, 2.0 * _OWN_BLUR_SPACINGS**2 + variance) @ inverse
     powers = places[:, None, :] ** np.arange(3)[:, None]
     lacking = np.array([1.0, 0.0, variance + 0.25]) - np.einsum("nm,nkm->nk", weights, powers)
     changes = powers @ inverse
@@ -447,7 +447,7 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 def _inverse_products(count: int) -> NDArray[np.float64]:
     """The inverse of the products of two of so many coefficients, integrated over where the Gaussian lies."""
     order = np.arange(float(count))
-    products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN**2)
+    products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN_BLUR_SPACINGS**2)
     return np.asarray(np.linalg.inv(products), dtype=np.float64)
 
 
@@ -463,7 +463,7 @@ def _is_smooth(illuminant: str, per_log: float) -> bool:
     products = colorimetry.colour_products(illuminant)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
     left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
-    return bool(left.max() < _LEFT_AT_ALIAS)
+    return bool(left.max() < _MOST_AT_ALIAS)
 
 
 def _kappas(reached: coefficient_table.Reached) -> tuple[float, float]:

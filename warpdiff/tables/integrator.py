@@ -6,24 +6,24 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpdiff.compute.pipeline import Step, launch_in_turn
+from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import coefficient_table, colour_table
 
 if TYPE_CHECKING:
-    from warpdiff.plans.direction_range import Scope
+    from warpdiff.plans.direction_range import DirectionRange
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
 # Look-ups of a slice.
-_LOOK_UPS = 2048
+_LOOK_UPS_OF_SLICE = 2048
 
 
 class Integrator:
     """The kernel of a plan with what it reads, made or found again."""
 
-    def __init__(self, hf: HeightField, plan: Plan, scope: Scope, *, device: wp.Device, threads: int) -> None:
+    def __init__(self, hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.Device, threads: int) -> None:
         self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
         self._scope = scope
         self._colours: dict[str, Any] = {}
@@ -57,12 +57,12 @@ class Integrator:
             footprints: What each pixel's filter does to (u, v), for a plan with footprints.
             left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
             among: Which of them, from a whole run on; None is all.
-            options: Of ``launch_in_turn``, ``slice_size`` and ``progress``.
+            options: Of ``launch_pipeline``, ``slice_size`` and ``progress``.
         """
         if self._plan.nodes and not self.leaves_out:
-            options.setdefault("slice_size", _LOOK_UPS)
+            options.setdefault("slice_size", _LOOK_UPS_OF_SLICE)
         steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)
-        launch_in_turn(
+        launch_pipeline(
             steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
         )
 
@@ -85,7 +85,7 @@ class Integrator:
         xyz: wp.array,
         footprints: wp.array | None = None,
         left_out: wp.array | None = None,
-    ) -> list[Step]:
+    ) -> list[KernelCall]:
         """What ``add`` launches."""
         if not self._plan.nodes:
             return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
@@ -105,7 +105,7 @@ class Integrator:
         xyz: wp.array,
         footprints: wp.array | None,
         left_out: wp.array,
-    ) -> Step:
+    ) -> KernelCall:
         """Add what a table serves."""
         if illuminant not in self._colours:
             self._colours[illuminant] = colour_table.table_for(
@@ -115,11 +115,11 @@ class Integrator:
         seen = self._no_footprints if footprints is None else footprints
         run = colour_lookup.RUN if self._device.is_cpu else 1
         inputs = [table, deflections, to_lights, gains, seen, self._blending, run]
-        return Step(kernel, inputs, [left_out, xyz], block=run)
+        return KernelCall(kernel, inputs, [left_out, xyz], block=run)
 
     def _sample(
         self, deflections: wp.array, to_lights: wp.array, gains: wp.array, illuminant: str, xyz: wp.array
-    ) -> Step:
+    ) -> KernelCall:
         """Add the sums over wavelengths."""
         given: dict[str, Any] = {"device": self._device}
         # Others may have taken its place among those that are kept.
@@ -128,4 +128,4 @@ class Integrator:
         if illuminant not in self._quadratures:
             self._quadratures[illuminant] = coefficient_table.quadrature_for(self._hf, self._plan, illuminant, **given)
         inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
-        return Step(self._table.integrate, inputs, [xyz])
+        return KernelCall(self._table.integrate, inputs, [xyz])

@@ -19,7 +19,7 @@ _FAR_IN_BLURS = 4.5
 
 
 @dataclass(frozen=True)
-class Lines:
+class LineSpectrum:
     """All but the mean plane's, in the order of their angles.
 
     Attributes:
@@ -33,7 +33,7 @@ class Lines:
     log_frequencies: NDArray[np.float64]
 
 
-def of_table(arguments: Any, highest: float) -> Lines:
+def of_table(arguments: Any, highest: float) -> LineSpectrum:
     """The lines up to a frequency [1/µm], of coefficients as the struct of ``tables.Table`` has them."""
     lengths = arguments.length_y, arguments.length_x
     s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)
@@ -46,11 +46,11 @@ def of_table(arguments: Any, highest: float) -> Lines:
     which = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
     angles = (np.arctan2(qy, qx) % (2.0 * math.pi))[inside]
     order = np.argsort(angles, kind="stable")
-    return Lines(which[order], angles[order], 0.5 * np.log(squared[inside][order]))
+    return LineSpectrum(which[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
 
 def gathered(
-    lines: Lines,
+    lines: LineSpectrum,
     coefficients: wp.array,
     sampler: Any,
     *,

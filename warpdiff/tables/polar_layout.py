@@ -30,37 +30,37 @@ if TYPE_CHECKING:
 
 # Samples along a ray, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of Gaussians
 # is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of some samples.
-_ALONG = 1.6
+_SAMPLE_SPACING_SIGMAS = 1.6
 # From node to node at least so many, or a node's spline is no integral.
 _FEWEST_DIVISIONS = 2.0
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
-_FLAT = 0.02
+_FLAT_WITHIN_SIGMAS = 0.02
 _FEWEST_RAYS = 16
 # A wavelength in the middle [µm].
 MIDDLE_UM = 0.55
 # A source's lines are blurred by so many distances of rays, which makes them smooth splines, ...
-_LINE_IN_RAYS = 0.8
+_LINE_BLUR_SPACINGS = 0.8
 # ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
-_RAYS_OF_SOURCES = 1.5
+_MORE_RAYS_OF_SOURCES = 1.5
 # Rays and nodes that a line shows on.
-_LINE_ON_RAYS, _NODES_OF_LINES = 7.0, 3.0
+_RAYS_OF_LINE, _NODES_OF_LINE = 7.0, 3.0
 # In deviations of a source: within, its blur is no range of angles and ratios.
 _NEAR_IN_SPREADS = 30.0
 # Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
 _BLURRED_RAYS_PER_WIDTH = 1.2
-_WIDEST = 0.4
+_WIDEST_BLUR_RAD = 0.4
 # What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
 # part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
-_A_SAMPLE, _A_NEIGHBOUR, _A_LINE, _A_NUMBER = 150.0, 4.0, 20.0, 35.0
+_COST_OF_SAMPLE, _COST_OF_NEIGHBOUR, _COST_OF_LINE, _COST_OF_NUMBER = 150.0, 4.0, 20.0, 35.0
 # Multiply-adds of a projection, which are made of SIMD alone, in those of all other kernels.
-_DENSE = 0.2
+_COST_OF_DENSE_MULTIPLY_ADD = 0.2
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Errors fall with this power of the nodes.
 ORDER = 2.0
 # Orders so many standard deviations of the blur apart hardly touch.
-_APART = 4.0
+_ORDERS_APART_SIGMAS = 4.0
 # A table that is much larger than this takes longer to make than it saves.
 MOST_MEGABYTES = 300.0
 
@@ -101,10 +101,10 @@ class Layout:
         width = blur(plan.coherence)
         # A colour takes up to three nodes beyond its octave, and look-ups two more.
         top = math.log(max(highest, width)) + 5.0 * step
-        octaves = max(math.ceil((top - math.log(_FLAT * width)) / math.log(2.0)), 2)
+        octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
-        divisions = np.maximum(np.ceil(tops * step / (_ALONG * width)), _FEWEST_DIVISIONS)
+        divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.rays_per_width
         doublings = min(max(math.floor(math.log2(most / _FEWEST_RAYS)), 0), octaves - 1)
         # A multiple of those that are projected side by side.
@@ -126,19 +126,19 @@ class Layout:
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0) - LOG_RED)
         rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
-        blurs = _LINE_IN_RAYS * 2.0 * math.pi / rays
+        blurs = _LINE_BLUR_SPACINGS * 2.0 * math.pi / rays
         counts = tuple(rays.astype(int).tolist())
         return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
 
-    def with_levels(self) -> Layout:
+    def with_mip_levels(self) -> Layout:
         """The same with blurred levels, for footprints and for sources."""
         narrow = np.asarray(self.rays[0])
         rays, widths = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
-        levels = math.ceil(math.log2(_WIDEST / float(first.min()))) + 1
+        levels = math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1
         for level in range(levels):
             # An octave that is blurred enough already goes on as it is.
-            blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST, first))
+            blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_RAYS_PER_WIDTH)
             rays.append(np.clip(fewer, _FEWEST_RAYS, narrow))
@@ -184,7 +184,7 @@ class Layout:
         return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_rays, self.divisions, strict=True))
 
 
-def has_levels(plan: Plan) -> bool:
+def has_mip_levels(plan: Plan) -> bool:
     """Whether look-ups of a plan's table are blurred."""
     return plan.blurs or plan.coherence.kind == "source"
 
@@ -214,12 +214,12 @@ def expected_error(nodes: int, *, few: bool = False) -> float:
 def stand_apart(hf: HeightField, coherence: Coherence) -> bool:
     """Whether a patch is so small that its orders are further apart than the spectrum's blur spreads them."""
     lengths = [length for n, length in zip(hf.shape, hf.size_um, strict=True) if n > 1]
-    return max(lengths, default=0.0) * _APART * blur(coherence) < 1.0
+    return max(lengths, default=0.0) * _ORDERS_APART_SIGMAS * blur(coherence) < 1.0
 
 
 def rungs(coherence: Coherence) -> list[tuple[int, float]]:
     """Nodes an octave and rays in a standard deviation of the blur that tables come in, the smallest first."""
-    factor = _RAYS_OF_SOURCES if coherence.kind == "source" else 1.0
+    factor = _MORE_RAYS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(nodes, factor * rays) for nodes, rays in RUNGS]
 
 
@@ -235,7 +235,7 @@ def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
     lanes = coefficient_table.lanes_of(plan.terms)
     if plan.coherence.kind == "source":
         lines = 2.0 * math.pi * layout.highest**2 * math.prod(hf.size_um)
-        sampling = lines * _LINE_ON_RAYS * (_A_LINE + 2.0 * _NODES_OF_LINES * lanes)
+        sampling = lines * _RAYS_OF_LINE * (_COST_OF_LINE + 2.0 * _NODES_OF_LINE * lanes)
     else:
         neighbours = (
             math.pi
@@ -243,11 +243,11 @@ def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
             / coefficient_table.falloff_um2(plan.coherence)
             * math.prod(hf.size_um)
         )
-        sampling = layout.samples * (parts * _A_SAMPLE + neighbours * (_A_NEIGHBOUR + parts * lanes))
+        sampling = layout.samples * (parts * _COST_OF_SAMPLE + neighbours * (_COST_OF_NEIGHBOUR + parts * lanes))
     # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
     powers = parts * plan.terms
     projection = layout.sharp_rows * node_count(plan.nodes) * powers * (powers + 3.0)
-    return sampling + _DENSE * projection + _A_NUMBER * layout.rows * 3.0 * powers
+    return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_NUMBER * layout.rows * 3.0 * powers
 
 
 def megabytes(plan: Plan) -> float:
@@ -258,7 +258,7 @@ def megabytes(plan: Plan) -> float:
 def _layout(plan: Plan) -> Layout:
     """The layout of a plan's table, with its levels if it has any."""
     sharp = Layout.of(plan, coefficient_table.Reached.by(plan.scope).frequency)
-    return sharp.with_levels() if has_levels(plan) else sharp
+    return sharp.with_mip_levels() if has_mip_levels(plan) else sharp
 
 
 def multiply_adds(plan: Plan) -> float:
