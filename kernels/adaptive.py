@@ -261,7 +261,7 @@ def splat_cells(
     levels_out: wp.array(dtype=wp.uint8),
     dark_out: wp.array(dtype=wp.uint8),
 ):
-    """What the cells of a pixel add to that pixel and to the eight around it.
+    """Splat a pixel's cells through the filter: what they add to that pixel and to the eight around it.
 
     Args:
         colours: Those of the cells, pixel after pixel and row by row.
@@ -291,7 +291,7 @@ def splat_cells(
 
 @wp.struct
 class Shares:
-    """What pixels that are split give to those around them, as ``splat_cells`` finds it."""
+    """Filtered sums of split pixels for themselves and for those around them, as ``splat_cells`` finds them."""
 
     shares: wp.array2d(dtype=wp.vec4f)
     means: wp.array(dtype=wp.vec3f)

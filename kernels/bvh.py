@@ -92,7 +92,7 @@ def trace_bvh(
     first: wp.int32,
     run: wp.int32,
 ):
-    """One ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
+    """Trace a ray through the pixel ``first`` + thread, counted along rows from the top left, or through one of a tile.
 
     Args:
         camera: The view.

@@ -280,4 +280,4 @@ def rasterize_run(
     nearest_out: wp.array(dtype=wp.uint64),
     rows_out: wp.array(dtype=wp.int32),
 ):
-    """What faces one after the other cover."""
+    """Rasterize a run of faces into the nearest face of each ray."""

@@ -25,7 +25,7 @@ class Lights:
 
 @wp.struct
 class Reflection:
-    """What the reflectance needs besides the directions."""
+    """Parameters of the reflectance besides the directions."""
 
     normal_reflectance: wp.float64
     masking: wp.bool
@@ -297,7 +297,7 @@ def pixel_footprints(
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):
-    """What rays' filters, of a deviation in pixels, do to (u, v)."""
+    """Footprints in (u, v) of rays' filters of a deviation in pixels."""
     thread, _ = wp.tid()
     begin = first + thread * run
     pixel_footprints_run(camera, surface, pixels, deflections, deviation, begin, begin + run, footprints_out)

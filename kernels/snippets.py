@@ -1,4 +1,4 @@
-"""What native code of several kernels has in common."""
+"""Pieces of native code that several kernels share, and how constants are filled into them."""
 
 import re
 from typing import Any

@@ -2,7 +2,7 @@
 
 Rays are sampled at nodes of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
 t = |(u, v)|/λ. A colour is a sum over an octave's nodes, whose weights are the same wherever |(u, v)| takes the same
-ratios: ``lookup`` has the rest.
+ratios: ``colour_lookup`` has the rest.
 """
 
 import functools

@@ -64,9 +64,9 @@ class SurfaceArrays:
 
 @wp.struct
 class Pixels:
-    """What is found, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
+    """Hits and shading frames, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
 
-    nearest: wp.array(dtype=wp.uint64)  # what ``cover`` found of these rays; empty asks the hierarchy
+    nearest: wp.array(dtype=wp.uint64)  # what ``rasterize`` found of these rays; empty asks the hierarchy
     hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face is then of no account
     face: wp.array(dtype=wp.int32)  # the face that is met, or −1
     place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner

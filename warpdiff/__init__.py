@@ -1,31 +1,17 @@
 """Iridescent colours of diffraction gratings given as measured height fields, on NVIDIA Warp.
 
-The map of the package, in the order in which data flows:
+The rooms of the package, in the order in which data flows; each says in its docstring what comes in, what goes out and
+which rooms it may import. ``docs/architecture.md`` has the whole way, file by file.
 
-- ``heightfield``, ``gratings``: a measured or synthetic surface, and its cleaning; ``inpainting``, ``periods``,
-  ``units``: its gaps, its waves, and whether its scale can be meant
-- ``coherence``: the window, source or copies that limit the coherent part of the surface
-- ``plans``: the numbers that kernels get; ``planning``, ``search``: from a tolerance to these, by bounds and by trying;
-  ``scope``, ``pilots``, ``trial``: for which directions, on which of them, and against what; ``aliasing``: what the
-  pitch cannot carry
-- ``expansions``, ``fourier``: series of exp(2πiκh) that separate the wavelength from the heights; their transforms, in
-  NumPy
-- ``coefficients``, ``interpolation``, ``tables``: Fourier coefficients as functions of κ, in a basis fitted to them;
-  between the orders; on a device
-- ``meshes``, ``snake``, ``mesh_files``, ``surface``, ``view``, ``light``, ``scene``: what is looked at, from where,
-  under which light
-- ``kernels``: Warp kernels: ray casting, directions, spectral integration
-- ``spectrum``, ``optics``: colour; Fresnel reflectance, gain and masking
-- ``render``: ``shade``, a picture of a mesh; ``renderer``: many of one mesh, recorded on a GPU; ``frame``, ``rooms``,
-  ``shadows``: what they launch, over which arrays; ``refinement``, ``splitting``: pixels into cells
-- ``evaluate``: the reflectance at arrays of directions; ``direct``: the same by a sum that approximates nothing
-- ``orders``: where the light of a periodic surface goes, in absolute terms; ``validity``: where scalar theory fails
-- ``image``: the picture and its files; ``layers``: normals, depths and geometries beside it; ``files``: whole or not
-  there; ``disk``: coefficients kept for the next process; ``cli``, ``demo``: the command line; ``interruption``,
-  ``streams``: signals that end it, and where it writes
-- ``device``, ``launches``, ``work``: where kernels run and when they are compiled; kernels in turn over slices; threads
-- ``forks``: what a fork of the process waits for
-- ``checks``, ``memory``, ``errors``: validation of arguments; whether there is room; the warning category
+- ``core``: checks, caches, threads, files, forks; ``compute``: devices and launches of kernels
+- ``optics``: coherence, reflectance factors, colorimetry; ``surface``: height fields, measured or synthetic
+- ``scene``: meshes, cameras, lights; ``fourier``: series of exp(2πiκh) and their transforms
+- ``plans``: the numbers that kernels get, and for which directions; ``image``: pictures and their files
+- ``tables``: coefficients and colours on a device; ``planning``: from a tolerance to a plan
+- ``evaluate``: reflectance at arrays of directions; ``render``: pictures of a mesh
+- ``app``: the command line
+
+``kernels`` holds the Warp kernels, ``bench`` what measures all this; ``gratings`` and ``meshes`` are public modules.
 """
 
 from importlib import import_module

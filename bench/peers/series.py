@@ -1,4 +1,4 @@
-"""What the peers of the published algorithm share: a Taylor series of Fourier coefficients, and a rule in λ.
+"""A Taylor series of Fourier coefficients and a rule in λ, shared by the peers of the published algorithm.
 
 The sum is the one of ``numba_published`` (Single 2014, eqs. 3.8, 3.20 and 3.24), whatever computes it: at wavelengths
 equally spaced in λ, the series at a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle

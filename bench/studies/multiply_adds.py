@@ -1,4 +1,4 @@
-"""What this machine can do at most: multiply-adds of 16 floats a second, by which baselines and bounds are judged."""
+"""Peak multiply-adds of 16 floats a second of this machine, by which baselines and bounds are judged."""
 
 from __future__ import annotations
 

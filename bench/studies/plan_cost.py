@@ -1,4 +1,4 @@
-"""What watching and judging take of a call and of a first picture: all that a plan does besides searching on pilots.
+"""Time that watching and judging take of a call and of a first picture: all of a plan but the search on pilots.
 
 Rows are calls of random directions and first pictures of a height field, whose coefficients and tables are made anew;
 kernels are compiled before. Medians of several, each of directions of its own. With ``--plain`` nothing is watched, so

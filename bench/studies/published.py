@@ -184,7 +184,7 @@ class Automatic:
         self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, slice_size=SLICE)
 
     def on(self, frame: Frame) -> Automatic:
-        """The same for other pixels of the frame."""
+        """Shade other pixels of the frame."""
         result = copy.copy(self)
         result.frame = frame
         return result

@@ -1,4 +1,4 @@
-"""What the charts share: their look, and how they are written."""
+"""Shared look of the charts, and how they are written."""
 
 from __future__ import annotations
 

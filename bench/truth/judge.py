@@ -1,4 +1,4 @@
-"""What judges calls: directions that their plans never read, the float64 reference, and the design's error.
+"""Judge calls by directions that their plans never read, the float64 reference, and the design's error.
 
 A call of fewer directions than ``configurations.FEW`` is judged on all that are lit. Of a larger one, at least
 ``COUNT`` lit directions are drawn, none of which its plan has seen; those that come out bright are drawn more often

@@ -1,4 +1,4 @@
-"""What the stability suite compares, in NumPy: series in either precision, fixed steps in λ, fixed neighbours.
+"""Methods that the stability suite compares, in NumPy: series in either precision, fixed λ steps, fixed neighbours.
 
 The rows of the series come from ``warpdiff.fourier.transforms`` and ``warpdiff.fourier.phase_series``, which are
 judged here; the powers are

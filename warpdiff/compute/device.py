@@ -120,7 +120,7 @@ def _refuse_cut_off() -> None:
 
 
 def _warp_lock() -> Any:
-    """What Warp, once it is imported, holds while it looks at kernels."""
+    """The lock that Warp, once it is imported, holds while it looks at kernels."""
     return getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
 
 

@@ -1,4 +1,4 @@
-"""Launches of kernels in turn: whole on a GPU, and on the CPU over slices of elements that threads take one by one."""
+"""Pipelines of kernel calls: whole launches on a GPU, slices of elements that threads take one by one on the CPU."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class KernelCall:
         return [*self.inputs, first, 1] if self.in_runs else [*self.inputs, first]
 
     def native(self) -> list[int]:
-        """What :mod:`warpdiff.kernels.launch_slices` takes of it on the CPU, as numbers; what they point at stays."""
+        """The numbers that :mod:`warpdiff.kernels.launch_slices` takes on the CPU; what they point at stays."""
         if not self._native:
             values = [*self._inputs(0), *self.outputs]
             call = _call_of(self.kernel, values)
@@ -100,7 +100,7 @@ class _Call:
         return result
 
     def offset(self, name: str) -> int:
-        """Where an argument is among all of them."""
+        """The offset of an argument among all of them [bytes]."""
         found: int = getattr(self._struct, name).offset
         return found
 
@@ -118,7 +118,7 @@ def _call_of(kernel: Any, values: Sequence[Any]) -> _Call:
 
 
 class Pipeline:
-    """Steps in turn on the CPU, without the interpreter in between."""
+    """Kernel calls one after the other on the CPU, without the interpreter in between."""
 
     def __init__(self, steps: Sequence[KernelCall]) -> None:
         """Get ready to call them, once they are compiled."""

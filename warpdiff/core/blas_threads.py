@@ -26,7 +26,7 @@ _lock = fork_safety.lock()
 
 @contextmanager
 def on_one_thread() -> Iterator[None]:
-    """What is done within takes one thread of the library."""
+    """Keep NumPy's linear algebra to one thread while within."""
     libraries = _libraries()
     with _lock:
         limits = libraries.limit(limits=1)

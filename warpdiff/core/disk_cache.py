@@ -1,4 +1,4 @@
-"""What was computed of a height field, on disk: another process finds it again, and the oldest goes where it is full.
+"""A cache on disk of what height fields took to compute: another process finds it, and the oldest goes when it is full.
 
 The folder is ``WARPDIFF_CACHE_DIR``, or ``warpdiff`` in the user's folder for such things; an empty name is none.
 """
@@ -129,13 +129,13 @@ def _write(path: Path, key: bytes, arrays: dict[str, Any]) -> None:
 
 
 def _checksum(file: BufferedRandom | BufferedReader, key: bytes) -> bytes:
-    """That of all that follows the checksum itself; with the key, or a file could stand in for another."""
+    """The checksum of all that follows it; with the key, or a file could stand in for another."""
     file.seek(_CHECKSUM_BYTES)
     return hashlib.file_digest(file, lambda: hashlib.sha256(key)).digest()
 
 
 def entries(folder: Path) -> list[Entry]:
-    """What is kept in a folder, the last used first."""
+    """Entries of a folder, the last used first."""
     return sorted(_listed(folder, _NAME), reverse=True)
 
 

@@ -39,7 +39,7 @@ def lock() -> threading.RLock:
 
 
 class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after what it is)
-    """One without the lock for all objects that Python 3.11 has: two threads may compute the same."""
+    """A cached property without the lock for all objects that Python 3.11 has: two threads may compute the same."""
 
     def __init__(self, compute: Callable[[Any], _T]) -> None:
         super().__init__(compute)

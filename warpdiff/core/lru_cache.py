@@ -1,4 +1,4 @@
-"""What was made lately and may be asked for again, as a light or a view that moves needs the same mesh and tables."""
+"""A small LRU cache: moving lights and views reuse meshes and tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _lock = fork_safety.lock()
 
 
 def get_or_make(kept: dict[Any, _T], key: Any, make: Callable[[], _T], *, most: int) -> _T:
-    """What is kept under a key, or made now; of more than ``most``, what was not asked for longest goes."""
+    """The value of a key, made now if it is not there; of more than ``most``, the least recently used one goes."""
     with _lock:
         found = key in kept
         if found:

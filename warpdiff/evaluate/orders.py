@@ -32,7 +32,7 @@ _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 
 @dataclass(frozen=True, eq=False)
 class OrderEfficiencies:
-    """What goes into which order; ``found[m_y, m_x]`` is the efficiency of one order at each wavelength, shape (m,).
+    """Efficiencies by order; ``found[m_y, m_x]`` is the efficiency of one order at each wavelength, shape (m,).
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).

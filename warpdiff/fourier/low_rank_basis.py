@@ -1,6 +1,6 @@
 """Coefficients as functions of κ: rows of numbers, one for each, times a basis that all of them share.
 
-``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``expansions``), whose rows
+``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``), whose rows
 are amplitudes. The other two are made from the last, for the range of κ that a scene reaches:
 
 - ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ of a bandwidth of twice the height range. Where

@@ -42,7 +42,7 @@ def check_cycles(hf: HeightField, kappa: float) -> None:
 
 @dataclass(frozen=True)
 class Expansion:
-    """One of the series.
+    """A series of exp(2πiκh) in κ: its basis, its remainder, and how many terms keep an error.
 
     Attributes:
         label: Its name in a sentence.

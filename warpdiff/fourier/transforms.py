@@ -1,7 +1,7 @@
 """Fourier coefficients of exp(2πiκh) as a series in κ: what is computed once a height field, with NumPy alone.
 
 H_rs(κ) = (1/N) Σ exp(2πiκh) exp(2πi(rx/Lx + sy/Ly)), which is ``numpy.fft.ifft2``. A series of the exponential in κ
-(``expansions``; Single 2014, eq. 3.24) needs the transforms of polynomials of the heights only:
+(``phase_series``; Single 2014, eq. 3.24) needs the transforms of polynomials of the heights only:
 
     H_rs(κ) = e^{2πiκc} Σ_n b_n(x) F_n[s, r],   F_n = iⁿ · ifft2(p_n((h − c)/a)),   x = 2πκa.
 

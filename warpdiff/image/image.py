@@ -33,7 +33,7 @@ _TOO_BRIGHT = 1e-4
 
 @dataclass(frozen=True)
 class Image:
-    """What an evaluation of a picture returns.
+    """A linear picture: XYZ by pixel, masks, estimated errors, and the plan that it was computed by.
 
     Attributes:
         xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 on top; 0 in the background, and multiplied by

@@ -19,7 +19,7 @@ _MOST_COPIES = 100_000
 
 @dataclass(frozen=True)
 class Coherence:
-    """What limits the coherent part of the surface.
+    """The window, source or number of copies that limits the coherent part of the surface.
 
     Attributes:
         kind: ``"averaged"`` is the expectation over all positions of a Gaussian window exp(−r²/2σ²): real, positive,

@@ -154,7 +154,7 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same with half of what is negative given to either side, over and over: a smooth ρ sees no difference."""
+    """Weights with half of what is negative given to either side, over and over: a smooth ρ sees no difference."""
     for _ in range(_SHARED_OUT):
         negative = np.minimum(weights, 0.0)
         if np.all(negative.sum(axis=0) >= -_NOTHING * weights.sum(axis=0)):

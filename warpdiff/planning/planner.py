@@ -113,7 +113,7 @@ def plan(
     device: Any = None,
     threads: int | None = None,
 ) -> Plan:
-    """What an evaluation of these directions would compute.
+    """Plan an evaluation of these directions without computing it.
 
     Args:
         hf: The height field.

@@ -191,13 +191,13 @@ class Trial:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """What the finest plan makes of directions."""
+        """Colours of directions by the finest plan, which stands for the truth."""
         if group.exact is None:
             group.weigh(self.run(self.finest, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
-        """What a plan makes of directions, the pilots: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        """Colours of directions, the pilots, by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         group = self.pilots if on is None else on
         seen = group.deflections, group.to_lights, group.gains
         if self._wavenumbers is not None:
@@ -249,7 +249,7 @@ class Trial:
         return worst(self.errors(values, exact if against is None else against), self.pilots)
 
     def judged(self, plan: Plan) -> float:
-        """The same of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
+        """The worst of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
         exact = self.exact(self.jury)
         errors = self.jury.errors(self.run(plan, self.jury), exact)
         seen = self.jury.sample

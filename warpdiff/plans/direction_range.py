@@ -1,4 +1,4 @@
-"""What a call contains: the range of its directions, and a sample of them to try plans on."""
+"""The range of a call's directions, and a sample of them to try plans on."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class DirectionSample:
 
     @classmethod
     def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
-        """Those of several passes."""
+        """Join the samples of several passes."""
         weights = np.concatenate([each.weights for each in parts])
         return cls(
             np.concatenate([each.deflections for each in parts]), np.concatenate([each.to_lights for each in parts]),
@@ -72,7 +72,7 @@ class DirectionSample:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
-        """Those at some places, with weights of their own."""
+        """Take the directions at some places, with weights of their own."""
         return DirectionSample(self.deflections[places], self.to_lights[places], self.gains[places], weights)
 
 

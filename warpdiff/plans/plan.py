@@ -1,4 +1,4 @@
-"""What a plan is: the numbers that the kernels get, and which methods and tolerances there are."""
+"""The plan: the numbers that the kernels get, and which methods and tolerances there are."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ _PREDICTED = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What is computed, and why. ``dataclasses.replace(plan, terms=9)`` changes a number; pass it as ``plan=``.
+    """The numbers of a computation, and why. ``dataclasses.replace(plan, terms=9)`` changes one; pass it as ``plan=``.
 
     Errors are relative ones of XYZ, as ``tolerance`` is.
 
     Attributes:
-        method: One of ``coefficients.METHODS``, or ``"direct"``.
+        method: One of ``low_rank_basis.METHODS``, or ``"direct"``.
         coherence: The window, source or copies.
         tolerance: What was asked for.
         terms: Terms of the basis, n = 0 … terms − 1.
@@ -84,8 +84,8 @@ class Plan:
         rounding: Predicted error from float32 arithmetic.
         aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
             relative to theirs. It is a property of the data and no part of ``error``.
-        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``validity.error_bound``. It is a property of
-            the surface and no part of ``error``.
+        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``scalar_validity.error_bound``. It is a
+            property of the surface and no part of ``error``.
         multiply_adds: Predicted cost of a direction, in the mean over the sample.
         searched: Whether the errors were measured on some directions; otherwise they are what bounds leave as a rule.
         judged: On how many, which the search has not seen where there are enough of them.

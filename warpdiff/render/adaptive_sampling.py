@@ -1,4 +1,4 @@
-"""Pixels that are split into cells, level after level: on threads of the host, or by the device alone."""
+"""Adaptive supersampling: pixels split into cells, level after level, on threads of the host or by the device alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MOST_RAYS = 1 << 20
 
 @dataclass(frozen=True)
 class LightRefinement:
-    """A picture under one light, by one ray a pixel, whose pixels are to be split.
+    """A picture under one light, by one ray a pixel, and how its pixels are split.
 
     Attributes:
         frame: What rays meet.
@@ -71,7 +71,7 @@ class LightRefinement:
         return level < self.least, pixel_filters.RIM_LEVEL if self.refine else 0
 
     def estimate_errors(self, floor: wp.array, wanted: wp.array) -> KernelCall:
-        """Which pixels are to be split."""
+        """The call that estimates the error of every pixel by one ray, and says which are to be split."""
         seen, view, among = self.frame.seen, self.frame.view, self.frame.may_see
         inputs = [
             self.colours, seen.deflections, seen.pixels.hit, view.width, among.start, among.stop, floor, self._bound,
@@ -80,15 +80,15 @@ class LightRefinement:
         return KernelCall(adaptive.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
 
     def splat_cells(self, level: int, buffers: TileBuffers, given: Any, *, shadows: bool) -> list[KernelCall]:
-        """What finds the shares of pixels around those whose cells are in a room."""
+        """The calls that shade the cells in the buffers and splat them to the pixels around."""
         means, name = self.integrator.blurs, self.frame.options["device"].alias
         steps = self.frame.steps_of_cells(
             self.integrator, self.light_index, self.illuminant, level, buffers, shadows=shadows
         )
         weights = pixel_filters.weights_at(level, means, name)
         inputs = [
-            buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows), buffers.tiles[level],
-            self.colours, given.ranks, weights, level,
+            buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows),
+            buffers.tiles[level], self.colours, given.ranks, weights, level,
         ]  # fmt: skip
         outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
         return [
@@ -97,7 +97,7 @@ class LightRefinement:
         ]
 
     def resolve_pixels(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> KernelCall:
-        """What sets pixels to what cells give them."""
+        """The call that sets pixels to the sums of the cells around, and compares these with the level before."""
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
         bound = self._bound
@@ -111,7 +111,7 @@ class LightRefinement:
     def select_cells(
         self, level: int, given: Any, tiles: wp.array, floor: wp.array, wanted: wp.array, chosen: wp.array
     ) -> KernelCall:
-        """Which pixels are split again."""
+        """The call that says which pixels are split again."""
         view = self.frame.view
         inputs = [
             given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor, self._bound, level,

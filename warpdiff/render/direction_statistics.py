@@ -1,4 +1,4 @@
-"""What a picture's pixels are lit by, without bringing them all from the device."""
+"""Range and sample of the directions that a picture's pixels see, reduced on the device."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class DirectionStatistics:
         self._seen: tuple[wp.array, wp.array, wp.array]
 
     def step(self, deflections: wp.array, to_lights: wp.array, gains: wp.array) -> KernelCall:
-        """What is to be launched over the deflections before ``found``."""
+        """The kernel call over the deflections that comes before ``found``."""
         self._seen = deflections, to_lights, gains
         inputs = [*self._seen, *self._scope, BLOCK]
         return KernelCall(scattering.reduce_directions, inputs, [self._counts, self._ranges], in_runs=True, block=BLOCK)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from warpdiff.tables.integrator import Integrator
 
 _SEED = 0
-# Samples of a pixel that are surveyed; rays of means, whose cells see more than pixels' centres do, and of a pixel.
+# Samples of a pixel that are measured; rays of means, whose cells see more than pixels' centres do, and of a pixel.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.3
@@ -121,7 +121,7 @@ class Frame:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Where launches go."""
+        """The device and the number of threads of launches."""
         return {"device": self._device, "threads": self._threads}
 
     def set_view(self, view: View) -> None:
@@ -136,7 +136,7 @@ class Frame:
 
     @fork_safety.cached_property
     def seen(self) -> GBuffer:
-        """What the pixels' own rays see under the last light."""
+        """The G-buffer of the pixels' own rays, under the last light."""
         coloured = self._surface.has_base_colour
         return GBuffer.by(self._size, device=self._device, means=self._means, coloured=coloured)
 
@@ -200,7 +200,7 @@ class Frame:
 
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
-        """What of the view and the lights' directions the launches depend on; all else of these is on the device."""
+        """The part of the view and the lights that the launches depend on; all else of these is on the device."""
         return len(self._to_lights), self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(
@@ -239,7 +239,7 @@ class Frame:
         count = len(self._to_lights)
         for sample in range(self._samples):
             for light_index in range(count):
-                # The survey has left behind what a single pass needs.
+                # Measuring directions has left behind what a single pass needs.
                 if self._now != (sample, light_index):
                     self.deflect(sample, light_index)
                 index, passes = sample * count + light_index, self._samples * count
@@ -327,7 +327,7 @@ class Frame:
         return self._colours
 
     def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
-        """What ``rasterize`` finds of the cells of so many pixels, one after the other."""
+        """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""
         nearest = wp.full(pixels * cells.across**2, ray_hits.UNSEEN, dtype=wp.uint64, device=self._device)
         inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
         launch(
@@ -346,7 +346,7 @@ class Frame:
         *,
         shadows: bool,
     ) -> list[KernelCall]:
-        """What adds the colours of cells under a light to zeros in a room."""
+        """The calls that add the colours of cells under a light to zeros in the buffers."""
         seen, means = buffers.seen, integrator.blurs
         sampling = Sampling()
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filters.places_at(level, self._device.alias)
@@ -361,7 +361,7 @@ class Frame:
     def sum_directly(
         self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
     ) -> None:
-        """The same by the direct sum."""
+        """Add the colours of all samples and lights by the direct sum."""
         for light_index, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
             added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[light_index], progress=share)
@@ -403,7 +403,7 @@ class Frame:
             values[max(written.start, self.may_see.stop) : written.stop] = 0
 
     def _cast(self, sample: int, samples: int) -> list[KernelCall]:
-        """What sends one ray through every pixel."""
+        """The calls that send one ray through every pixel."""
         self.invalidate_gbuffer()
         sampling = self._sampling(sample, samples)
         if not self._device_driven:
@@ -434,7 +434,7 @@ class Frame:
         return sampling
 
     def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[KernelCall]:
-        """What finds where rays meet the mesh, and how it lies there."""
+        """The calls that find where rays meet the mesh, and its shading frames there."""
         arrays = self._scene.with_hierarchy() if self._device_driven else self._scene.bare
         find = bvh.trace_bvh if self._device_driven else ray_hits.intersect_known_faces
         return [
@@ -510,7 +510,7 @@ class Frame:
         return deflections, to_lights, gains
 
     def met(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-        """What the pixels' central rays meet: whether, which face, where on it, and the shading normal."""
+        """Hits of the pixels' central rays: whether, which face, where on it, and the shading normal."""
         self._launch(self._cast(0, 1))
         pixels = self.seen.pixels
         hit, face, place, normal = map(self._looked_at, (pixels.hit, pixels.face, pixels.place, pixels.normal))
@@ -521,14 +521,14 @@ class Frame:
         return self._looked_at(self.seen.pixels.hit)
 
     def _looked_at(self, values: wp.array) -> NDArray[Any]:
-        """What is found of all pixels; zero for those that are not looked at."""
+        """Values of all pixels on the host; zero for those that are not looked at."""
         all_values, seen = values.numpy(), slice(self.may_see.start, self.may_see.stop)
         found: NDArray[Any] = np.zeros_like(all_values)
         found[seen] = all_values[seen]
         return found
 
     def _spread(self, seen: GBuffer, deviation: float) -> KernelCall:
-        """What filters of a deviation [pixels] do to (u, v)."""
+        """The call that finds the footprints of filters of a deviation [pixels]."""
         inputs = [self._camera, self._scene.bare, seen.pixels, seen.deflections, deviation]
         return KernelCall(scattering.pixel_footprints, inputs, [seen.footprints], in_runs=True)
 

@@ -1,4 +1,4 @@
-"""Arrays for what rays see: of a picture's pixels, and of cells, which threads take parts of again and again."""
+"""G-buffers of a picture's pixels, and buffers for tiles of cells, of which threads take parts again and again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GBuffer:
-    """What rays see: the mesh, and under the last light whether it is hidden, deflections, directions to it, gains."""
+    """The G-buffer of rays: hits and frames, and under the last light shadows, deflections, directions to it, gains."""
 
     pixels: Any
     hidden: wp.array
@@ -59,7 +59,7 @@ class GBuffer:
 
 @dataclass(frozen=True)
 class TileBuffers:
-    """Arrays for the rays of cells.
+    """Buffers for the rays of cells: their G-buffer, colours, and the pixels that they belong to.
 
     Attributes:
         seen: What they see.
@@ -75,7 +75,7 @@ class TileBuffers:
 
     @classmethod
     def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> TileBuffers:
-        """Room for so many rays, with base colours if ``coloured``."""
+        """Buffers for so many rays, with base colours if ``coloured``."""
         left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
         tiles = {
@@ -86,15 +86,15 @@ class TileBuffers:
 
 
 class SharedTileBuffers:
-    """A room on the CPU, of which each thread takes a part: the launches over one are those over all.
+    """Tile buffers on the CPU, of which each thread takes a part: the launches over one are those over all.
 
     Attributes:
-        room: All of it.
+        buffers: All of them.
         parts: How many there are.
     """
 
     def __init__(self, parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> None:
-        """So many parts."""
+        """Make so many parts."""
         self.parts, self._run = parts, RUN
         # Whole pixels of any level, and whole runs of look-ups.
         whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
@@ -117,7 +117,7 @@ class SharedTileBuffers:
         *,
         threads: int,
     ) -> None:
-        """Launch chains over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
+        """Launch pipelines over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
 
         Each is for a range of the pixels; it adds colours to zeros, on so many threads, for each of which there is a
         part.
@@ -158,7 +158,7 @@ _MOST_FREE = 2
 def shared_tile_buffers(
     parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device
 ) -> Iterator[SharedTileBuffers]:
-    """A room of so many parts or more that nobody else is in."""
+    """Borrow buffers of so many parts or more, which nobody else has meanwhile."""
     free = _free[leaves_out, coloured]
     try:
         buffers = free.pop()

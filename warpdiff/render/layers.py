@@ -1,4 +1,4 @@
-"""What pixels show besides colours: the shading normal, the depth and the geometry that their central rays meet."""
+"""Layers besides colours: the shading normal, the depth and the geometry that pixels' central rays meet."""
 
 from __future__ import annotations
 

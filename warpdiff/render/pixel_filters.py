@@ -1,4 +1,4 @@
-"""Refinement: where the parts of a pixel differ from the whole, they are split again, until they agree.
+"""Pixel filters: where the cells of a pixel lie, what they weigh for the pixels around, and how many go together.
 
 A pixel begins as one ray whose filter is the pixel's. Level n splits pixels into squares of 2ⁿ × 2ⁿ cells, each a ray
 with a filter of its own, and a pixel is a weighted sum over its own cells and those of the eight pixels around it. So a
@@ -158,7 +158,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
-    """What errors are relative to at least: how bright a picture is, a part of it tells."""
+    """The least luminance that errors are relative to, from how bright a part of the picture is."""
     apart = luminance_stride(len(gains))
     some = slice(-(-among.start // apart) * apart, among.stop, apart)
     bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]

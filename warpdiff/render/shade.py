@@ -152,7 +152,7 @@ MOST_UNSETTLED = 0.03
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """What is asked for of pictures, checked.
+    """A checked request for pictures.
 
     Attributes:
         lights: One or several.
@@ -311,7 +311,7 @@ def warn_unsettled(plan: Plan) -> None:
 
 
 def check_lights(light: Any) -> list[DirectionalLight]:
-    """One light or several as a list."""
+    """Check lights: one or several, as a list."""
     lights = [light] if isinstance(light, DirectionalLight) else light
     if not isinstance(lights, Sequence) or not lights:
         raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")

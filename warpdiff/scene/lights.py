@@ -1,4 +1,4 @@
-"""Light sources."""
+"""Light sources: directional lights with an illuminant and a power."""
 
 from __future__ import annotations
 

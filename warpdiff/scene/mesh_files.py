@@ -57,7 +57,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
 
 
 def _resolver(file: Path, found: dict[str, bytes], lost: dict[str, str]) -> Any:
-    """What fetches the files that a mesh names, and writes down what was ``found`` and why others were ``lost``."""
+    """A resolver of the files that a mesh names, which notes what was ``found`` and why others were ``lost``."""
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):  # type: ignore[misc]

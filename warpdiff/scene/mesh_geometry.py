@@ -1,4 +1,4 @@
-"""What follows from the positions, faces and texture coordinates of a mesh: normals, a tangent field, convexity.
+"""Normals, tangent field and convexity of a mesh, from its positions, faces and texture coordinates.
 
 Vectors are stored by component, (3, n), and faces by corner, (3, m): NumPy is several times faster along rows than
 across them.

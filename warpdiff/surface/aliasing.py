@@ -1,4 +1,4 @@
-"""What a height field's pitch cannot carry: the power of exp(2πiκh) beyond half a cycle a sample folds back."""
+"""Aliasing of a height field's samples: the power of exp(2πiκh) beyond half a cycle a sample folds back."""
 
 from __future__ import annotations
 

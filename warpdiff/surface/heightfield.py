@@ -32,7 +32,7 @@ _MOST_CHANGE = 0.4
 
 @dataclass(frozen=True)
 class HeightFieldSummary:
-    """What a height field holds, and how far it can be trusted; `str` of it is a few lines to print.
+    """Contents of a height field, and how far it can be trusted; `str` of it is a few lines to print.
 
     Attributes:
         shape: Samples (ny, nx).

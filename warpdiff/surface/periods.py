@@ -211,7 +211,7 @@ class _Fit:
 
     @property
     def amplitudes(self) -> NDArray[np.float64]:
-        """Of the harmonics [µm]."""
+        """Amplitudes of the harmonics [µm]."""
         return np.hypot(self.linear[: self.count], self.linear[self.count : 2 * self.count])
 
     def heights(self, means: _Means) -> NDArray[np.float64]:
@@ -248,7 +248,7 @@ def _orders_and_blocks(
 
 
 def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-    """What is left of waves of so many cycles a sample in means over blocks of samples."""
+    """Transfer of means over blocks of samples: the share left of waves of so many cycles a sample."""
     turn = np.sin(np.pi * cycles)
     tiny = np.abs(turn) < 1e-9
     return np.where(tiny, 1.0, np.sin(np.pi * cycles * block) / (block * np.where(tiny, 1.0, turn)))

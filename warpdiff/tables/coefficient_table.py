@@ -56,7 +56,7 @@ class _Kept:
 
 
 def kept(hf: HeightField) -> _Kept:
-    """What was kept of a height field."""
+    """Everything kept for a height field while it lives."""
     return _cache.setdefault(hf, _Kept())
 
 
@@ -78,7 +78,7 @@ class Reached:
 
     @classmethod
     def by(cls, scope: DirectionRange) -> Reached:
-        """What a scope reaches."""
+        """The coefficients that a range of directions reaches."""
         shortest = min(scope.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(scope.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
         return cls(
@@ -125,7 +125,7 @@ def coefficients_for(
 
     Args:
         hf: The height field.
-        method: One of ``coefficients.METHODS``.
+        method: One of ``low_rank_basis.METHODS``.
         coherence: How they add.
         scope: The range of directions and wavelengths.
         reach: Coefficients (y, x) on either side of a direction that may be looked up.

@@ -33,7 +33,7 @@ _LEAST_SCALE = 0.005
 
 @dataclass(frozen=True)
 class Terms:
-    """What rows of the spectrum consist of.
+    """The terms that rows of the spectrum consist of.
 
     Attributes:
         basis_at: The functions of |κ| that a row's numbers multiply, for |κ| (n,) of shape (n, terms).
@@ -50,7 +50,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Projection:
-    """What turns rows of the spectrum into colours.
+    """The weights that turn rows of the spectrum into colours.
 
     Attributes:
         ws: |w| at equal steps.

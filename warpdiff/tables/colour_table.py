@@ -61,7 +61,7 @@ _MOST_KEPT_MEGABYTES = 1000.0
 
 @dataclass(frozen=True)
 class _Source:
-    """What a table is made from: coefficients, and the rows of the spectrum that they become.
+    """The source of a table: coefficients, and the rows of the spectrum that they become.
 
     Attributes:
         key: What tells it from others.
@@ -182,7 +182,7 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
 def _prepared(
     hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
 ) -> tuple[_Source, Projection]:
-    """What comes before the rows: layout, terms and projection."""
+    """Prepare layout, terms and projection, before any rows are made."""
     reached = coefficient_table.Reached.by(plan.scope.joined(scope))
     numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.functions, plan.tolerance
     key = device.alias, plan.method, plan.coherence, numbers, reached
@@ -326,7 +326,7 @@ def _megabytes(layout: Layout, functions: int) -> float:
 
 
 def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
-    """The same with levels, from a table without, whose rows have room for them."""
+    """A table with mip levels, from one without, whose rows have room for them."""
     count = sharp.functions.dtype._length_
     target = colour_lookup.lookup(count, is_lines)
     table = target.Colours()

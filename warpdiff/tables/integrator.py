@@ -86,7 +86,7 @@ class Integrator:
         footprints: wp.array | None = None,
         left_out: wp.array | None = None,
     ) -> list[KernelCall]:
-        """What ``add`` launches."""
+        """The kernel calls of ``add``."""
         if not self._plan.nodes:
             return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
         if left_out is None:

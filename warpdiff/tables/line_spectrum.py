@@ -34,7 +34,7 @@ class LineSpectrum:
 
 
 def of_table(arguments: Any, highest: float) -> LineSpectrum:
-    """The lines up to a frequency [1/µm], of coefficients as the struct of ``tables.Table`` has them."""
+    """The lines up to a frequency [1/µm], of coefficients as the kernels' struct ``Table`` has them."""
     lengths = arguments.length_y, arguments.length_x
     s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)
     qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]

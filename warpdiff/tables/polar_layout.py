@@ -117,7 +117,7 @@ class Layout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float, step: float) -> Layout:
-        """The same for a source, whose rows each octave of |(u, v)| takes from coefficients as they are."""
+        """A layout for a source, whose rows each octave of |(u, v)| takes from coefficients as they are."""
         spread = plan.coherence.spread
         # Look-ups take some nodes on either side.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
@@ -131,7 +131,7 @@ class Layout:
         return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
 
     def with_mip_levels(self) -> Layout:
-        """The same with blurred levels, for footprints and for sources."""
+        """The layout with mip levels, for footprints and for sources."""
         narrow = np.asarray(self.rays[0])
         rays, widths = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
@@ -229,7 +229,7 @@ def smallest_rung(plan: Plan) -> tuple[int, float] | None:
 
 
 def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
-    """What a table costs to make, in the multiply-adds of ``Plan``."""
+    """The cost of making a table, in the multiply-adds of ``Plan``."""
     layout = _layout(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)
@@ -262,5 +262,5 @@ def _layout(plan: Plan) -> Layout:
 
 
 def multiply_adds(plan: Plan) -> float:
-    """Those of a direction."""
+    """The multiply-adds of a look-up."""
     return 9.0 * 3.0 * (plan.functions or coefficient_table.lanes_of(plan.terms))
