@@ -40,7 +40,7 @@ _POWERS_OF_TEN = st.integers(-320, 308).map(lambda k: float(f"1e{k}"))
 _NUMBERS = st.one_of(st.floats(), _POWERS_OF_TEN, st.integers(-(10**30), 10**30), st.floats(0.0, 10.0))
 _COUNTS = st.one_of(st.integers(-3, 40), st.integers(0, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
 # What is more is refused, and what is less is soon made.
-_SEGMENTS = st.one_of(st.integers(-3, 9), st.integers(15, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
+_SEGMENTS = st.one_of(st.integers(-3, 9), st.integers(17, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
 _ROWS = st.lists(st.lists(_NUMBERS, min_size=0, max_size=4), min_size=0, max_size=4)
 _VECTORS = st.one_of(st.lists(_NUMBERS, min_size=3, max_size=3), st.lists(_NUMBERS, max_size=4), _ROWS)
 _FLAGS = st.sampled_from([0, 1, "yes", "no", np.bool_(0)])
@@ -181,10 +181,11 @@ KIND_OF = {
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
     **dict.fromkeys(["illuminant", "device", "kind", "tangent"], "name"),
-    **dict.fromkeys(["threads", "samples_per_pixel", "size", "samples", "tracks", "seed", "order", "count"], "count"),
+    **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),
     **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged"], "count"),
     **dict.fromkeys(["segments", "rings", "segments_along", "segments_around", "scale_rows", "ventrals"], "segments"),
+    "samples_per_pixel": "segments",
 }  # fmt: skip
 _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
