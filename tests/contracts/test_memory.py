@@ -102,6 +102,15 @@ def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
         wd.reflectance(hf, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
 
 
+def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
+    hf = wd.gratings.sinusoidal(1.0, 0.1)
+    plan = wd.plan(hf, (0, 0, 1), (0.3, 0, 1), coherence=wd.Coherence("replicas", copies=(1, 100)), tolerance=0.2)
+    monkeypatch.setattr(free_memory, "available", lambda: 1e9)
+    many = dataclasses.replace(plan, wavelengths=10**8)
+    with pytest.raises(MemoryError, match=r"a quadrature of \d+ wavelengths takes .* copies"):
+        wd.reflectance(hf, (0, 0, 1), (0.3, 0, 1), plan=many)
+
+
 def test_systems_that_do_not_tell_have_enough(monkeypatch):
     monkeypatch.setattr(Path, "read_text", lambda _: "")
     assert free_memory.available() == math.inf

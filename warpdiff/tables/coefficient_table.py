@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core import disk_cache
+from warpdiff.core import disk_cache, free_memory
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.lru_cache import get_or_make
 from warpdiff.fourier import kaiser_bessel, low_rank_basis, transforms
@@ -37,6 +37,8 @@ _REACHED_WEIGHT = 1e-14
 _FEWEST_INTERVALS = 4
 # Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
 SETS_AN_OCTAVE = 4
+# As measured, while a quadrature is made.
+_BYTES_A_WAVELENGTH = 370.0
 # What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
 KEPT = 4
 _cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
@@ -272,6 +274,10 @@ def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.D
         counts.append(fewer)
     if plan.coherence.kind == "replicas":
         counts = [max(count - 1, _FEWEST_INTERVALS) * plan.subdivisions + 1 for count in counts]
+    free_memory.require(
+        _BYTES_A_WAVELENGTH * sum(counts), f"a quadrature of {sum(counts)} wavelengths",
+        "take {share} of plan's wavelengths, of coherence's copies, or a smaller hf",
+    )  # fmt: skip
     geometric = plan.coherence.kind == "source"
     sets = [colorimetry.uniform_quadrature(count, illuminant, geometric=geometric) for count in counts]
     result = spectral_sum.Quadrature()
