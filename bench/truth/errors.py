@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 
 import numpy as np
@@ -36,8 +37,11 @@ def colour_difference(found: np.ndarray, exact: np.ndarray) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
-    exposure = 1.0 / np.percentile(exact[:, 1], 99.0)
-    inside = exact[:, 1] * exposure <= 1.0
+    brightest = np.percentile(exact[:, 1], 99.0)
+    inside = exact[:, 1] <= brightest
+    if not brightest:
+        return math.nan
+    exposure = 1.0 / brightest
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     labs = [colour.XYZ_to_Lab(np.float64(each[inside]) * exposure, white) for each in (found, exact)]
     return float(np.percentile(colour.delta_E(*labs, method="CIE 2000"), 99.0))
