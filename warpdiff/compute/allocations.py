@@ -1,4 +1,4 @@
-"""Allocations that fail although what was asked for seemed to fit: one error of the library's for NumPy's and Warp's."""
+"""Allocations that fail although what was asked for seemed to fit: one error for those of NumPy and of Warp."""
 
 from __future__ import annotations
 

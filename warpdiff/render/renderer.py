@@ -90,14 +90,18 @@ class Renderer:
         self._hf, self._wanted = hf, wanted
         with memory_named(view):
             surface = prepare_surface(mesh, tangents=tangents)
-            scope, sample, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
+            scope, sample, count = directions_of(
+                hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking
+            )
             if wanted.plan is not None:
                 warn_outside(wanted.plan, hf, scope)
             self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
             self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
             self._recorded = records(wanted.device)
             self._mine = _Picture(
-                functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None), wanted.lights, view
+                functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
+                wanted.lights,
+                view,
             )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
         self.draw()

@@ -39,6 +39,9 @@ _FEWEST_INTERVALS = 4
 SETS_AN_OCTAVE = 4
 # As measured, while a quadrature is made.
 _BYTES_A_WAVELENGTH = 370.0
+# The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
+# itself and for each thread.
+_BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_A_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 # What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
 KEPT = 4
 _cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
@@ -148,6 +151,15 @@ def coefficients_for(
 
     @on_one_thread()
     def arrays() -> dict[str, Any]:
+        ny, nx = hf.shape
+        kept_terms = float(math.prod(block.count) * terms)
+        per_sample = _BYTES_A_SAMPLE + _BYTES_OF_THREAD * min(threads, terms)
+        free_memory.require(
+            max(_BYTES_OF_SERIES * kept_terms + per_sample * math.prod(block.shape),
+                0.0 if method in EXPANSIONS else _BYTES_OF_FIT * kept_terms),
+            f"coefficients of hf, {ny} × {nx} samples, at {block.count[0]} × {block.count[1]} frequencies",
+            "take {share} of its area, by cropped()",
+        )  # fmt: skip
         if method in EXPANSIONS:
             made = low_rank_basis.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
         else:
