@@ -41,7 +41,7 @@ LEGAL = {
 # Beyond that a call hangs; kernels may be compiled in it.
 MOST_S = 60
 # More than a small call takes, so that what asks for too much fails wherever the tests run.
-MOST_MORE_BYTES = 2 << 30
+MOST_MORE_BYTES = 1 << 30
 
 
 def public():
