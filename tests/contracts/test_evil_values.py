@@ -203,7 +203,7 @@ def check(name, arguments):
 def test_evil_values_are_refused_by_name_or_served(name, tries):
     own, names = parameters_of(name)
 
-    @examples(100, 1500)
+    @examples(40, 1500)
     @given(st.data())
     def attempt(data):
         chosen = data.draw(st.lists(st.sampled_from(own + names), min_size=1, max_size=2, unique=True))
