@@ -18,7 +18,7 @@ if not (Path(__file__).resolve().parents[2] / "pyproject.toml").is_file():
 import import_graph as graph
 
 # What only some calls take, and what would make every start slower, or is not on every system.
-SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource"}
+SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy"}
 # Signals and streams are met before anything slow is imported; two commands import what the others do without.
 LATER = {"warpdiff.__main__", "warpdiff.app.cli"}
 PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]

@@ -42,7 +42,7 @@ def test_ranges(rough, rng):
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
     light = at_angle(30.0)
-    for half in (wd.plan(rough, light, method="direct"), wd.plan(rough, None, light)):
+    for half in (wd.plan(rough, light, method="direct"), wd.plan(rough, None, light, method="direct")):
         assert half.max_uv == pytest.approx(1.5)
         assert half.max_w == pytest.approx(1.0 + math.cos(math.radians(30.0)))
 
@@ -272,12 +272,13 @@ def test_the_automatic_series_serves_what_taylor_cannot(rng):
 
 
 def test_heights_in_another_unit_are_refused(rough):
+    plan = wd.plan(rough, UP, UP)
     for height_um in (375.0, 1e9):
         for method in ("auto", "taylor", "direct"):
             with pytest.raises(ValueError, match="heights are in µm"):
                 wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
         with pytest.raises(ValueError, match="heights are in µm"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
-            wd.reflectance(deep(height_um), UP, UP, plan=wd.plan(rough))
+            wd.reflectance(deep(height_um), UP, UP, plan=plan)
 
 
 def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):

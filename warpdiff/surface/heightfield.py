@@ -33,6 +33,7 @@ _BYTES_A_SAMPLE = {
     "dominant_periods_um": 49.0,
 }  # fmt: skip
 _BYTES_MADE, _BYTES_READ = 13.0, 28.0
+_BYTES_A_GAP = 700.0
 _SAMPLES_AT_ONCE = 2**18
 # Of periodic(): the root mean square, over the heights' standard deviation, that passes without a word.
 _MOST_CHANGE = 0.4
@@ -280,6 +281,10 @@ class HeightField:
         Returns:
             The field without gaps, of the same shape; samples that are not missing keep their values exactly.
         """
+        free_memory.require(
+            _BYTES_A_GAP * self._missing_count, f"filled() of {self._missing_count} missing samples",
+            "take {share} of the field, by cropped(), or a coarser pitch",
+        )  # fmt: skip
         return HeightField.of_known_scale(inpainting.harmonic(self._heights_um, self.pitch_um), self.pitch_um)
 
     def levelled(self, order: int = 1) -> HeightField:
