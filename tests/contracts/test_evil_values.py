@@ -28,7 +28,7 @@ IMAGE = wd.brdf_map(HF, UP, size=4, plan=PLAN)
 RENDERER = wd.Renderer(MESH, HF, LIGHT, VIEW, plan=PLAN)
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(300.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # What results are made of is for the library to give; a warning takes any words.
-MADE_BY_THE_LIBRARY = {"Image", "OrderEfficiencies", "WarpdiffWarning"}
+MADE_BY_THE_LIBRARY = {"Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
 # What stands for ``self``, and arguments that are legal beside an evil one.
 OWNERS = {"HeightField": ("hf", WAVY), "Image": (None, IMAGE), "Renderer": (None, RENDERER), "View": ("view", VIEW)}
 LEGAL = {

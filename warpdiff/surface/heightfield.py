@@ -35,6 +35,8 @@ _BYTES_A_SAMPLE = {
 _BYTES_MADE, _BYTES_READ = 13.0, 28.0
 _BYTES_A_GAP = 700.0
 _SAMPLES_AT_ONCE = 2**18
+# Of periods that a summary tells.
+_MOST_STANDARD_ERROR, _LEAST_SHARE = 0.01, 0.01
 # Of periodic(): the root mean square, over the heights' standard deviation, that passes without a word.
 _MOST_CHANGE = 0.4
 
@@ -51,7 +53,8 @@ class HeightFieldSummary:
         rms_um: Standard deviation of the heights [µm].
         rms_slope: Root mean square of the slope (a ratio).
         mean_slope: Mean absolute slope (a ratio), which walls change no more than their height.
-        dominant_periods_um: Pairs (period [µm], direction [degrees]), see `HeightField.dominant_periods_um`.
+        periods: What repeats: those of `HeightField.periods` that are no waviness, have a standard error of 1 % at most
+            and explain 1 % of the variance at least. Of a field that is one period there are none.
         max_uv: Largest component of (u, v) = −ωi − ωr that the pitch supports at 380 nm: λ / (2 · pitch). From 2 on
             the whole hemisphere of lights and views is free of aliasing.
         scalar_error: How wrong scalar diffraction can be at 550 nm, see `validity.error_bound`.
@@ -65,7 +68,7 @@ class HeightFieldSummary:
     rms_um: float
     rms_slope: float
     mean_slope: float
-    dominant_periods_um: tuple[tuple[float, float], ...]
+    periods: tuple[periods.Period, ...]
     max_uv: float
     scalar_error: float
     missing: int
@@ -73,7 +76,7 @@ class HeightFieldSummary:
     def __str__(self) -> str:
         """Return the summary as lines of text."""
         ny, nx = self.shape
-        periods = ", ".join(f"{period:.3g} µm at {angle:.0f}°" for period, angle in self.dominant_periods_um) or "none"
+        repeats = ", ".join(map(str, self.periods)) or "none that it holds three of"
         slope_deg = math.degrees(math.atan(self.rms_slope))
         supported = "the whole hemisphere" if self.max_uv >= 2.0 else f"|u|, |v| up to {self.max_uv:.2f}"
         share = 100.0 * self.missing / (nx * ny)
@@ -85,7 +88,7 @@ class HeightFieldSummary:
                 *gaps,
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
                 f"slope             rms {self.rms_slope:.3g} ({slope_deg:.1f}°), mean {self.mean_slope:.3g}",
-                f"dominant periods  {periods}",
+                f"periods           {repeats}",
                 f"supports          {supported} at {LAMBDA_MIN_NM} nm",
                 f"scalar theory     {scalar_validity.told(self.scalar_error)}",
             ]
@@ -577,7 +580,7 @@ class HeightField:
         return tuple((1.0 / math.hypot(qy, qx), math.degrees(math.atan2(qy, qx)) + 0.0) for qy, qx in chosen)
 
     def summary(self) -> HeightFieldSummary:
-        """Return size, pitch, range, roughness, slope, dominant periods and the directions that the pitch supports."""
+        """Return size, pitch, range, roughness, slope, periods and the directions that the pitch supports."""
         sampled = [self.pitch_um[axis] for axis in (0, 1) if self.shape[axis] > 1]
         return HeightFieldSummary(
             shape=self.shape,
@@ -587,7 +590,13 @@ class HeightField:
             rms_um=self.rms_um,
             rms_slope=self.rms_slope,
             mean_slope=self.mean_slope,
-            dominant_periods_um=self.dominant_periods_um(),
+            periods=tuple(
+                each
+                for each in self.periods()
+                if not each.is_waviness
+                and each.standard_error_um <= _MOST_STANDARD_ERROR * each.period_um
+                and each.share >= _LEAST_SHARE
+            ),
             max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * max(sampled)) if sampled else math.inf,
             scalar_error=scalar_validity.error_bound(self.rms_um, self.mean_slope),
             missing=self._missing_count,
