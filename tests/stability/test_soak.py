@@ -17,7 +17,7 @@ import warpdiff as wd
 
 if not IS_SOAK:
     pytest.skip("runs by make soak", allow_module_level=True)
-HERE = Path(__file__).parent
+CONTRACTS = Path(__file__).parents[1] / "contracts"
 MOST_GROWTH = 100 << 20
 
 
@@ -66,7 +66,9 @@ def test_processes_that_begin_at_once_draw_the_same(tries, tmp_path):
     folders = {"WARP_CACHE_PATH": str(tmp_path / "kernels"), "WARPDIFF_CACHE_DIR": str(tmp_path / "kept")}
     tries.number = 8
     running = [
-        subprocess.Popen([sys.executable, "-c", PICTURE], cwd=HERE, env=os.environ | folders, stdout=subprocess.PIPE)
+        subprocess.Popen(
+            [sys.executable, "-c", PICTURE], cwd=CONTRACTS, env=os.environ | folders, stdout=subprocess.PIPE
+        )
         for _ in range(8)
     ]
     found = {process.communicate(timeout=300)[0].decode().splitlines()[-1] for process in running}

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 # What NumPy and Warp say, the latter in a RuntimeError.
-_REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>\w+)(?:.* on device '(?P<device>[^']+)')?")
+_REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 
 

@@ -278,7 +278,7 @@ def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.D
     largest = per_lateral * plan.max_lateral + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
     # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
-    levels = math.floor(SETS_AN_OCTAVE * math.log2(largest / constant)) if plan.adaptive else 0
+    levels = math.floor(SETS_AN_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
         if fewer >= counts[-1]:
