@@ -282,7 +282,7 @@ def test_heights_in_another_unit_are_refused(rough):
 
 
 def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
-    narrow = wd.plan(rough, UP, at_angle(5.0))
+    narrow, whole = wd.plan(rough, UP, at_angle(5.0)), wd.plan(rough, coherence=wd.Coherence(sigma_um=3.0))
     calls = {
         "height range": lambda: wd.reflectance(deep(3.0), UP, UP, plan=narrow, strict=True),
         "up to 0.643, planned 0.0872": lambda: wd.reflectance(rough, UP, at_angle(40.0), plan=narrow),
@@ -295,7 +295,7 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
-        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=wd.plan(rough))
+        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=whole)
 
 
 def test_windows_too_long_for_a_colour_are_refused(rough):
