@@ -9,7 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from soaking import IS_SOAK
 
@@ -43,11 +42,10 @@ def varied(rng):
 
 @pytest.mark.permanent("varied calls and thread counts: memory and threads that stay", shares=20)
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_memory_does_not_grow(tries):
+def test_memory_does_not_grow(rng, tries):
     def taken():
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
-    rng = np.random.default_rng(24)
     for _ in range(200):
         varied(rng)
     before = taken()
