@@ -139,13 +139,13 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 
 
 def test_a_plan_reads_as_a_paragraph(rough):
-    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=6.5), method="low-rank")
+    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
     assert "\n" not in text
     assert text.startswith("Low-rank basis")
     assert text.rstrip(".").split("Scalar theory itself: ")[1].startswith("where orders lie is right")
     for part in (
-        "averaged window with σ = 6.5 µm",
+        "averaged window with σ = 3 µm",
         "tolerance 0.003",
         f"|(u, v)| up to {plan.max_uv:.3g}",
         f"|w| {plan.min_w:.3g} to {plan.max_w:.3g}",

@@ -334,7 +334,7 @@ def test_one_dimensional_surfaces(size, rng):
     hf = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
     # A window that spans some periods: tables grow with its square.
-    window = wd.Coherence(sigma_um=5.0)
+    window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(hf, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(hf, lights, views, plan=plan)
     found = wd.reflectance(hf, lights, views, plan=dataclasses.replace(plan, nodes=64, rays_per_width=2.1))
