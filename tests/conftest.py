@@ -44,7 +44,7 @@ def scan(scan_path):
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A seeded generator."""
-    return np.random.default_rng(20140)
+    return np.random.default_rng(20140 + soaking.SEED)
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])
@@ -65,6 +65,11 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if marker := item.get_closest_marker("permanent"):
             item.user_properties.append(("row", marker.args[0]))
+
+
+def pytest_report_header() -> str | None:
+    """What a soak drew from."""
+    return f"seed of the soak: {soaking.SEED}" if soaking.IS_SOAK else None
 
 
 def _shares(item) -> int:

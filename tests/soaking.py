@@ -6,18 +6,23 @@ left, or as many as ``permanent(row, shares=…)`` says, and tries nothing more 
 
 from __future__ import annotations
 
+import functools
 import os
 import time
+import zlib
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, seed, settings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
-_T = TypeVar("_T")
+_T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))
 IS_SOAK = _END > 0.0
+# Of what is drawn at random: another one for each soak.
+SEED = int(_END)
 _until = _END
 
 
@@ -52,12 +57,18 @@ class Tries:
             yield item
 
 
-def examples(in_tests: int, in_soak: int) -> settings:
-    """Of Hypothesis: the same ones each time in the test command, others in each soak."""
-    return settings(
-        max_examples=count(in_tests, in_soak),
-        deadline=None,
-        database=None,
-        derandomize=not IS_SOAK,
-        suppress_health_check=list(HealthCheck),
+def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
+    """Of Hypothesis: others in each soak, and in the test command others with each change of the package alone."""
+    chosen = settings(
+        max_examples=count(in_tests, in_soak), deadline=None, database=None, suppress_health_check=list(HealthCheck)
     )
+    from_seed = seed(SEED or _of_the_sources())
+    return lambda test: from_seed(chosen(test))
+
+
+@functools.cache
+def _of_the_sources() -> int:
+    """A number that any change of the package changes."""
+    root = Path(__file__).resolve().parents[1]
+    sources = sorted(path for folder in ("warpdiff", "kernels") for path in (root / folder).rglob("*.py"))
+    return zlib.crc32(b"".join(path.read_bytes() for path in sources))

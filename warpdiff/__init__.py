@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.lights import DirectionalLight
     from warpdiff.surface.heightfield import HeightField
+    from warpdiff.surface.periods import Period
 
     __version__: str
 
@@ -43,6 +44,7 @@ __all__ = [
     "HeightField",
     "Image",
     "OrderEfficiencies",
+    "Period",
     "Plan",
     "Renderer",
     "View",
@@ -63,6 +65,7 @@ _MODULES = {
     "core.errors": ("WarpdiffWarning",),
     "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
     "surface.heightfield": ("HeightField",),
+    "surface.periods": ("Period",),
     "image.image": ("Image",),
     "scene.lights": ("DirectionalLight",),
     "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),

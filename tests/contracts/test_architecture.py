@@ -18,7 +18,7 @@ if not (Path(__file__).resolve().parents[2] / "pyproject.toml").is_file():
 import import_graph as graph
 
 # What only some calls take, and what would make every start slower, or is not on every system.
-SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource"}
+SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy"}
 # Signals and streams are met before anything slow is imported; two commands import what the others do without.
 LATER = {"warpdiff.__main__", "warpdiff.app.cli"}
 PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]
@@ -129,6 +129,7 @@ called = {
     "HeightField": hf.pitch_um,
     "Image": wd.shade(disc, hf, light, view, **window),
     "OrderEfficiencies": wd.order_efficiencies(hf, up, 550.0),
+    "Period": wd.HeightField([np.sin(np.arange(60.0))], 0.1).periods()[0],
     "Plan": wd.plan(hf, up, up, **window),
     "Renderer": wd.Renderer(disc, hf, light, view, **window).image(),
     "View": view.width,
@@ -144,7 +145,7 @@ called = {
     "spectral_reflectance": wd.spectral_reflectance(hf, up, up, 550.0, **window),
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
-for name in ("Image", "OrderEfficiencies", "Plan"):
+for name in ("Image", "OrderEfficiencies", "Period", "Plan"):
     assert type(called[name]) is getattr(wd, name)
 """
 

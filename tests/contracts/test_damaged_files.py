@@ -6,11 +6,10 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-from soaking import IS_SOAK, count, seconds_left
+from soaking import SEED, count, seconds_left
 
 if os.name != "posix":
     pytest.skip("limits of memory are POSIX", allow_module_level=True)
@@ -27,7 +26,7 @@ HERE = Path(__file__).parent
     ],
 )
 def test_damaged_files_are_read_or_refused_by_their_path(kind, number, tries, tmp_path):
-    seed = int(time.time()) if IS_SOAK else 24
+    seed = SEED or 24
     arguments = [kind, str(seed), str(number), str(min(seconds_left(), 1e6))]
     done = subprocess.run(
         [sys.executable, "-W", "ignore", HERE.parent / "mutants.py", *arguments], cwd=tmp_path,

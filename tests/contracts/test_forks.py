@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import multiprocessing
 import os
 import signal
@@ -10,12 +11,16 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
+import warp
 
 import warpdiff as wd
+from warpdiff.compute import device
+from warpdiff.core import fork_safety
 from warpdiff.core.thread_pool import Work
 
 if not hasattr(os, "fork"):
@@ -221,6 +226,21 @@ assert found == [1], found
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="this system does not list threads")
+@pytest.mark.parametrize("locks", [{}, {"_module_locks": None}, {"_module_locks": {"warp": object()}}])
+@pytest.mark.parametrize("lock", [None, object()])
+def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(locks, lock, monkeypatch):
+    """Both are private, and another version may have none or others; what is not told is as without this package."""
+    expected = picture()
+    private = {name: value for name, value in vars(importlib._bootstrap).items() if name != "_module_locks"}
+    monkeypatch.setattr(importlib, "_bootstrap", types.SimpleNamespace(**private, **locks))
+    codegen = {name: value for name, value in vars(warp._src.codegen).items() if name != "_codegen_lock"}
+    monkeypatch.setitem(sys.modules, "warp._src.codegen", types.SimpleNamespace(**codegen, _codegen_lock=lock))
+    assert fork_safety.importing() == []
+    assert device._warp_lock() is None
+    assert in_child(lambda: np.array_equal(picture(), expected)) == 0
+    assert np.array_equal(picture(), expected)
+
+
 def test_threads_of_image_files_end_before_a_fork():
     """One that just begins holds a lock, for which a child that reads a file would wait for ever."""
     subprocess.run([sys.executable, "-c", _THREADS_AT_FORK], cwd=HERE, check=True, timeout=_MOST_S)

@@ -11,6 +11,7 @@ import warpdiff as wd
 from warpdiff import gratings
 from warpdiff.app import cli
 from warpdiff.core.checks import finite_array
+from warpdiff.surface import inpainting
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -89,6 +90,29 @@ def test_filling_solves_laplaces_equation_up_to_the_edges() -> None:
     assert filled.min() >= np.nanmin(field.heights_um)
     assert filled.max() <= np.nanmax(field.heights_um)
     np.testing.assert_array_equal(wd.HeightField([[np.nan, 2.0, np.nan]], 1.0).filled().heights_um, 2.0)
+
+
+GAPS = {
+    "half": np.add.outer(np.zeros(300), np.arange(301)) > 150,
+    "all but a corner": np.add.outer(np.arange(300), np.arange(301)) > 0,
+    "stripes": np.add.outer(np.zeros(300), np.arange(301) % 20) > 9,
+    "single samples": np.random.default_rng(3).random((300, 301)) < 0.7,
+    "islands": np.random.default_rng(3).random((300, 301)) > 1e-3,
+}
+
+
+@pytest.mark.parametrize("name", GAPS)
+@pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.1, 1.0), (3.0, 0.1)])
+def test_large_gaps_are_filled_in_as_few_steps_as_small_ones(name: str, pitch, monkeypatch, rng) -> None:
+    # Conjugate gradients alone take some thousand.
+    monkeypatch.setattr(inpainting, "_MOST_STEPS", 40)
+    heights = np.where(GAPS[name], np.nan, 0.01 * rng.standard_normal(GAPS[name].shape))
+    filled = wd.HeightField(heights, pitch).filled().heights_um
+    padded = np.pad(filled, 1, mode="edge")
+    beside = [padded[2:, 1:-1] + padded[:-2, 1:-1], padded[1:-1, 2:] + padded[1:-1, :-2]]
+    weights = [(min(pitch) / each) ** 2 for each in pitch]
+    balance = sum(weight * (pair - 2.0 * filled) for weight, pair in zip(weights, beside, strict=True))
+    assert np.abs(balance[GAPS[name]]).max() < 1e-7
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 3])

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 import warpdiff as wd
+from warpdiff.compute import allocations
 from warpdiff.core import free_memory
 
 SETTING = """
@@ -35,6 +37,8 @@ def limit(size):
     resource.setrlimit(resource.RLIMIT_AS, (int(size), -1))
 """
 LARGE = """
+# It has holes in place of zeros.
+np.lib.format.open_memmap("scan.npy", mode="w+", dtype=np.float32, shape=(20000, 20000))
 limit(4 << 30)
 rough = wd.HeightField(np.random.default_rng(0).normal(size=(6000, 6000)) * 0.05, 0.05)
 calls = {
@@ -43,6 +47,17 @@ calls = {
     "map of 16384 × 16384 pixels": lambda: wd.brdf_map(hf, (0, 0, 1), size=16384),
     "samples_per_pixel=256": lambda: wd.brdf_map(hf, (0, 0, 1), size=1024, samples_per_pixel=256),
     "cell of 6000 × 6000 samples": lambda: wd.order_efficiencies(rough, (0, 0, 1), [500.0]),
+    "coefficients of hf, 6000 × 6000 samples": lambda: wd.plan(rough),
+    "periods() of a field of 6000 × 6000 samples": rough.periods,
+    "heights_um of 20000 × 20000 samples": lambda: wd.HeightField(np.broadcast_to(0.0, (20000, 20000)), 0.05),
+    "'scan.npy' of 20000 × 20000 samples": lambda: wd.HeightField.load("scan.npy", pitch_um=0.05),
+    "cell of 500 × 500 samples with 576048001 orders": lambda: wd.order_efficiencies(
+        wd.HeightField(np.zeros((500, 500)), 12.0), (0, 0, 1), [500.0]
+    ),
+    "direct sum of 1 × 1.8e+15 coefficients": lambda: wd.spectral_reflectance(
+        wd.gratings.sinusoidal(1.0, 0.1), (0, 0, 1), (0, 0, 1), [500.0], method="direct",
+        coherence=wd.Coherence(sigma_um=1e-15),
+    ),
     "call of 50000 directions at 10000 wavelengths": lambda: wd.brdf(
         hf, (0, 0, 1), np.ones((50000, 3)), np.linspace(400.0, 700.0, 10000)
     ),
@@ -75,15 +90,49 @@ limit(taken + 1.15 * needed)
 shade(900)
 """
 
+UNFORESEEN = """
+import dataclasses
+from warpdiff.core import free_memory
+
+plan = wd.plan(hf, coherence=short, method="low-rank/table", tolerance=0.2)
+wd.reflectance(hf, (0, 0, 1), (0.1, 0.2, 1.0), plan=plan)
+free_memory.require = lambda *_: None
+fine = dataclasses.replace(plan, rays_per_width=300.0)
+taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+limit(taken + (1 << 28))
+try:
+    wd.reflectance(hf, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
+except MemoryError as error:
+    assert str(error).startswith("reflectance() takes another ") and "GB are free: take a larger" in str(error), error
+else:
+    raise AssertionError
+"""
+
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="a system that does not tell what is free")
-@pytest.mark.parametrize("code", [LARGE, JUST], ids=["large", "just too large, and just not"])
-def test_what_does_not_fit_is_refused_at_once(code):
+@pytest.mark.parametrize(
+    "code", [LARGE, JUST, UNFORESEEN], ids=["large", "just too large, and just not", "not foreseen"]
+)
+def test_what_does_not_fit_is_refused_at_once(code, tmp_path):
     found = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", SETTING + code],
+        [sys.executable, "-W", "ignore", "-c", SETTING + code], cwd=tmp_path,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert found.returncode == 0, found.stderr
+
+
+def test_allocations_that_fail_are_told_in_the_librarys_words():
+    said = r"it takes another \S+ GB at once, and \S+ GB are free: take less"
+    with pytest.raises(MemoryError, match=said), allocations.named("it", "take less"):
+        np.empty(10**15)
+    with pytest.raises(MemoryError, match=said), allocations.named("it", "take less"):
+        wp.empty((2**30, 2**20), dtype=wp.float32, device="cpu")
+    with pytest.raises(MemoryError, match="it takes more memory than there is"), allocations.named("it", "take less"):
+        raise MemoryError
+    for error in (MemoryError("a picture takes about 9 GB, and 1 GB are free"), RuntimeError("failed")):
+        with pytest.raises(type(error)) as raised, allocations.named("it", "take less"):
+            raise error
+        assert raised.value is error
 
 
 def test_absurd_sizes_are_refused():

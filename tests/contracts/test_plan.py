@@ -42,7 +42,7 @@ def test_ranges(rough, rng):
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
     light = at_angle(30.0)
-    for half in (wd.plan(rough, light, method="direct"), wd.plan(rough, None, light)):
+    for half in (wd.plan(rough, light, method="direct"), wd.plan(rough, None, light, method="direct")):
         assert half.max_uv == pytest.approx(1.5)
         assert half.max_w == pytest.approx(1.0 + math.cos(math.radians(30.0)))
 
@@ -139,13 +139,13 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 
 
 def test_a_plan_reads_as_a_paragraph(rough):
-    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=6.5), method="low-rank")
+    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
     assert "\n" not in text
     assert text.startswith("Low-rank basis")
     assert text.rstrip(".").split("Scalar theory itself: ")[1].startswith("where orders lie is right")
     for part in (
-        "averaged window with σ = 6.5 µm",
+        "averaged window with σ = 3 µm",
         "tolerance 0.003",
         f"|(u, v)| up to {plan.max_uv:.3g}",
         f"|w| {plan.min_w:.3g} to {plan.max_w:.3g}",
@@ -272,16 +272,17 @@ def test_the_automatic_series_serves_what_taylor_cannot(rng):
 
 
 def test_heights_in_another_unit_are_refused(rough):
+    plan = wd.plan(rough, UP, UP)
     for height_um in (375.0, 1e9):
         for method in ("auto", "taylor", "direct"):
             with pytest.raises(ValueError, match="heights are in µm"):
                 wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
         with pytest.raises(ValueError, match="heights are in µm"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
-            wd.reflectance(deep(height_um), UP, UP, plan=wd.plan(rough))
+            wd.reflectance(deep(height_um), UP, UP, plan=plan)
 
 
 def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
-    narrow = wd.plan(rough, UP, at_angle(5.0))
+    narrow, whole = wd.plan(rough, UP, at_angle(5.0)), wd.plan(rough, coherence=wd.Coherence(sigma_um=3.0))
     calls = {
         "height range": lambda: wd.reflectance(deep(3.0), UP, UP, plan=narrow, strict=True),
         "up to 0.643, planned 0.0872": lambda: wd.reflectance(rough, UP, at_angle(40.0), plan=narrow),
@@ -294,7 +295,7 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
-        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=wd.plan(rough))
+        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=whole)
 
 
 def test_windows_too_long_for_a_colour_are_refused(rough):

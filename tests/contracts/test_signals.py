@@ -109,31 +109,33 @@ def test_a_swallowed_interruption_is_none_the_less_one(name, tmp_path):
     assert not left_behind(tmp_path)
 
 
+def ended(code, folder):
+    """The exit code of a process that runs code, and what it said on either stream."""
+    with begun(["-c", code], folder) as process:
+        out, error = process.communicate(timeout=60)
+    return process.returncode, out, error
+
+
+COMMAND = "import signal, sys, time; from warpdiff import __main__; from warpdiff.app import cli\n"
+RUN = "\nsys.exit(__main__.main())"
+
+
 def test_a_signal_that_was_ignored_stays_so(tmp_path):
-    code = "import signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-    code += "from warpdiff import __main__; from warpdiff.app import cli\n"
-    code += "cli.main = lambda: signal.raise_signal(signal.SIGHUP) or 3\nsys.exit(__main__.main())"
-    with begun(["-c", code], tmp_path) as process:
-        process.communicate(timeout=60)
-    assert process.returncode == 3
+    ignore = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    raises = "cli.main = lambda: signal.raise_signal(signal.SIGHUP) or 3"
+    assert ended(ignore + COMMAND + raises + RUN, tmp_path)[0] == 3
 
 
 def test_an_interruption_of_a_finalizer_is_one_and_says_nothing(tmp_path):
-    code = "import signal, sys, time; from warpdiff import __main__; from warpdiff.app import cli\nclass Last:\n"
-    code += "    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
-    code += "cli.main = lambda: Last() and time.sleep(60.0)\nsys.exit(__main__.main())"
-    with begun(["-c", code], tmp_path) as process:
-        error = process.communicate(timeout=60)[1]
-    assert (process.returncode, error) == (143, "")
+    last = "class Last:\n    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
+    assert ended(COMMAND + last + "cli.main = lambda: Last() and time.sleep(60.0)" + RUN, tmp_path) == (143, "", "")
 
 
 def test_a_signal_after_all_is_done_changes_nothing(tmp_path):
     # Module globals go after what is registered for the end.
-    code = "import signal, sys\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\n"
-    code += "late = Late(); from warpdiff import __main__; sys.argv[1:] = ['cache']; sys.exit(__main__.main())"
-    with begun(["-c", code], tmp_path) as process:
-        out, error = process.communicate(timeout=60)
-    assert process.returncode == 0, error
+    late = "import signal\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\nlate = Late()\n"
+    code, out, error = ended(late + COMMAND + "sys.argv[1:] = ['cache']" + RUN, tmp_path)
+    assert code == 0, error
     assert "0 files" in out
     assert not left_behind(tmp_path)
 
@@ -142,6 +144,4 @@ def test_the_library_meets_no_signals(tmp_path):
     code = "import signal; before = list(map(signal.getsignal, (2, 15, 1))); from warpdiff import *\n"
     code += "reflectance(HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1], method='direct')\n"
     code += "assert before == list(map(signal.getsignal, (2, 15, 1)))"
-    with begun(["-c", code], tmp_path) as process:
-        error = process.communicate(timeout=60)[1]
-    assert process.returncode == 0, error
+    assert ended(code, tmp_path)[0] == 0

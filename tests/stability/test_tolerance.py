@@ -45,8 +45,8 @@ def test_tolerance_is_kept(index, scan_or_none):
     check(configuration(index, SEED, scan_or_none, ("few", "some")), count=150)
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
-@pytest.mark.parametrize("mirrored", [False, True])
+# Either diagonal, and either tolerance.
+@pytest.mark.parametrize(("mirrored", "tolerance"), [(False, 1e-3), (True, 1e-2)])
 def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
     hf = diagonal(rng, wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4))
@@ -55,7 +55,7 @@ def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
     a = (np.arange(512) + 0.5) / 256.0 - 1.0
     x, y = np.meshgrid(0.7 * a, -0.7 * a)
     views = np.stack([x.ravel(), y.ravel(), np.sqrt(1.0 - x.ravel() ** 2 - y.ravel() ** 2)], axis=1)
-    check(call(hf, tolerance, to_light=np.broadcast_to(UP, views.shape), to_view=views))
+    check(call(hf, tolerance, to_light=np.broadcast_to(UP, views.shape), to_view=views), count=200)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,9 @@ def test_looser_tolerances_never_cost_more(count, rng):
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
         given = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
-    plans = [wd.plan(hf, *given, tolerance=t) for t in (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)]
+    # The tight ones take seconds each where all of the hemisphere is asked for.
+    tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
+    plans = [wd.plan(hf, *given, tolerance=t) for t in tolerances]
     costs = [each.multiply_adds for each in plans]
     assert costs == sorted(costs)
     nodes = [each.nodes for each in plans if each.nodes]

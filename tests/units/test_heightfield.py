@@ -235,7 +235,7 @@ def test_summary_reads_well() -> None:
     summary = gratings.sinusoidal(1.6, 0.2, samples=8).summary()
     assert summary.max_uv == pytest.approx(0.38 / 0.4)
     text = str(summary)
-    for part in ("1.6 ×", "200 × 200 nm", "0.2 µm", "1.6 µm at 0°", "up to 0.95 at 380 nm"):
+    for part in ("1.6 ×", "200 × 200 nm", "0.2 µm", "none that it holds three of", "up to 0.95 at 380 nm"):
         assert part in text
     assert "whole hemisphere" in str(gratings.sinusoidal(1.6, 0.2).summary())
     assert "none" in str(HeightField([[0.0]], 1.0).summary())

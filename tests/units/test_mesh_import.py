@@ -126,6 +126,37 @@ def test_given_normals_keep_their_side_under_an_overhang():
     assert np.sign(prepare_surface(mesh).normals[:, 2]).tolist() == [1.0] * 3 + [-1.0] * 6
 
 
+@pytest.mark.parametrize("write", [trimesh.exchange.stl.export_stl, trimesh.exchange.stl.export_stl_ascii])
+def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
+    ball, file = trimesh.creation.icosphere(subdivisions=1), tmp_path / "ball.stl"
+    written = write(ball)
+    file.write_bytes(written if isinstance(written, bytes) else written.encode())
+    tangents = np.broadcast_to([1.0, 0.3, 0.2], (3 * len(ball.faces), 3))
+    opened = trimesh.load(file, process=False)
+    # Asked for normals at vertices, trimesh works some out, too.
+    asked = trimesh.load(file, process=False)
+    assert asked.vertex_normals.shape == (3 * len(ball.faces), 3)
+    for mesh in (file, opened, asked):
+        surface = prepare_surface(mesh, tangents=tangents)
+        corners = surface.vertices[surface.faces].astype(np.float64)
+        facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facets /= np.linalg.norm(facets, axis=1, keepdims=True)
+        np.testing.assert_allclose(surface.normals[surface.faces], np.repeat(facets[:, None], 3, axis=1), atol=1e-3)
+    # What else has such triangles is smooth, and so is what was given other normals.
+    loose = trimesh.Trimesh(opened.vertices, opened.faces, process=False)
+    np.testing.assert_allclose(prepare_surface(loose, tangents=tangents).normals, loose.vertices, atol=2e-2)
+    opened.vertex_normals = loose.vertices
+    np.testing.assert_allclose(prepare_surface(opened, tangents=tangents).normals, loose.vertices, atol=1e-3)
+
+
+def test_messages_name_the_geometry_that_is_meant():
+    lid = mesh_of(np.nan * SQUARE, uv=SQUARE[:, :2])
+    with pytest.raises(ValueError, match=r"^mesh's geometry 'lid' must have finite vertices, got 4 with NaN"):
+        prepare_surface(trimesh.Scene({"body": square(), "lid": lid}))
+    with pytest.raises(ValueError, match=r"^mesh must have finite vertices"):
+        prepare_surface(trimesh.Scene({"lid": lid}))
+
+
 def test_two_sided_sheets_keep_normals():
     both = mesh_of(faces=np.concatenate([SQUARE_FACES, SQUARE_FACES[:, ::-1] + 4]), vertices=np.tile(SQUARE, (2, 1)))
     surface = prepare_surface(both, tangents=along_x(both))
@@ -292,10 +323,10 @@ def test_scenes_are_joined_with_their_transforms():
 def test_scenes_with_two_textures_are_refused():
     images = [Image.new("RGB", (2, 2), colour) for colour in ((255, 0, 0), (0, 255, 0))]
     scene = trimesh.Scene([square(material=SimpleMaterial(image=image)) for image in images])
-    with pytest.raises(ValueError, match="at most one texture image, got a scene with 2"):
+    with pytest.raises(ValueError, match="got a scene with 2, of 'geometry_0', 'geometry_1'; render"):
         prepare_surface(scene)
     mixed = trimesh.Scene([square(), mesh_of()])
-    with pytest.raises(ValueError, match="a geometry without texture coordinates; give tangents="):
+    with pytest.raises(ValueError, match="geometry 'geometry_1' has no texture coordinates; give tangents="):
         prepare_surface(mixed)
 
 

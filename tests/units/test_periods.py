@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 
 import numpy as np
@@ -36,6 +37,16 @@ def test_periods_between_coefficients_are_found_to_their_error(period, degrees):
     if period == 2.886 and degrees == 0.0:
         # What coefficients resolve.
         assert abs(field.dominant_periods_um(1)[0][0] - period) > 0.3
+        told = field.summary()
+        assert told.periods == field.periods()[: len(told.periods)]
+        assert len(told.periods) >= 1
+        assert re.search(r"^periods +2\.8860\d ± 0\.0000\d µm at 0°", str(told), re.MULTILINE)
+
+
+def test_a_summary_tells_no_waviness():
+    for field in (wd.gratings.lamellar(2.0, 0.2), wd.gratings.blazed(2.5, 0.25), wd.gratings.bumps()):
+        assert field.summary().periods == ()
+        assert "none that it holds three of" in str(field.summary())
 
 
 def test_standard_errors_are_those_of_many_fits():

@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import importlib.util
 import math
+import re
 import sys
 import time
 import traceback
@@ -43,6 +44,12 @@ _BODIES: dict[str, Callable[[], Any]] = {
     "disc": wd.meshes.disc,
     "snake": wd.meshes.snake,
 }
+# How else the library calls what the command line takes.
+_FLAGS = {
+    "mesh": "MESH", "hf": "HEIGHTFIELD", "heightfield": "HEIGHTFIELD", "path": "HEIGHTFIELD", "kind": "--coherence",
+    "pitch_um": "--pixel-um", "size_um": "--crop-um", "filled()": "--fill", "cropped()": "--crop-um",
+    "periodic()": "--periodic", "despiked()": "--despike",
+}  # fmt: skip
 # What the file system says of a path that was given; a full disk is another matter.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
@@ -79,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     with warnings.catch_warnings():
         warnings.simplefilter("always", WarpdiffWarning)
-        warnings.showwarning = _show_warning
+        warnings.showwarning = lambda message, *_, **__: _tell(f"warpdiff: warning: {_in_flags(message, options)}")
         try:
             options.run(options)
         except KeyboardInterrupt:
@@ -91,18 +98,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except (ValueError, TypeError, *_BAD_PATHS) as error:
             if options.debug:
                 traceback.print_exc()
-            _tell(f"warpdiff {options.command}: {error}")
+            _tell(f"warpdiff {options.command}: {_in_flags(error, options)}")
             return 2
         except Exception as error:
             if options.debug:
                 traceback.print_exc()
-            _tell(f"warpdiff {options.command}: failed: {type(error).__name__}: {error}")
+            _tell(f"warpdiff {options.command}: failed: {type(error).__name__}: {_in_flags(error, options)}")
             return 1
     return 0
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    _tell(f"warpdiff: warning: {message}")
+def _in_flags(message: object, options: argparse.Namespace) -> str:
+    """What the library says of its arguments, said of the command's."""
+    flags = {name: f"--{name.replace('_', '-')}" for name in vars(options)} | _FLAGS
+    flags["to_light"] = "--light" if "light" in options else "--incidence-deg"
+    # Some names are words as well, and are meant as names where something is said of them.
+    names = "|".join(map(re.escape, sorted(flags, key=len, reverse=True)))
+    of_argument = rf"(?<![\w.'/-])(?:hf\.)?({names})(?=\[|=|:| must | has | is for )"
+    of_itself = r"(?<![\w.'/-])(?:hf\.)?(\w+_(?:um|deg|light)\b|\w+\(\))"
+    return re.sub(f"{of_argument}|{of_itself}", lambda found: flags.get(found[1] or found[2], found[0]), str(message))
 
 
 def _tell(line: str) -> None:

@@ -120,8 +120,12 @@ def _refuse_cut_off() -> None:
 
 
 def _warp_lock() -> Any:
-    """The lock that Warp, once it is imported, holds while it looks at kernels."""
-    return getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
+    """The lock that Warp, once it is imported, holds while it looks at kernels; None where a version has no such one.
+
+    Warp documents none. Without it a child may be forked while another thread looks at kernels, and wait.
+    """
+    found = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
+    return found if hasattr(found, "acquire") and hasattr(found, "release") else None
 
 
 # That, in a fork.

@@ -43,7 +43,7 @@ def finite_array(
     if bad.any():
         kind = "infinite" if gaps else "NaN, masked or infinite" if np.ma.is_masked(value) else "NaN or infinite"
         raise ValueError(f"{name} must be finite, got {int(np.count_nonzero(bad))} {kind} value(s)")
-    if (beyond := np.abs(array) > most).any():
+    if (beyond := (array > most) | (array < -most)).any():
         raise ValueError(f"{name} must lie within ±{most:g}, got {array[beyond][0]:g}")
     return array
 

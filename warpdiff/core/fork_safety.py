@@ -47,10 +47,16 @@ class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after
 
 
 def importing() -> list[str]:
-    """Slow modules that other threads are importing; a child would wait for these for ever."""
-    # Python has no other way to tell.
-    locks = list(getattr(importlib, "_bootstrap")._module_locks.items())  # noqa: B009 (mypy does not know it)
-    owners = {name: getattr(reference(), "owner", None) for name, reference in locks}
+    """Slow modules that other threads are importing; a child would wait for these for ever.
+
+    Python documents no way to tell. Where another version of it keeps its locks elsewhere, nothing is told, and a fork
+    during another thread's imports is as it is without this package.
+    """
+    try:
+        locks = list(vars(importlib)["_bootstrap"]._module_locks.items())
+        owners = {name: getattr(reference(), "owner", None) for name, reference in locks}
+    except (AttributeError, KeyError, TypeError, ValueError):
+        return []
     return [
         name
         for name, owner in owners.items()

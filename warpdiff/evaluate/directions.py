@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warpdiff.compute import allocations
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import checks, free_memory
@@ -36,6 +37,7 @@ _DIRECT_SETTLED = 0.05
 _DIRECT_MOST_WAVELENGTHS = 20_000
 # What a direction takes, as measured, what each of its values at given wavelengths does, and a direction of a map.
 _BYTES_A_DIRECTION, _BYTES_A_VALUE, _BYTES_OF_MAP = 170, 16, 190
+_REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller hf"
 
 
 def spectral_reflectance(
@@ -86,11 +88,12 @@ def spectral_reflectance(
         threads=threads, progress=progress,
     )  # fmt: skip
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
-    call = _Call(
-        hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-        plan=plan, strict=strict, device=device, threads=threads, wavelengths_nm=wavelengths,
-    )  # fmt: skip
-    return call.single(call.spectra(wavelengths, progress=progress))
+    with allocations.named("spectral_reflectance()", _REMEDY):
+        call = _Call(
+            hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+            plan=plan, strict=strict, device=device, threads=threads, wavelengths_nm=wavelengths,
+        )  # fmt: skip
+        return call.single(call.spectra(wavelengths, progress=progress))
 
 
 def reflectance(
@@ -139,11 +142,12 @@ def reflectance(
         threads=threads, progress=progress,
     )  # fmt: skip
     colorimetry.check_illuminant(illuminant)
-    call = _Call(
-        hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-        plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
-    )  # fmt: skip
-    return call.single(call.colours(illuminant, progress=progress))
+    with allocations.named("reflectance()", _REMEDY):
+        call = _Call(
+            hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+            plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
+        )  # fmt: skip
+        return call.single(call.colours(illuminant, progress=progress))
 
 
 def brdf_map(
@@ -215,17 +219,18 @@ def brdf_map(
         _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",
         "take at most {side} times the size, or {share} of the samples",
     )  # fmt: skip
-    axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
-    x, y = np.meshgrid(axis, -axis)
-    radius2 = x * x + y * y
-    inside = radius2 < 1.0
-    views = np.stack([x[inside], y[inside], np.sqrt(1.0 - radius2[inside])], axis=1)
-    call = _Call(
-        hf, light, views, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
-        strict=strict, device=device, threads=threads, illuminant=illuminant,
-    )  # fmt: skip
-    colours = np.zeros((count, count, 3), dtype=np.float32)
-    colours[inside] = call.colours(illuminant, progress=progress)
+    with allocations.named(f"a map of {size} × {size} pixels", _REMEDY):
+        axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
+        x, y = np.meshgrid(axis, -axis)
+        radius2 = x * x + y * y
+        inside = radius2 < 1.0
+        views = np.stack([x[inside], y[inside], np.sqrt(1.0 - radius2[inside])], axis=1)
+        call = _Call(
+            hf, light, views, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
+            plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
+        )  # fmt: skip
+        colours = np.zeros((count, count, 3), dtype=np.float32)
+        colours[inside] = call.colours(illuminant, progress=progress)
     xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
     coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
     mask = coverage > 0.0

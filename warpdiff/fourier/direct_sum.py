@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core import free_memory
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from warpdiff.surface.heightfield import HeightField
 
 _WIDTHS = 8.0
+# While phases and coefficients are made, as counted.
+_BYTES_A_NUMBER = 64.0
 
 
 def window_power(
@@ -47,6 +51,8 @@ def window_power(
     """
     if coherence.kind == "source" and to_lights is None:
         raise ValueError("to_lights must be given for kind='source': its spread depends on the direction of the light")
+    if coherence.kind != "replicas":
+        _check_orders(hf, max((_cut(coherence, float(each)) for each in wavelengths_um), default=0.0))
     result = np.zeros((len(deflections), len(wavelengths_um)))
     for i, deflection in enumerate(deflections):
         for k, wavelength in enumerate(wavelengths_um):
@@ -76,12 +82,8 @@ def _coefficients(
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
-        falloff = wavelength**2 / (2.0 * coherence.spread**2)
-    else:
-        sigma = coherence.sigma_um or 0.0
-        falloff = (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * sigma) ** 2
-    # exp(−a q²) has the standard deviation 1/√(2a), along an axis √(1 − t²) times as much.
-    cut = _WIDTHS / math.sqrt(2.0 * falloff)
+    falloff, cut = _falloff(coherence, wavelength), _cut(coherence, wavelength)
+    # Along an axis the Gaussian's standard deviation is √(1 − t²) times as much.
     cut_x, cut_y = (cut * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = hf.shape
     length_y, length_x = hf.size_um
@@ -108,6 +110,30 @@ def _coefficients(
         centre_y, centre_x = coherence.centre_um
     phase = s[:, None] * centre_y / length_y + r[None, :] * centre_x / length_x
     return float(abs(np.sum(coefficients * gaussian * np.exp(-2j * math.pi * phase))) ** 2)
+
+
+def _falloff(coherence: Coherence, wavelength: float) -> float:
+    """The a [µm²] of exp(−a d²)."""
+    if coherence.kind == "source":
+        return wavelength**2 / (2.0 * coherence.spread**2)
+    return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
+
+
+def _cut(coherence: Coherence, wavelength: float) -> float:
+    """Distance in frequency [1/µm] of the coefficients that are summed."""
+    # exp(−a q²) has the standard deviation 1/√(2a).
+    return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
+
+
+def _check_orders(hf: HeightField, cut: float) -> None:
+    """Refuse coefficients that do not fit."""
+    rows, columns = (2.0 * cut * length + 1.0 if n > 1 else 1.0 for n, length in zip(hf.shape, hf.size_um, strict=True))
+    ny, nx = hf.shape
+    free_memory.require(
+        _BYTES_A_NUMBER * (rows * ny + columns * nx + rows * columns + ny * nx),
+        f"the direct sum of {rows:.3g} × {columns:.3g} coefficients of {ny} × {nx} samples",
+        "take another method, a larger sigma_um of coherence, or {share} of hf's area",
+    )
 
 
 def _copies(hf: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]) -> float:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.compute import allocations
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks
 from warpdiff.core.blas_threads import on_one_thread
@@ -139,11 +140,12 @@ def plan(
     normal = reflectance_factors.normal_reflectance(ior)
     window = coherence or Coherence()
     target, workers = resolve_device(device), resolve_threads(threads)
-    scope, sample, count = directions_of(hf, to_light, to_view, coherence=window, normal=normal, masking=masking)
-    result = plan_for(
-        hf, scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
-        illuminants=(illuminant,), device=target, threads=workers,
-    )  # fmt: skip
+    with allocations.named("plan()", "take a larger tolerance, or a smaller hf"):
+        scope, sample, count = directions_of(hf, to_light, to_view, coherence=window, normal=normal, masking=masking)
+        result = plan_for(
+            hf, scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
+            illuminants=(illuminant,), device=target, threads=workers,
+        )  # fmt: skip
     if result.scalar_error >= scalar_validity.UNTRUSTED:
         warnings.warn(
             f"scalar diffraction is {scalar_validity.told(result.scalar_error)}; hf has a standard deviation of "

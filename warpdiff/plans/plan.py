@@ -156,7 +156,7 @@ class Plan:
             raise ValueError(f"errors must be a pair of numbers, got {self.errors!r}")
         checks.flag(self.searched, "searched")
         checks.count(self.judged, "judged", least=0)
-        bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um")
+        bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um", most=checks.MOST)
         if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
             raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
         checks.flag(self.adaptive, "adaptive")

@@ -13,7 +13,7 @@ import warp as wp
 from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, warn_outside
 from warpdiff.render.frame import load_kernels
-from warpdiff.render.shade import PictureRequest, check_lights, warn_unsettled
+from warpdiff.render.shade import PictureRequest, check_lights, memory_named, warn_unsettled
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
@@ -88,16 +88,21 @@ class Renderer:
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
         load_kernels(wanted.device)
         self._hf, self._wanted = hf, wanted
-        surface = prepare_surface(mesh, tangents=tangents)
-        scope, sample, count = directions_of(hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking)
-        if wanted.plan is not None:
-            warn_outside(wanted.plan, hf, scope)
-        self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
-        self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
-        self._recorded = records(wanted.device)
-        self._mine = _Picture(
-            functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None), wanted.lights, view
-        )
+        with memory_named(view):
+            surface = prepare_surface(mesh, tangents=tangents)
+            scope, sample, count = directions_of(
+                hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking
+            )
+            if wanted.plan is not None:
+                warn_outside(wanted.plan, hf, scope)
+            self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
+            self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
+            self._recorded = records(wanted.device)
+            self._mine = _Picture(
+                functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
+                wanted.lights,
+                view,
+            )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
         self.draw()
 
@@ -125,7 +130,7 @@ class Renderer:
                     f"view must have {mine.view.width} × {mine.view.height} pixels as before, got "
                     f"{view.width} × {view.height}; another size takes another Renderer"
                 )
-        with self._turn:
+        with self._turn, memory_named(mine.view):
             # What is seen stays as it is, if the view does.
             if view is not None:
                 mine.view = view

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.compute import allocations
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
@@ -27,6 +28,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
+    import contextlib
     from collections.abc import Callable, Collection
 
     import warp as wp
@@ -119,25 +121,26 @@ def shade(
     load_kernels(wanted.device)
     if plan is None:
         wanted.load_likely_kernels(hf, view)
-    surface = prepare_surface(mesh, tangents=tangents)
-    picture = wanted.frame(surface, view)
-    wanted.set_lights(picture, hf, wanted.lights)
-    scope, count, sample = picture.measure_directions(hf, wanted.window, sampled=wanted.plan is None)
-    found = wanted.plan
-    if found is not None:
-        warn_outside(found, hf, scope)
-    else:
-        found = wanted.plan_for(hf, scope, sample, count)
-    names = [each.illuminant for each in wanted.lights]
-    if found.method == "direct":
-        picture.sum_directly(hf, found, names, progress=progress)
-    else:
-        integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
-        picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
-    image = picture.image(found)
-    if layers:
-        told = layers_of(surface, view, layers, smooth=wanted.smooth, device=wanted.device, threads=wanted.threads)
-        image = replace(image, layers=told)
+    with memory_named(view):
+        surface = prepare_surface(mesh, tangents=tangents)
+        picture = wanted.frame(surface, view)
+        wanted.set_lights(picture, hf, wanted.lights)
+        scope, count, sample = picture.measure_directions(hf, wanted.window, sampled=wanted.plan is None)
+        found = wanted.plan
+        if found is not None:
+            warn_outside(found, hf, scope)
+        else:
+            found = wanted.plan_for(hf, scope, sample, count)
+        names = [each.illuminant for each in wanted.lights]
+        if found.method == "direct":
+            picture.sum_directly(hf, found, names, progress=progress)
+        else:
+            integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
+            picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+        image = picture.image(found)
+        if layers:
+            told = layers_of(surface, view, layers, smooth=wanted.smooth, device=wanted.device, threads=wanted.threads)
+            image = replace(image, layers=told)
     warn_unsettled(image.plan)
     return image
 
@@ -297,6 +300,12 @@ def _takes_footprints(footprint: bool | None, method: str, window: Coherence, pl
     if footprint is not None:
         return footprint
     return plan.footprint if plan is not None else window.adds_powers and method != "direct"
+
+
+def memory_named(view: View) -> contextlib.AbstractContextManager[None]:
+    """What tells of memory that a picture did not get."""
+    remedy = "take a smaller view, mesh or hf, fewer samples_per_pixel, or a larger tolerance"
+    return allocations.named(f"a picture of {view.width} × {view.height} pixels", remedy)
 
 
 def warn_unsettled(plan: Plan) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -114,9 +114,9 @@ def prepare_surface(
         raise
 
 
-def _prepared(geometries: list[tuple[Any, NDArray[np.float64]]], tangents: ArrayLike | None) -> Surface:
+def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surface:
     """A surface, made or found again."""
-    told_by = [np.asarray(each) for geometry, transform in geometries for each in (transform, *_told_by(geometry))]
+    told_by = [np.asarray(each) for mesh, transform, _ in geometries for each in (transform, *_told_by(mesh))]
     given = None if tangents is None else checks.finite_array(tangents, "tangents")
     if given is not None:
         told_by.append(given)
@@ -124,7 +124,7 @@ def _prepared(geometries: list[tuple[Any, NDArray[np.float64]]], tangents: Array
         if len(known) == len(told_by) and all(map(np.array_equal, known, told_by)):
             _kept.append(_kept.pop(index))
             return surface
-    part = _join([_part(geometry, transform) for geometry, transform in geometries])
+    part = _join([_named_part(each) for each in geometries])
     _check_tangents(part, given)
     surface = _build(part, given)
     _kept.append(([each.copy() for each in told_by], surface))
@@ -139,7 +139,7 @@ _kept: list[tuple[list[NDArray[Any]], Surface]] = []
 def _told_by(mesh: Any) -> list[Any]:
     """All that a surface is made of: a mesh that moved in place is told by its values."""
     visual = mesh.visual
-    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache]
+    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache, _has_facets(mesh)]
     found += [getattr(visual, "uv", None), visual.kind]
     if visual.kind in ("vertex", "face"):
         found.append(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)
@@ -162,6 +162,14 @@ def _told_by(mesh: Any) -> list[Any]:
     return found
 
 
+class _Geometry(NamedTuple):
+    """A mesh with its transform, and how messages call it: ``mesh``, or by its name where there are several."""
+
+    mesh: Any
+    transform: NDArray[np.float64]
+    called: str
+
+
 @dataclass
 class _Part:
     """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` given ones."""
@@ -175,16 +183,17 @@ class _Part:
     texture: NDArray[np.float32] | None
     colours: NDArray[np.float64] | None
     geometries: NDArray[np.int32]
+    called: str = "mesh"
 
 
-def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
+def _geometries(mesh: Any) -> list[_Geometry]:
     """The meshes of ``mesh``, each with its transform."""
     import trimesh
 
     if isinstance(mesh, (str, os.PathLike)):
         return _geometries(mesh_files.load(mesh))
     if isinstance(mesh, trimesh.Trimesh):
-        return [(mesh, np.eye(4))]
+        return [_Geometry(mesh, np.eye(4), "mesh")]
     if not isinstance(mesh, trimesh.Scene):
         raise TypeError(f"mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}")
     found = []
@@ -192,10 +201,20 @@ def _geometries(mesh: Any) -> list[tuple[Any, NDArray[np.float64]]]:
         transform, name = mesh.graph[node]
         geometry = mesh.geometry[name]
         if isinstance(geometry, trimesh.Trimesh):
-            found.append((geometry, np.asarray(transform, dtype=np.float64)))
+            found.append(_Geometry(geometry, np.asarray(transform, dtype=np.float64), f"mesh's geometry {name!r}"))
     if not found:
         raise ValueError("mesh must have triangles, got a scene or file without any")
-    return found
+    return found if len(found) > 1 else [found[0]._replace(called="mesh")]
+
+
+def _named_part(geometry: _Geometry) -> _Part:
+    """A geometry checked; what is wrong with it is told by its name."""
+    try:
+        part = _part(geometry.mesh, geometry.transform)
+    except ValueError as error:
+        raise ValueError(f"{geometry.called}{str(error).removeprefix('mesh')}") from error
+    part.called = geometry.called
+    return part
 
 
 def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
@@ -247,11 +266,16 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
     """
     normals = _cached_normals(mesh)
+    worked_out = normals is None or "face_angles" in mesh._cache
+    if worked_out and _has_facets(mesh):
+        facets = np.zeros(vertices.shape)
+        facets[faces] = mesh.face_normals[:, None]
+        return facets
     if normals is None or np.shape(normals) != vertices.shape:
         return None
     normals = np.asarray(normals, dtype=np.float64)
     normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
-    if "face_angles" not in mesh._cache:
+    if not worked_out:
         return normals.T
     corners = np.ascontiguousarray(faces.T)
     # A few faces' vertices are enough to tell most.
@@ -268,6 +292,12 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
 def _cached_normals(mesh: Any) -> Any:
     """Vertex normals that trimesh holds, or None."""
     return mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+
+
+def _has_facets(mesh: Any) -> bool:
+    """Whether a mesh is that of an STL file, which has a normal for each face and no other, and is not merged."""
+    source = getattr(mesh, "source", None)
+    return getattr(source, "file_type", None) == "stl" and len(mesh.vertices) == 3 * len(mesh.faces)
 
 
 def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
@@ -369,14 +399,17 @@ def _join(parts: list[_Part]) -> _Part:
     if len(parts) == 1:
         return parts[0]
     textures: list[NDArray[np.float32]] = []
+    textured: list[str] = []
     for part in parts:
         if part.texture is not None and not any(np.array_equal(part.texture, known) for known in textures):
             textures.append(part.texture)
+            textured.append(part.called.removeprefix("mesh's geometry "))
     if len(textures) > 1:
         raise ValueError(
-            f"mesh must have at most one texture image, got a scene with {len(textures)}; render its geometries one "
-            "by one, or bake them into one texture"
+            f"mesh must have at most one texture image, got a scene with {len(textures)}, of {', '.join(textured)}; "
+            "render its geometries one by one, or bake them into one texture"
         )
+    bare = [part.called for part in parts if part.uvs is None]
     vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
     source_start = np.cumsum([0, *(part.count for part in parts)])
 
@@ -402,6 +435,7 @@ def _join(parts: list[_Part]) -> _Part:
         texture=textures[0] if textures else None,
         colours=colours,
         geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
+        called=bare[0] if bare else "mesh",
     )
 
 
@@ -492,4 +526,4 @@ def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
     elif part.uvs is None:
         raise ValueError(f"mesh has neither texture coordinates nor tangents=; {HOW_TO_GET_TANGENTS}")
     elif np.any(np.isnan(part.uvs)):
-        raise ValueError(f"mesh has a geometry without texture coordinates; {HOW_TO_GET_TANGENTS}")
+        raise ValueError(f"{part.called} has no texture coordinates; {HOW_TO_GET_TANGENTS}")

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _COARSEST_PITCH_UM = 0.04
+# Of a finger, in ridges: what reaches further is below 1e-40 of what does not.
+_RIDGE_REACH = 4.0
 
 
 def sinusoidal(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
@@ -178,11 +180,15 @@ def disc(
         edges = np.concatenate([[0], np.cumsum(runs)]) * bit + rng.uniform(0.0, length)
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
-            half = 0.5 * (stop - start)
-            beside = (y - 0.5 * (start + stop) + 0.5 * length) % length - 0.5 * length
-            rows = np.nonzero(np.abs(beside) < half + dy)[0]
+            half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
+            # Of a long track hardly any rows are near; there are more than these.
+            first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
+            rows = np.arange(first, last + 1) % along
+            beside = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
+            near = np.abs(beside) < half + dy
+            rows, beside = rows[near], beside[near]
             # The axis of a stadium is shorter than the pit by its two round ends; a pit shorter than wide is a disc.
-            beyond = np.maximum(np.abs(beside[rows]) - max(half - radius, 0.0), 0.0)
+            beyond = np.maximum(np.abs(beside) - max(half - radius, 0.0), 0.0)
             distance = np.hypot(beyond[:, None], x) - min(radius, half)
             coverage[rows] = np.maximum(coverage[rows], np.clip(0.5 - distance / pitch, 0.0, 1.0))
         heights[:, track * across : (track + 1) * across] = -form.pit_depth_um * coverage
@@ -308,13 +314,15 @@ def fingers(
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        aside = (x - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
+        # Further away a ridge is no more than rounding.
+        beside = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
+        aside = (x[beside] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]
         crest = (rise[finger] * (0.88 + 0.12 * np.sin(np.pi * behind)))[:, None]
-        top = np.maximum(top, crest * np.exp(-((np.abs(aside) / half_width) ** 2.3)))
+        top[:, beside] = np.maximum(top[:, beside], crest * np.exp(-((np.abs(aside) / half_width) ** 2.3)))
         near = np.exp(-8.0 * aside**2)
-        ground += near * (0.5 - 0.45 * behind**1.3)[:, None]
-        weights += near
+        ground[:, beside] += near * (0.5 - 0.45 * behind**1.3)[:, None]
+        weights[:, beside] += near
     ground /= weights
     heights = ground + (1.0 - ground) * top
     # A blunt tip, of the scanning needle as of the real fingers.

@@ -2,69 +2,155 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.core.blas_threads import on_one_thread
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 # The residual left, relative to the first.
 _SETTLED = 1e-10
+# Steps of conjugate gradients, of which some twenty suffice.
+_MOST_STEPS = 200
+# A neighbour's weight by the square of its distance, relative to the nearer ones': what is less is lost in rounding.
+_LEAST_WEIGHT = 1e-10
+# Of Jacobi's method, also where it smooths what coarser grids correct.
+_DAMPING = 2.0 / 3.0
+_SWEEPS = 2
+# Unknowns that are eliminated.
+_FEW = 400
+# Samples of a coarser grid's, along an axis unless these lie further apart than along the other by more than a factor.
+_COARSER, _MOST_ASLANT = 3, 1.8
 
 
+@np.errstate(under="ignore")
 def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDArray[np.float64]:
     """Return ``heights`` (ny, nx) with each NaN replaced so that the five-point Laplacian vanishes there.
 
-    No slope crosses the edges of the grid. The equations are solved by conjugate gradients; at least one sample must be
-    known.
+    No slope crosses the edges of the grid. The equations are solved by conjugate gradients, preconditioned by multigrid
+    (smoothed aggregation: Vaněk, Mandel and Brezina 1996, Computing 56, 179–196), in as many steps for large gaps as
+    for small ones; at least one sample must be known.
     """
     gaps = np.isnan(heights)
     result = heights.copy()
     if not gaps.any():
         return result
     known = heights[~gaps]
-    # About the mean, so that an offset costs no digits.
+    # About the mean, so that an offset costs no digits, and of a size whose squares neither overflow nor vanish.
     mean = float(np.mean(known))
-    number = np.full((gaps.shape[0] + 2, gaps.shape[1] + 2), -1)
+    scale = float(np.max(np.abs(known - mean))) or 1.0
+    matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
+    places = np.nonzero(gaps)
+    with on_one_thread():
+        found = mean + scale * _solved(matrix, target, _multigrid(matrix, places, pitch_um))
+    # As harmonic functions do, but for rounding.
+    result[gaps] = np.clip(found, known.min(), known.max())
+    return result
+
+
+def _equations(
+    gaps: NDArray[np.bool_], heights: NDArray[np.float64], pitch: tuple[float, float]
+) -> tuple[Any, NDArray[np.float64]]:
+    """Minus the Laplacian of the gaps' samples, sparse, and what the known ones beside them add."""
+    from scipy import sparse
+
     count = int(np.count_nonzero(gaps))
-    # Known samples and what lies outside of the grid are number ``count``, whose value is 0.
-    number[1:-1, 1:-1] = np.where(gaps, np.cumsum(gaps).reshape(gaps.shape) - 1, count)
-    outside = number == -1
-    number[outside] = count
-    boundary = np.pad(np.where(gaps, 0.0, heights - mean), 1)
-    y, x = np.nonzero(gaps)
+    number = np.full(gaps.shape, -1, dtype=np.int32)
+    number[gaps] = np.arange(count, dtype=np.int32)
     diagonal, target = np.zeros(count), np.zeros(count)
-    neighbours: list[tuple[float, NDArray[np.int64]]] = []
-    for axis, pitch in enumerate(pitch_um):
-        weight = (min(pitch_um) / pitch) ** 2
-        for step in (-1, 1):
-            at = (y + 1 + step, x + 1) if axis == 0 else (y + 1, x + 1 + step)
-            neighbours.append((weight, number[at]))
-            diagonal += weight * ~outside[at]
-            target += weight * boundary[at]
+    matrix = sparse.csr_array((count, count))
+    for axis in (0, 1):
+        weight = max((min(pitch) / pitch[axis]) ** 2, _LEAST_WEIGHT)
+        before, after = (np.moveaxis(number, axis, 0)[part] for part in (slice(-1), slice(1, None)))
+        height_before, height_after = (np.moveaxis(heights, axis, 0)[part] for part in (slice(-1), slice(1, None)))
+        for one, other, height in ((before, after, height_after), (after, before, height_before)):
+            unknown = one >= 0
+            row, column = one[unknown], other[unknown]
+            # Each sample has one neighbour on a side.
+            diagonal[row] += weight
+            target[row] += weight * height[unknown]
+            both = column >= 0
+            row, column = row[both], column[both]
+            matrix += sparse.csr_array((np.full(len(row), -weight), (row, column)), shape=(count, count))
+    return (matrix + sparse.diags_array(diagonal)).tocsr(), target
 
-    def laplacian(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        padded = np.append(values, 0.0)
-        total = diagonal * values
-        for weight, at in neighbours:
-            total -= weight * padded.take(at)
-        return total
 
-    solution = np.zeros(count)
-    residual = target
-    direction = residual / diagonal
-    size = first = float(residual @ direction)
-    # In exact arithmetic as many steps as unknowns suffice; some gaps' widths in samples do.
-    for _ in range(count):
+@dataclass(frozen=True)
+class _Level:
+    """A grid of multigrid.
+
+    Attributes:
+        matrix: Its equations.
+        jacobi: The damped inverse of their diagonal.
+        to_finer: What it adds to the unknowns from those of the next coarser grid.
+    """
+
+    matrix: Any
+    jacobi: NDArray[np.float64]
+    to_finer: Any
+
+
+def _multigrid(
+    matrix: Any, places: tuple[NDArray[np.int64], ...], pitch: tuple[float, float]
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """An approximate inverse of equations between neighbours on a grid, symmetric: a cycle of multigrid."""
+    from scipy import sparse
+    from scipy.sparse import linalg
+
+    levels: list[_Level] = []
+    distances = list(pitch)
+    while matrix.shape[0] > _FEW:
+        extended = [axis for axis in (0, 1) if places[axis].max() > 0]
+        nearest = min(distances[axis] for axis in extended)
+        blocks = [_COARSER if axis in extended and distances[axis] <= _MOST_ASLANT * nearest else 1 for axis in (0, 1)]
+        blocked = [place // block for place, block in zip(places, blocks, strict=True)]
+        width = int(blocked[1].max()) + 1
+        cells, cell = np.unique(blocked[0] * width + blocked[1], return_inverse=True)
+        jacobi = _DAMPING / matrix.diagonal()
+        constant = sparse.csr_array((np.ones(len(cell)), (np.arange(len(cell)), cell)))
+        to_finer = (constant - sparse.diags_array(jacobi) @ (matrix @ constant)).tocsr()
+        levels.append(_Level(matrix, jacobi, to_finer))
+        matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
+        places = cells // width, cells % width
+        distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
+    inverse = linalg.splu(matrix.tocsc())
+
+    def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:
+        if depth == len(levels):
+            return np.asarray(inverse.solve(residual))
+        level = levels[depth]
+        found = level.jacobi * residual
+        for _ in range(_SWEEPS - 1):
+            found += level.jacobi * (residual - level.matrix @ found)
+        found += level.to_finer @ cycle(level.to_finer.T @ (residual - level.matrix @ found), depth + 1)
+        for _ in range(_SWEEPS):
+            found += level.jacobi * (residual - level.matrix @ found)
+        return found
+
+    return cycle
+
+
+def _solved(
+    matrix: Any, target: NDArray[np.float64], precondition: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """The solution by preconditioned conjugate gradients."""
+    solution, residual = np.zeros(len(target)), target
+    direction = scaled = precondition(residual)
+    size = first = float(residual @ scaled)
+    for _ in range(_MOST_STEPS):
         if size <= _SETTLED**2 * first:
             break
-        image = laplacian(direction)
+        image = matrix @ direction
         step_size = size / float(direction @ image)
         solution += step_size * direction
         residual = residual - step_size * image
-        scaled = residual / diagonal
+        scaled = precondition(residual)
         previous, size = size, float(residual @ scaled)
         direction = scaled + (size / previous) * direction
-    result[gaps] = solution + mean
-    return result
+    return solution

@@ -58,6 +58,13 @@ class Period:
     frequency: tuple[float, float]
     is_waviness: bool
 
+    def __str__(self) -> str:
+        """Return the period with its error, and its direction."""
+        # As many digits as the error leaves, of which it has one.
+        digits = max(-math.floor(math.log10(max(self.standard_error_um, 1e-6 * self.period_um))), 0)
+        length = f"{self.period_um:.{digits}f} ± {self.standard_error_um:.{digits}f} µm"
+        return f"{length} at {round(self.direction_deg)}°{' (waviness)' if self.is_waviness else ''}"
+
 
 def fitted(hf: HeightField, count: int) -> tuple[Period, ...]:
     """The strongest periods, see `HeightField.periods`."""

@@ -39,6 +39,9 @@ _FEWEST_INTERVALS = 4
 SETS_AN_OCTAVE = 4
 # As measured, while a quadrature is made.
 _BYTES_A_WAVELENGTH = 370.0
+# The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
+# itself and for each thread.
+_BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_A_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 # What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
 KEPT = 4
 _cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
@@ -148,6 +151,15 @@ def coefficients_for(
 
     @on_one_thread()
     def arrays() -> dict[str, Any]:
+        ny, nx = hf.shape
+        kept_terms = float(math.prod(block.count) * terms)
+        per_sample = _BYTES_A_SAMPLE + _BYTES_OF_THREAD * min(threads, terms)
+        free_memory.require(
+            max(_BYTES_OF_SERIES * kept_terms + per_sample * math.prod(block.shape),
+                0.0 if method in EXPANSIONS else _BYTES_OF_FIT * kept_terms),
+            f"coefficients of hf, {ny} × {nx} samples, at {block.count[0]} × {block.count[1]} frequencies",
+            "take {share} of its area, by cropped()",
+        )  # fmt: skip
         if method in EXPANSIONS:
             made = low_rank_basis.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
         else:
@@ -266,7 +278,7 @@ def quadrature_for(hf: HeightField, plan: Plan, illuminant: str, *, device: wp.D
     largest = per_lateral * plan.max_lateral + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
     # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
-    levels = math.floor(SETS_AN_OCTAVE * math.log2(largest / constant)) if plan.adaptive else 0
+    levels = math.floor(SETS_AN_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
         if fewer >= counts[-1]:

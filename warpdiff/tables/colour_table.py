@@ -92,6 +92,11 @@ class _Source:
         return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
 
     @property
+    def sampled_bytes(self) -> float:
+        """What rows of the spectrum take; lines are gathered as they are needed."""
+        return 0.0 if self.is_lines else 4.0 * len(self.at_kappas) * float(self.layout.starts[-1])
+
+    @property
     def is_lines(self) -> bool:
         """Whether rows hold the lines of an endless surface."""
         return self.coherence.kind == "source"
@@ -119,12 +124,13 @@ def table_for(
     if found is None:
         found = held.get(sharp)
         if found is None:
+            rows = spectra.get(source.key)
             free_memory.require(
-                1e6 * megabytes(plan), f"a table of nodes={plan.nodes} and rays_per_width={plan.rays_per_width}",
+                1e6 * megabytes(plan) + (source.sampled_bytes if rows is None else 0.0),
+                f"a table of nodes={plan.nodes} and rays_per_width={plan.rays_per_width}",
                 "take a larger tolerance, or a plan with {share} of the nodes",
             )  # fmt: skip
             _load_kernels(source, how, plan, device)
-            rows = spectra.get(source.key)
             if rows is None:
                 # The last one serves other illuminants.
                 spectra.clear()

@@ -10,10 +10,13 @@ import numpy as np
 import warp as wp
 
 from warpdiff.compute.pipeline import launch
+from warpdiff.core import free_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# What a line takes while they are listed, as counted.
+_BYTES_A_LINE = 80.0
 # Deviations that a line's blur in angle reaches.
 _FAR_IN_BLURS = 4.5
 
@@ -36,6 +39,10 @@ class LineSpectrum:
 def of_table(arguments: Any, highest: float) -> LineSpectrum:
     """The lines up to a frequency [1/µm], of coefficients as the kernels' struct ``Table`` has them."""
     lengths = arguments.length_y, arguments.length_x
+    most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
+    free_memory.require(
+        _BYTES_A_LINE * most, f"a table of {most:.3g} lines", "take method='low-rank', or {share} of hf's area"
+    )
     s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)
     qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
     squared = qy**2 + qx**2
