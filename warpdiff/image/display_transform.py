@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
-DISPLAYS = ("aces", "colorimetric", "clip")
+# By transform, the luminance that automatic exposure gives the mean of what is lit. ACES shows middle tones 0.8 stops
+# darker than they are, and has room above 1.
+MEAN_SHOWN = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
+DISPLAYS = tuple(MEAN_SHOWN)
 
 # CSS Color 4: primaries of Display P3 and D65.
 _XYZ_TO_P3 = np.array(
@@ -242,8 +245,3 @@ def _looked_up(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
         corners = corners + steps[order[:, k]]
         found += weights[:, k + 1 : k + 2] * table[corners]
     return np.asarray(found)
-
-
-def decoded(encoded: ArrayLike) -> NDArray[Any]:
-    """Linear light of what is encoded: both gamuts have the transfer function of sRGB."""
-    return colorimetry.srgb_decode(encoded)
