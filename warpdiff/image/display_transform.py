@@ -122,8 +122,8 @@ def description(display: str, gamut: str) -> str:
     to = GAMUTS[gamut]
     if display == "aces":
         return f"{to.view}, {to.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
-    how = {"colorimetric": "colours out of gamut at constant OKLab hue", "clip": "each channel clipped"}[display]
-    return f"colorimetric, {to.name}, {how}"
+    how = {"colorimetric": "what is out of gamut at constant OKLab hue", "clip": "each channel cut off"}[display]
+    return f"{display}, {to.name}, {how}"
 
 
 def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
@@ -140,7 +140,7 @@ def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
     )
     if found.has_error:
         raise RuntimeError(f"OpenColorIO has no {to.view} in {CONFIGURATION}: {found.geterror()}")
-    return np.clip(found.get_pixels(oiio.FLOAT)[0].astype(np.float64), 0.0, 1.0)
+    return np.asarray(np.clip(np.float64(found.get_pixels(oiio.FLOAT)[0]), 0.0, 1.0))
 
 
 def oklab(xyz: ArrayLike) -> NDArray[np.float64]:
@@ -187,7 +187,7 @@ def _most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _brought_in(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear components of XYZ (n, 3): those within 0 to 1 as they are, others with less chroma; white is the brightest."""
+    """Linear components of XYZ (n, 3): within 0 to 1 as they are, others with less chroma; white is the brightest."""
     rgb = xyz @ to_rgb.T
     out = np.flatnonzero((rgb < 0.0).any(axis=1) | (rgb > 1.0).any(axis=1))
     lab = oklab(xyz[out])
@@ -218,7 +218,7 @@ def _last_that_holds(
 
 def _shaped(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where linear components lie along an axis of a table, 0 to 1."""
-    return np.log1p(np.clip(rgb, 0.0, _WHITE) / _TOE) / np.log1p(_WHITE / _TOE)
+    return np.asarray(np.log1p(np.clip(rgb, 0.0, _WHITE) / _TOE) / np.log1p(_WHITE / _TOE))
 
 
 @functools.cache

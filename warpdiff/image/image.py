@@ -144,13 +144,14 @@ class Image:
             factor = (source or self)._auto_exposure(display)
         else:
             factor = 1.0
-        return factor * 2.0**stops
+        return float(factor * 2.0**stops)
 
     def _shown(self, display: str, factor: float, gamut: str, *, exact: bool) -> NDArray[np.float64]:
         """Encoded colours, not multiplied by alpha; 0 where nothing is."""
-        straight = self.xyz[self.mask] / self.coverage[self.mask][:, None].astype(np.float64)
+        seen = self.coverage > 0.0
+        straight = self.xyz[seen] / self.coverage[seen][:, None].astype(np.float64)
         shown = np.zeros(self.xyz.shape)
-        shown[self.mask] = display_transform.shown(factor * straight, display, gamut, exact=exact)
+        shown[seen] = display_transform.shown(factor * straight, display, gamut, exact=exact)
         return shown
 
     def _behind(
