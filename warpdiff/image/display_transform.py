@@ -138,9 +138,10 @@ def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
     found = oiio.ImageBufAlgo.ociodisplay(
         oiio.ImageBuf(row), to.display, to.view, fromspace=SCENE, unpremult=False, colorconfig=CONFIGURATION, nthreads=1
     )
-    if found.has_error:
+    pixels = found.get_pixels(oiio.FLOAT)
+    if found.has_error or pixels is None:
         raise RuntimeError(f"OpenColorIO has no {to.view} in {CONFIGURATION}: {found.geterror()}")
-    return np.asarray(np.clip(np.float64(found.get_pixels(oiio.FLOAT)[0]), 0.0, 1.0))
+    return np.asarray(np.clip(np.asarray(pixels[0], dtype=np.float64), 0.0, 1.0))
 
 
 def oklab(xyz: ArrayLike) -> NDArray[np.float64]:
