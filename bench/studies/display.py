@@ -3,7 +3,8 @@
     python -m warpdiff.bench.studies.display [--scale 0.5]
 
 Bands 10, 30 and 60 nm wide, at 430, 435, … 680 nm, of D65, Y from 0.02 to 2, as sRGB. Hue is OKLab's, against that
-of the band itself, unclipped, and says nothing where a colour is shown as white; a step is that between bands 5 nm apart. Then the demonstration's disc and snake.
+of the band itself, unclipped, and says nothing where a colour is shown as white; a step is that between bands 5 nm
+apart. Then the demonstration's disc and snake.
 """
 
 from __future__ import annotations
