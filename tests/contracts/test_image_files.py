@@ -177,6 +177,17 @@ def test_exposures_in_stops_and_from_another_picture(image, plan):
     np.testing.assert_array_equal(brighter.display(exposure=0.5), brighter.display(exposure=2.0, exposure_stops=-2.0))
 
 
+def test_a_picture_that_is_all_but_black_is_shown(plan, tmp_path):
+    xyz = np.full((2, 2, 3), 1e-14, np.float32)
+    whole = np.ones((2, 2), np.float32)
+    dim = wd.Image(xyz=xyz, mask=whole > 0, lit=whole > 0, coverage=whole, error=whole, plan=plan)
+    assert read(dim.save(tmp_path / "a.png"))[1].min() > 100
+    # Of light that is brighter by 1e24, the same exposure leaves white, and EXR stays finite.
+    bright = wd.Image(xyz=1e24 * xyz, mask=whole > 0, lit=whole > 0, coverage=whole, error=whole, plan=plan)
+    assert read(bright.save(tmp_path / "b.png", exposure_from=dim))[1].min() == 255
+    assert np.isfinite(read(bright.save(tmp_path / "b.exr", exposure_from=dim, exposure_stops=30.0))[1]).all()
+
+
 def test_a_background_is_mixed_in_linear_light(image, tmp_path):
     shown = image.display("clip")
     behind = np.array([1.0, 0.5, 0.0])

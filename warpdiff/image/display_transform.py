@@ -62,7 +62,7 @@ _HUES = 1440
 _WHITE = 1024.0
 # Nodes of a table along each axis, and the light [1] up to which they are spaced evenly, beyond it by equal ratios.
 _NODES, _TOE = 33, 0.01
-_BISECTIONS = 40
+_BISECTIONS = 20
 _LEAST = 1e-30
 
 
@@ -194,8 +194,13 @@ def _brought_in(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArra
     lab = oklab(xyz[out])
     lab[:, 0] = np.clip(lab[:, 0], 0.0, 1.0)
 
+    grey, slopes = lab[:, :1], lab[:, 1:] @ _LAB_TO_ROOTS.T[1:]
+    roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
+
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        return of_oklab(lab * np.stack([np.ones_like(share), share, share], axis=1)) @ to_rgb.T
+        # Of a grey all three roots are L.
+        roots = grey + share[:, None] * slopes
+        return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
     def holds(share: NDArray[np.float64]) -> NDArray[np.bool_]:
         found = with_chroma(share)
