@@ -440,6 +440,8 @@ def _check_output(options: argparse.Namespace) -> None:
     checks.choice(options.gamut, "--gamut", tuple(GAMUTS))
     if options.background is not None and Path(options.output).suffix.lower() != ".png":
         raise ValueError(f"--background is for .png files, got --output {options.output}")
+    for each in options.background or ():
+        checks.number(each, "--background", least=0.0, most=1.0)
 
 
 def _report(image: wd.Image, options: argparse.Namespace) -> None:
