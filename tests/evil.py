@@ -20,6 +20,7 @@ VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
 SHORT = wd.Coherence(sigma_um=3.0)
 PLAN = wd.plan(HF, coherence=SHORT, tolerance=0.1)
+PICTURE = wd.brdf_map(HF, UP, size=2, plan=PLAN)
 HUGE, TINY = 1e300, 1e-300
 
 
@@ -51,7 +52,25 @@ _METHODS = [
 ]
 _NAMES = st.one_of(
     st.text(max_size=8),
-    st.sampled_from(["AVERAGED", "auto", "averaged", "centred", "source", "replicas", "A", "FL11", "D66", "CD", "x"]),
+    st.sampled_from(
+        [
+            "AVERAGED",
+            "auto",
+            "averaged",
+            "centred",
+            "source",
+            "replicas",
+            "A",
+            "FL11",
+            "D66",
+            "CD",
+            "x",
+            "aces",
+            "clip",
+            "colorimetric",
+            "display-p3",
+        ]
+    ),
 )
 _PATHS = st.sampled_from(
     [
@@ -170,17 +189,19 @@ _KINDS = {
     "mesh": st.sampled_from(list(hostile_meshes())),
     "plan": st.sampled_from(list(_plans())),
     "callback": st.just("bad"),
+    "picture": st.just(PICTURE),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
 }
 # Every parameter of whatever is public; of a pair of them, either.
 KIND_OF = {
     "hf": "surface", "mesh": "mesh", "light": "light", "view": "view", "coherence": "coherence", "plan": "plan",
     "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
-    "progress": "callback", "rays_per_width": "rays",
+    "progress": "callback", "exposure_from": "picture", "background": "vector", "rays_per_width": "rays",
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
-    **dict.fromkeys(["illuminant", "device", "kind", "tangent"], "name"),
+    "exact": "flag",
+    **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),
     **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged"], "count"),
@@ -189,7 +210,7 @@ KIND_OF = {
 }  # fmt: skip
 _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
-_NUMBER_NAMES |= {"truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
+_NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
 
 
 def strategy(name: str) -> st.SearchStrategy:

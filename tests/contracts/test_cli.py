@@ -127,6 +127,11 @@ def test_info_of_the_scan(scan_path, capsys):
         (["info", "blazed", "--crop-um", "900"], "--crop-um along x must"),
         (["demo", "--data", "no/such/folder"], "does not exist"),
         (["demo", "--scale", "0"], "--scale must"),
+        (["demo", "--display", "film"], "display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
+        (["brdf", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
+        (["brdf", "nothing", "-o", "x.png", "--gamut", "film"], "--gamut must be one of 'srgb', 'display-p3'"),
+        (["brdf", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
+        (["brdf", "nothing", "-o", "x.exr", "--background", "1", "1", "0"], "--background is for .png files"),
     ],
 )
 def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):

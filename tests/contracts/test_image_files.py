@@ -91,22 +91,24 @@ def test_metadata(image, suffix, tmp_path):
 
 @pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (16, np.uint16)])
 @pytest.mark.parametrize("exposure", [None, 0.7])
-def test_png_is_srgb(image, bits, dtype, exposure, tmp_path):
-    spec, pixels = read(image.save(tmp_path / "a.png", bits=bits, exposure=exposure))
+def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
+    spec, pixels = read(image.save(tmp_path / "a.png", bits=bits, exposure=exposure, display="clip"))
     assert tuple(spec.channelnames) == ("R", "G", "B", "A")
     assert pixels.dtype == dtype
     levels = 2**bits - 1
     np.testing.assert_array_equal(pixels[..., 3], np.round(image.coverage * levels).astype(dtype))
     assert not pixels[0].any(), "the background is to be transparent"
     # IEC 61966-2-1, written out again; colours in PNG are not multiplied by alpha.
-    linear = (exposure or image.auto_exposure) * colorimetry.xyz_to_rgb(image.xyz[1:]) / image.coverage[1:, :, None]
+    # Automatic exposure gives the mean 0.7 for ACES, and a half for others.
+    exposure = exposure or image.auto_exposure * 0.5 / 0.7
+    linear = exposure * colorimetry.xyz_to_rgb(image.xyz[1:]) / image.coverage[1:, :, None]
     linear = np.clip(linear, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     assert np.max(np.abs(pixels[1:, :, :3] - encoded * levels)) <= 0.5 + 1e-3
     assert pixels[3, 3, 0] == 0, "negative components are to be clipped"
 
 
-def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
+def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_what_fits_aces(plan, rng):
     luminance = rng.uniform(0.1, 9.0, (200, 250))
     mask = rng.random(luminance.shape) < 0.5
     dark = mask & (rng.random(luminance.shape) < 0.2)
@@ -121,7 +123,7 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
 
     lit = luminance[mask & ~dark]
     usual = exposure()
-    assert np.mean(lit * usual) == pytest.approx(0.5, rel=1e-3)
+    assert np.mean(lit * usual) == pytest.approx(0.7, rel=1e-3)
     # A mirror's highlight in a ten-thousandth of them changes nothing, ...
     brightest = np.flatnonzero((mask & ~dark).ravel())[: len(lit) // 10_000]
     luminance.ravel()[brightest] = 1e6
@@ -130,7 +132,7 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_a_half(plan, rng):
     luminance[luminance > 0.0] = 1e-9
     orders = np.flatnonzero((mask & ~dark).ravel())[::200]
     luminance.ravel()[orders] = 2.0
-    assert 2.0 * exposure() == pytest.approx(0.5 * 200.0, rel=0.05)
+    assert 2.0 * exposure() == pytest.approx(0.7 * 200.0, rel=0.05)
 
 
 def test_a_black_picture_is_saved_as_one(plan, tmp_path):
@@ -146,6 +148,60 @@ def test_a_black_picture_is_saved_as_one(plan, tmp_path):
     assert image.auto_exposure == 1.0
     for name in ("a.png", "a.exr"):
         assert not read(image.save(tmp_path / name))[1].any()
+
+
+def test_exr_is_linear_whatever_the_display(image, tmp_path):
+    paths = [image.save(tmp_path / f"{each}.exr", display=each) for each in ("aces", "clip")]
+    np.testing.assert_array_equal(*(read(path)[1] for path in paths))
+
+
+def test_png_is_what_is_displayed_and_says_how(image, tmp_path):
+    for display in ("aces", "colorimetric", "clip"):
+        spec, pixels = read(image.save(tmp_path / "a.png", display=display, exposure_stops=-1.0))
+        np.testing.assert_array_equal(pixels, np.round(255.0 * image.display(display, exposure_stops=-1.0)))
+        said = spec.getattribute("warpdiff:display")
+        assert ("ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5" in said) == (display == "aces"), said
+        assert display in said.lower(), said
+
+
+def test_display_p3_is_said_by_a_chunk_of_the_png(image, tmp_path):
+    path = image.save(tmp_path / "a.png", gamut="display-p3")
+    assert b"cICP" + bytes([12, 13, 0, 1]) in path.read_bytes()
+    assert b"cICP" not in image.save(tmp_path / "a.png").read_bytes()
+
+
+def test_exposures_in_stops_and_from_another_picture(image, plan):
+    brighter = wd.Image(xyz=4.0 * image.xyz, mask=image.mask, lit=image.lit, coverage=COVERAGE, error=ERROR, plan=plan)
+    np.testing.assert_allclose(brighter.display(exposure=0.25), image.display(exposure=1.0), atol=1e-6)
+    np.testing.assert_allclose(image.display(exposure_stops=2.0), brighter.display(exposure_from=image), atol=1e-5)
+    np.testing.assert_array_equal(brighter.display(exposure=0.5), brighter.display(exposure=2.0, exposure_stops=-2.0))
+
+
+def test_a_picture_that_is_all_but_black_is_shown(plan, tmp_path):
+    xyz = np.full((2, 2, 3), 1e-14, np.float32)
+    whole = np.ones((2, 2), np.float32)
+    dim = wd.Image(xyz=xyz, mask=whole > 0, lit=whole > 0, coverage=whole, error=whole, plan=plan)
+    assert read(dim.save(tmp_path / "a.png"))[1].min() > 100
+    # Of light that is brighter by 1e24, the same exposure leaves white, and EXR stays finite.
+    bright = wd.Image(xyz=1e24 * xyz, mask=whole > 0, lit=whole > 0, coverage=whole, error=whole, plan=plan)
+    assert read(bright.save(tmp_path / "b.png", exposure_from=dim))[1].min() == 255
+    assert np.isfinite(read(bright.save(tmp_path / "b.exr", exposure_from=dim, exposure_stops=30.0))[1]).all()
+
+
+def test_a_background_is_mixed_in_linear_light(image, tmp_path):
+    shown = image.display("clip")
+    behind = np.array([1.0, 0.5, 0.0])
+    over = image.display("clip", background=behind)
+    np.testing.assert_allclose(over[0], np.broadcast_to(behind, over[0].shape), atol=1e-6)
+    np.testing.assert_allclose(over[2:], shown[2:, :, :3], atol=1e-6)
+    mixed = 0.25 * colorimetry.srgb_decode(shown[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
+    np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
+    # A picture behind is shown alike: over itself it covers 1 - (1 - 0.25)² of where it covers a quarter.
+    itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
+    np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(shown[1, :, :3]), atol=1e-5)
+    spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))
+    assert tuple(spec.channelnames) == ("R", "G", "B")
+    np.testing.assert_array_equal(pixels, np.round(255.0 * over))
 
 
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])

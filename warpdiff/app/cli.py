@@ -22,6 +22,7 @@ import numpy as np
 import warpdiff as wd
 from warpdiff.core import checks, disk_cache
 from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.image.image import check_target
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -146,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
     )
     demo.add_argument("--scale", type=float, default=1.0, help="factor on the pictures' sizes (default: 1)")
+    _add_display(demo)
 
     surface = _surface_options()
     evaluation = _evaluation_options()
@@ -300,9 +302,20 @@ def _evaluation_options() -> argparse.ArgumentParser:
     )
     group.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
     group.add_argument("--exposure", type=float, help="linear factor (default for PNG: from the picture; for EXR: 1)")
+    group.add_argument("--exposure-stops", type=float, default=0.0, help="doublings of light on top of it (default: 0)")
+    _add_display(group)
+    group.add_argument(
+        "--background", type=float, nargs=3, metavar=("R", "G", "B"),
+        help="colour behind the picture in a PNG, each 0 to 1 (default: transparent)",
+    )  # fmt: skip
     group.add_argument("--device", help="cpu (default) or cuda")
     group.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
     return group_parser
+
+
+def _add_display(group: Any) -> None:
+    group.add_argument("--display", default="aces", help="of PNG: aces, colorimetric or clip (default: aces)")
+    group.add_argument("--gamut", default="srgb", help="of PNG: srgb or display-p3 (default: srgb)")
 
 
 def _add_tolerance(group: Any) -> None:
@@ -359,7 +372,10 @@ def _shared(options: argparse.Namespace) -> dict[str, Any]:
 def _demo(options: argparse.Namespace) -> None:
     from warpdiff.app import demo
 
-    written = demo.run(options.output, data=options.data, scale=options.scale, say=print, progress=Bar)
+    written = demo.run(
+        options.output, data=options.data, scale=options.scale, display=options.display, gamut=options.gamut,
+        say=print, progress=Bar,
+    )  # fmt: skip
     print(f"{len(written)} pictures in {Path(options.output).resolve()}")
 
 
@@ -379,8 +395,7 @@ def _bench(options: argparse.Namespace) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
-    # Before minutes are spent on what should go there.
-    check_target(options.output, "--output")
+    _check_output(options)
     hf = _height_field(options)
     body = _BODIES.get(options.mesh)
     mesh = body() if body else options.mesh
@@ -423,8 +438,7 @@ def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _brdf(options: argparse.Namespace) -> None:
-    # Before minutes are spent on what should go there.
-    check_target(options.output, "--output")
+    _check_output(options)
     theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     image = wd.brdf_map(
@@ -433,8 +447,22 @@ def _brdf(options: argparse.Namespace) -> None:
     _report(image, options)
 
 
+def _check_output(options: argparse.Namespace) -> None:
+    """Refuse what cannot be written, before minutes are spent on what should go there."""
+    check_target(options.output, "--output")
+    checks.choice(options.display, "--display", DISPLAYS)
+    checks.choice(options.gamut, "--gamut", tuple(GAMUTS))
+    if options.background is not None and Path(options.output).suffix.lower() != ".png":
+        raise ValueError(f"--background is for .png files, got --output {options.output}")
+    for each in options.background or ():
+        checks.number(each, "--background", least=0.0, most=1.0)
+
+
 def _report(image: wd.Image, options: argparse.Namespace) -> None:
-    path = image.save(options.output, exposure=options.exposure)
+    path = image.save(
+        options.output, exposure=options.exposure, exposure_stops=options.exposure_stops, display=options.display,
+        gamut=options.gamut, background=options.background,
+    )  # fmt: skip
     print(image.plan)
     print(path)
 

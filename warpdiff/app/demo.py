@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from warpdiff import gratings, meshes
 from warpdiff.core import checks, file_writing
 from warpdiff.evaluate.directions import brdf_map
+from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.render.shade import shade
 from warpdiff.scene.camera import View
 from warpdiff.scene.lights import DirectionalLight
@@ -36,13 +37,13 @@ class Picture:
         name: Its file's name without suffix.
         what: What it shows.
         make: Computes it; takes a progress callback.
-        exposure: Factor on the automatic exposure.
+        stops: Doublings of light on top of the automatic exposure.
     """
 
     name: str
     what: str
     make: Callable[..., Image]
-    exposure: float = 1.0
+    stops: float = 0.0
 
 
 def data_folder(given: str | os.PathLike[str] | None = None) -> Path | None:
@@ -102,9 +103,9 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
             "a compact disc, 1.6 µm tracks with pits",
             lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, progress=progress),
         ),
-        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), 0.1),
-        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), 0.25),
-        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), 0.4),
+        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), -5.0),
+        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), -4.0),
+        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), -1.3),
         Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers)),
     ]
     if data is not None and (data / SCAN).is_file():
@@ -114,15 +115,15 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                 "snake_elaphe",
                 "the scan of Elaphe guttata on the snake, its fingers along the body",
                 snake(scan, half_snake),
-                2.0,
+                1.0,
             ),
             Picture(
                 "snake_elaphe_across",
                 "the same with its fingers across the body",
                 snake(scan, half_snake, "along"),
-                1.3,
+                0.4,
             ),
-            Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), 0.4),
+            Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), -1.3),
         ]
         if (data / MESH).is_file():
             made.append(
@@ -145,7 +146,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                         tolerance=3e-2,
                         progress=progress,
                     ),
-                    0.4,
+                    -1.3,
                 )
             )
     return made
@@ -156,6 +157,8 @@ def run(
     *,
     data: str | os.PathLike[str] | None = None,
     scale: float = 1.0,
+    display: str = "aces",
+    gamut: str = "srgb",
     say: Callable[[str], None] = lambda _line: None,
     progress: Callable[[str], Callable[[float], None] | None] = lambda _name: None,
 ) -> list[Path]:
@@ -165,6 +168,8 @@ def run(
         output: The folder.
         data: Folder with the real inputs; None looks in ``WARPDIFF_DATA``, then ``../shared/data``.
         scale: Factor on the pictures' sizes.
+        display: How they are shown, as :meth:`warpdiff.Image.display` has it.
+        gamut: Of which display.
         say: Called with a line a picture.
         progress: Called with a picture's name, returns its progress callback.
 
@@ -173,6 +178,8 @@ def run(
     """
     folder = Path(output)
     checks.positive(scale, "scale")
+    checks.choice(display, "display", DISPLAYS)
+    checks.choice(gamut, "gamut", tuple(GAMUTS))
     inputs = data_folder(data)
     folder.mkdir(parents=True, exist_ok=True)
     file_writing.check_folder(folder, "output")
@@ -182,7 +189,7 @@ def run(
     for picture in pictures(inputs, scale=scale):
         started = time.perf_counter()
         image = picture.make(progress(picture.name))
-        path = image.save(folder / f"{picture.name}.png", exposure=picture.exposure * image.auto_exposure)
+        path = image.save(folder / f"{picture.name}.png", display=display, gamut=gamut, exposure_stops=picture.stops)
         written.append(path)
         say(f"{path}  {picture.what}  ({time.perf_counter() - started:.1f} s)")
     return written

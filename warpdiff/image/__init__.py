@@ -1,6 +1,6 @@
 """Pictures and their files; no Warp.
 
 In: XYZ by pixel, and a plan.
-Out: an ``Image``, its estimated errors, EXR and PNG files.
+Out: an ``Image``, its estimated errors, what displays show, EXR and PNG files.
 May import: core, optics, plans, kernels.
 """

@@ -1,0 +1,253 @@
+"""From scene-linear XYZ to what a display shows: ACES 2.0 after a compression of chroma, colorimetric, or clipped.
+
+ACES 2.0 is Academy S-2025-001's output transform as OpenColorIO has it, in a built-in configuration that OpenImageIO
+carries and that is named here with its version. It cuts off what is negative in its working space (AP1), which light of
+narrow bands is, and turns hues thereby. So chroma is compressed before, at constant lightness and hue of OKLab (B.
+Ottosson, 2020), by the parametric curve of ACES' Reference Gamut Compression with a power of 1.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
+SCENE = "CIE XYZ-D65 - Scene-referred"
+# By transform, the luminance that automatic exposure gives the mean of what is lit. ACES shows middle tones 0.8 stops
+# darker than they are, and has room above 1.
+MEAN_SHOWN = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
+DISPLAYS = tuple(MEAN_SHOWN)
+
+# CSS Color 4: primaries of Display P3 and D65.
+_XYZ_TO_P3 = np.array(
+    [
+        [446124 / 178915, -333277 / 357830, -72051 / 178915],
+        [-14852 / 17905, 63121 / 35810, 423 / 17905],
+        [11844 / 330415, -50337 / 660830, 316169 / 330415],
+    ]
+)
+_P3_TO_XYZ = np.linalg.inv(_XYZ_TO_P3)
+# OKLab of XYZ: cube roots of cones' responses, then sums and differences.
+_XYZ_TO_CONES = np.array(
+    [
+        [0.8189330101, 0.3618667424, -0.1288597137],
+        [0.0329845436, 0.9293118715, 0.0361456387],
+        [0.0482003018, 0.2643662691, 0.6338517070],
+    ]
+)
+_ROOTS_TO_LAB = np.array(
+    [
+        [0.2104542553, 0.7936177850, -0.0040720468],
+        [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ]
+)
+_CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
+
+# Chroma over the largest of its hue in Display P3: kept up to the first, and what has the second becomes 1. The largest
+# that light has is 3.96 times that, at 495 nm.
+_KEPT, _LARGEST = 0.8, 4.0
+_HUES = 1440
+# Above, ACES shows white alone; far above it overflows.
+_WHITE = 1024.0
+# Nodes of a table along each axis, and the light [1] up to which they are spaced evenly, beyond it by equal ratios.
+_NODES, _TOE = 33, 0.01
+_BISECTIONS = 20
+_LEAST = 1e-30
+
+
+@dataclass(frozen=True)
+class Gamut:
+    """What a display's primaries are, and what OpenColorIO and OpenImageIO call it.
+
+    Attributes:
+        xyz_to_rgb: Its linear components of XYZ, shape (3, 3).
+        display: Its name in the configuration.
+        view: ACES' view on it.
+        name: What files say of it.
+        cicp: Primaries, transfer function, matrix and range by ITU-T H.273, for PNG; none where the name is enough.
+    """
+
+    xyz_to_rgb: NDArray[np.float64]
+    display: str
+    view: str
+    name: str
+    cicp: tuple[int, int, int, int] | None = None
+
+
+GAMUTS = {
+    "srgb": Gamut(colorimetry.XYZ_TO_RGB, "sRGB - Display", "ACES 2.0 - SDR 100 nits (Rec.709)", "sRGB"),
+    "display-p3": Gamut(
+        _XYZ_TO_P3, "Display P3 - Display", "ACES 2.0 - SDR 100 nits (P3 D65)", "Display P3", (12, 13, 0, 1)
+    ),
+}
+
+
+def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> NDArray[np.float64]:
+    """What a display shows of colours, encoded as sRGB is, 0 to 1.
+
+    Args:
+        xyz: Linear CIE XYZ, exposed, shape (..., 3).
+        display: One of ``DISPLAYS``.
+        gamut: One of ``GAMUTS``.
+        exact: Whether ACES is computed for each colour, or looked up in a table.
+
+    Returns:
+        R, G and B, shape (..., 3).
+    """
+    colours = np.asarray(xyz, dtype=np.float64)
+    flat, to_rgb = colours.reshape(-1, 3), GAMUTS[gamut].xyz_to_rgb
+    if display == "clip":
+        found = colorimetry.srgb_encode(flat @ to_rgb.T)
+    elif display == "colorimetric":
+        found = colorimetry.srgb_encode(_brought_in(flat, to_rgb))
+    else:
+        compressed = compress_chroma(flat)
+        found = aces(compressed, gamut) if exact else _looked_up(compressed, gamut)
+    return found.reshape(colours.shape)
+
+
+def description(display: str, gamut: str) -> str:
+    """What has been done to the colours of a file, in words."""
+    to = GAMUTS[gamut]
+    if display == "aces":
+        return f"{to.view}, {to.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
+    how = {"colorimetric": "what is out of gamut at constant OKLab hue", "clip": "each channel cut off"}[display]
+    return f"{display}, {to.name}, {how}"
+
+
+def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
+    """ACES' output transform alone, of XYZ (n, 3)."""
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+    if not len(xyz):
+        return np.zeros((0, 3))
+    to = GAMUTS[gamut]
+    row = np.minimum(xyz, _WHITE).astype(np.float32)[None]
+    # On this thread: a child of a fork has no other of OpenImageIO's.
+    found = oiio.ImageBufAlgo.ociodisplay(
+        oiio.ImageBuf(row), to.display, to.view, fromspace=SCENE, unpremult=False, colorconfig=CONFIGURATION, nthreads=1
+    )
+    pixels = found.get_pixels(oiio.FLOAT)
+    if found.has_error or pixels is None:
+        raise RuntimeError(f"OpenColorIO has no {to.view} in {CONFIGURATION}: {found.geterror()}")
+    return np.asarray(np.clip(np.asarray(pixels[0], dtype=np.float64), 0.0, 1.0))
+
+
+def oklab(xyz: ArrayLike) -> NDArray[np.float64]:
+    """OKLab's L, a and b of XYZ, (..., 3); of k times the light they are ∛k times as large."""
+    return np.asarray(np.cbrt(np.asarray(xyz, dtype=np.float64) @ _XYZ_TO_CONES.T) @ _ROOTS_TO_LAB.T)
+
+
+def of_oklab(lab: ArrayLike) -> NDArray[np.float64]:
+    """XYZ of OKLab, (..., 3)."""
+    roots = np.asarray(lab, dtype=np.float64) @ _LAB_TO_ROOTS.T
+    # A power takes a hundred times as long.
+    return np.asarray(roots * roots * roots @ _CONES_TO_XYZ.T)
+
+
+def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Colours within Display P3, however bright, of XYZ (n, 3), at the same lightness and hue of OKLab.
+
+    All that is compressed are chromaticities: since OKLab is homogeneous, the largest chroma is that of a hue times L.
+    """
+    lab = oklab(xyz)
+    chroma = np.hypot(lab[:, 1], lab[:, 2])
+    most = np.interp(np.arctan2(lab[:, 2], lab[:, 1]), *_most_chroma())
+    ratio = chroma / np.maximum(most * lab[:, 0], _LEAST)
+    beyond = np.flatnonzero(ratio > _KEPT)
+    excess = ratio[beyond] - _KEPT
+    bend = 1.0 / (1.0 - _KEPT) - 1.0 / (_LARGEST - _KEPT)
+    lab[beyond, 1:] *= ((_KEPT + excess / (1.0 + bend * excess)) / ratio[beyond])[:, None]
+    found = xyz.copy()
+    found[beyond] = of_oklab(lab[beyond])
+    return found
+
+
+@functools.cache
+def _most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Hues [rad], and the largest chroma over lightness that Display P3 has of each, without a limit to its light."""
+    hues = np.linspace(-np.pi, np.pi, _HUES + 1)
+    towards = np.stack([np.zeros_like(hues), np.cos(hues), np.sin(hues)], axis=1)
+
+    def holds(chroma: NDArray[np.float64]) -> NDArray[np.bool_]:
+        lab = [1.0, 0.0, 0.0] + chroma[:, None] * towards
+        return np.asarray((of_oklab(lab) @ _XYZ_TO_P3.T).min(axis=1) >= 0.0)
+
+    return hues, _last_that_holds(holds, np.full(hues.shape, 2.0))
+
+
+def _brought_in(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear components of XYZ (n, 3): within 0 to 1 as they are, others with less chroma; white is the brightest."""
+    rgb = xyz @ to_rgb.T
+    out = np.flatnonzero((rgb < 0.0).any(axis=1) | (rgb > 1.0).any(axis=1))
+    lab = oklab(xyz[out])
+    lab[:, 0] = np.clip(lab[:, 0], 0.0, 1.0)
+
+    grey, slopes = lab[:, :1], lab[:, 1:] @ _LAB_TO_ROOTS.T[1:]
+    roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
+
+    def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Of a grey all three roots are L.
+        roots = grey + share[:, None] * slopes
+        return np.asarray((roots * roots * roots) @ roots_to_rgb)
+
+    def holds(share: NDArray[np.float64]) -> NDArray[np.bool_]:
+        found = with_chroma(share)
+        return np.asarray((found >= 0.0).all(axis=1) & (found <= 1.0).all(axis=1))
+
+    rgb[out] = with_chroma(_last_that_holds(holds, np.ones(len(out))))
+    return np.asarray(np.clip(rgb, 0.0, 1.0))
+
+
+def _last_that_holds(
+    holds: Callable[[NDArray[np.float64]], NDArray[np.bool_]], most: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """By bisection, the largest numbers from 0 to ``most`` for which something holds that ends to hold once."""
+    low, high = np.zeros_like(most), most
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        inside = holds(middle)
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return low
+
+
+def _shaped(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where linear components lie along an axis of a table, 0 to 1."""
+    return np.asarray(np.log1p(np.clip(rgb, 0.0, _WHITE) / _TOE) / np.log1p(_WHITE / _TOE))
+
+
+@functools.cache
+def _table(gamut: str) -> NDArray[np.float32]:
+    """ACES at nodes over linear Display P3, in which compressed colours are not negative, (nodes³, 3)."""
+    axis = _TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(_WHITE / _TOE))
+    nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return aces(nodes @ _P3_TO_XYZ.T, gamut).astype(np.float32)
+
+
+def _looked_up(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
+    """ACES of compressed XYZ (n, 3) by tetrahedra of a table: the corners are met in the order of the fractions."""
+    places = _shaped(xyz @ _XYZ_TO_P3.T) * (_NODES - 1)
+    first = np.minimum(places.astype(np.int64), _NODES - 2)
+    fractions = places - first
+    steps = np.array([_NODES * _NODES, _NODES, 1])
+    order = np.argsort(-fractions, axis=1, kind="stable")
+    weights = np.take_along_axis(fractions, order, axis=1)
+    weights = -np.diff(weights, axis=1, prepend=1.0, append=0.0)
+    corners = first @ steps
+    table = _table(gamut)
+    found = weights[:, :1] * table[corners]
+    for k in range(3):
+        corners = corners + steps[order[:, k]]
+        found += weights[:, k + 1 : k + 2] * table[corners]
+    return np.asarray(found)
