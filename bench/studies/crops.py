@@ -124,8 +124,10 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
     return made if scan is None else made | {"scan": lambda: scan.levelled(order=2)}
 
 
-def crop(name: str, mesh: Any, hf: wd.HeightField, distance: float, rng: np.random.Generator) -> Crop:
-    """A crop around a lit pixel of a picture."""
+def crop(
+    name: str, mesh: Any, hf: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
+) -> Crop:
+    """A crop around a lit pixel of a picture, of this share of its white or more."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
@@ -133,7 +135,8 @@ def crop(name: str, mesh: Any, hf: wd.HeightField, distance: float, rng: np.rand
     width, height = WHOLE
     whole = wd.View(tuple(eye), tuple(centre), fov_y_deg=FOV_DEG, width=width, height=height)
     image = wd.shade(mesh, hf, light, whole, tolerance=0.1, footprint=False, pigment=0.0)
-    pixel = rng.choice(np.flatnonzero(image.lit.ravel()))
+    white = brightness(image.xyz[image.lit][:, 1].astype(np.float64))
+    pixel = rng.choice(np.flatnonzero(image.lit & (image.xyz[..., 1] >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (each[[pixel]] for each in pixel_rays(whole.eye, whole.target, whole.up, **size))
     body = reference.Body.of(prepare_surface(mesh))
@@ -143,7 +146,7 @@ def crop(name: str, mesh: Any, hf: wd.HeightField, distance: float, rng: np.rand
     rows = HEIGHT + 2 * MARGIN
     fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(FOV_DEG) / 2.0) * rows / height))
     view = wd.View(tuple(eye), tuple(target), fov_y_deg=fov, width=WIDTH + 2 * MARGIN, height=rows)
-    return Crop(name, mesh, hf, light, view, brightness(image.xyz[image.lit][:, 1].astype(np.float64)))
+    return Crop(name, mesh, hf, light, view, white)
 
 
 def truth(given: Crop, tolerance: float) -> Truth:
