@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -258,14 +259,17 @@ def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monke
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "precious"}
 
 
-@pytest.fixture
-def size_limit():
-    """Sets the largest size of a file, beyond which writing fails as on a full disk."""
+@contextlib.contextmanager
+def largest_file(size):
+    """Makes writing fail beyond so many bytes of a file, as on a full disk; what reports the tests writes files too."""
     resource = pytest.importorskip("resource", reason="limits of a file's size are POSIX")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     # Python ignores SIGXFSZ, so that writes fail instead.
-    yield lambda most: resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def cannot_save(image, folder, name, *, said="cannot write", **options):
@@ -280,14 +284,14 @@ def cannot_save(image, folder, name, *, said="cannot write", **options):
 
 @pytest.mark.permanent(ROW)
 @pytest.mark.parametrize(("name", "bits"), [("a.exr", 8), ("a.png", 8), ("a.png", 16)])
-def test_a_file_cut_off_anywhere_is_no_success(image, name, bits, tmp_path, size_limit, capfd, tries):
+def test_a_file_cut_off_anywhere_is_no_success(image, name, bits, tmp_path, capfd, tries):
     size = image.save(tmp_path / name, bits=bits).stat().st_size
     for most in tries.of({*range(8, size, count(97, 7)), *range(size - 14, size)}):
         (tmp_path / name).unlink()
-        size_limit(most)
-        cannot_save(image, tmp_path, name, bits=bits)
-    size_limit(size)
-    image.save(tmp_path / name, bits=bits)
+        with largest_file(most):
+            cannot_save(image, tmp_path, name, bits=bits)
+    with largest_file(size):
+        image.save(tmp_path / name, bits=bits)
     assert not capfd.readouterr().err
 
 
