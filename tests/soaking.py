@@ -1,7 +1,8 @@
 """How often permanent tests try: as often as seconds allow in the test command, and much more often in a soak.
 
-``make soak`` says by WARPDIFF_SOAK when it ends, in seconds since the epoch. Each test gets a share of the time that is
-left, or as many as ``permanent(row, shares=…)`` says, and tries nothing more once that is over.
+``make soak`` says by WARPDIFF_SOAK when it ends, in seconds since the epoch, and by WARPDIFF_SOAK_SEED which random
+numbers are drawn. Each test gets a share of the time that is left, or as many as ``permanent(row, shares=…)`` says, and
+tries nothing more once that is over.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))
 IS_SOAK = _END > 0.0
 # Of what is drawn at random: another one for each soak.
-SEED = int(_END)
+SEED = int(os.environ.get("WARPDIFF_SOAK_SEED", "0"))
 _until = _END
 
 

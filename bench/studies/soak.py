@@ -1,12 +1,13 @@
 """Reliability: what is tried many times, for as long as there is time, and how often something went wrong.
 
-It runs the permanent tests of a checkout: ``make soak MINUTES=5``, or
+It runs the permanent tests of a checkout, again and again: ``make soak MINUTES=5``, or
 ``python -m warpdiff.bench.studies.soak --minutes 5``.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import subprocess
 import sys
@@ -16,6 +17,8 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree as Xml
+
+import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -55,28 +58,14 @@ def table(found: dict[str, Row]) -> str:
     return "\n".join(lines)
 
 
-def main() -> int:
-    """Run the permanent tests and print the table; 1 if something went wrong."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=60.0, help="for so long (60)")
-    options = parser.parse_args()
-    if not (ROOT / "tests" / "soaking.py").is_file():
-        parser.error("the tests are not part of an installation: run it in a checkout")
-    begin = time.time()
-    end = begin + 60.0 * options.minutes
+def run(end: float, *, seed: int) -> dict[str, Row]:
+    """Run all of them once, until ``end`` at most, seconds since the epoch."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-m",
-            "permanent",
-            f"--junitxml={report}",
-            "-o",
-            "junit_family=xunit1",
-        ]
-        environment = os.environ | {"WARPDIFF_SOAK": str(end)}
+            sys.executable, "-m", "pytest", "-m", "permanent", f"--junitxml={report}", "-o", "junit_family=xunit1",
+        ]  # fmt: skip
+        environment = os.environ | {"WARPDIFF_SOAK": str(end), "WARPDIFF_SOAK_SEED": str(seed)}
         try:
             done = subprocess.run(
                 command, cwd=ROOT, env=environment, check=False, timeout=end - time.time() + GRACE_S
@@ -86,8 +75,29 @@ def main() -> int:
         if done not in (0, 1):
             sys.exit("the tests could not be run")
         found = rows(Xml.parse(report).iter("testcase"))  # noqa: S314 (written by the tests themselves)
+    if done and not any(row.wrong for row in found.values()):
+        sys.exit("a test failed that is in no row")
+    return found
+
+
+def main() -> int:
+    """Run the permanent tests and print the table; 1 if something went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=60.0, help="for so long (60)")
+    options = parser.parse_args()
+    if not (ROOT / "tests" / "soaking.py").is_file():
+        parser.error("the tests are not part of an installation: run it in a checkout")
+    begin = time.time()
+    end = begin + 60.0 * options.minutes
+    found: dict[str, Row] = {}
+    # As often as there is time for, each time with other random numbers.
+    for number in itertools.count():
+        for name, row in run(end, seed=int(end) + number).items():
+            found[name] = Row(*np.add(found.get(name, Row(0, 0, 0)), row).tolist())
+        if time.time() >= end:
+            break
     print(f"\n{(time.time() - begin) / 60.0:.0f} minutes on {os.cpu_count()} cores:\n\n{table(found)}")
-    return int(done != 0 or any(row.wrong for row in found.values()))
+    return int(any(row.wrong for row in found.values()))
 
 
 if __name__ == "__main__":
