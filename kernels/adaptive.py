@@ -179,6 +179,7 @@ _SHARE_OUT = """
     const float* const of_cells = (const float*)colours.data;
     const int* const is_hit = (const int*)hit.data;
     const float* const before = (const float*)colours_before.data;
+    const float* const erred = (const float*)errors_before.data;
     const float* const along = (const float*)weights.data;
     const int* const rank_of = ranks.shape[0] > 0 ? (const int*)ranks.data : nullptr;
     const bool* const is_hidden = hidden.shape[0] > 0 ? (const bool*)hidden.data : nullptr;
@@ -213,20 +214,24 @@ _SHARE_OUT = """
             change2 += change * change;
             known[c] = mean[c];
         }
-        ((float*)changes_out.data)[rank] = wp::sqrt(change2);
+        // Cells may agree with what was before where both are wrong.
+        float* const last_change = (float*)changes_out.data + rank;
+        const float least = LEAST_FALL * (level == 1 ? erred[pixel] : *last_change);
+        *last_change = wp::max(wp::sqrt(change2), least);
         ((unsigned char*)levels_out.data)[rank] = (unsigned char)level;
         ((unsigned char*)dark_out.data)[rank] = dark;
     }
 """
 
 
-@wp.func_native(_SHARE_OUT)
+@wp.func_native(filled(_SHARE_OUT, LEAST_FALL=f"{cell_levels.LEAST_FALL}f"))
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
     hidden: wp.array(dtype=wp.bool),
     pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f),
+    errors_before: wp.array(dtype=wp.float32),
     ranks: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.float32),
     level: wp.int32,
@@ -249,6 +254,7 @@ def splat_cells(
     hidden: wp.array(dtype=wp.bool),
     pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f),
+    errors_before: wp.array(dtype=wp.float32),
     ranks: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.float32),
     level: wp.int32,
@@ -269,6 +275,7 @@ def splat_cells(
         hidden: Whether the light is hidden from there; empty is nowhere.
         pixels: Whose they are; −1 is none.
         colours_before: Of the picture's pixels by one ray each.
+        errors_before: Theirs.
         ranks: Where in what is found each pixel of the picture comes; empty is its own number.
         weights: By how far, along one axis, a cell is from the middle pixel of three, (3 · 2ⁿ,).
         level: Which this one is.
@@ -284,7 +291,7 @@ def splat_cells(
     thread, _ = wp.tid()
     begin = first + thread * run
     splat_cells_run(
-        colours, hit, hidden, pixels, colours_before, ranks, weights, level, begin, begin + run,
+        colours, hit, hidden, pixels, colours_before, errors_before, ranks, weights, level, begin, begin + run,
         shares_out, means_out, changes_out, levels_out, dark_out
     )  # fmt: skip
 

@@ -23,6 +23,9 @@ LEAST_LEVEL_OF_POINTS = 2
 SMOOTH, PER_UNEVEN, PER_WIDE, ERROR_PER_FIRST_DIFFERENCE, ERROR_PER_LATER_DIFFERENCE = 0.01, 0.5, 0.5, 1.8, 1.4
 # And at least so much of what the nine pixels' cells change by, as if these did not depend on each other.
 ERROR_PER_CHANGES = 0.4
+# What cells change by is taken to be so much at least of what was expected, or of what the level before changed: where
+# both are wrong, they may agree.
+LEAST_FALL = 0.15
 # Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
 SPLIT_AGAIN_SHARE = 1.0 / 6.0
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.

@@ -43,6 +43,8 @@ LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 
 # Towards the eye, from above and grazing, and its distance in radii of the body.
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
+# The share of pixels of the whole picture that may clip where colours are compared.
+CLIPPED = 1e-3
 # As many times as far from what is looked at.
 DISTANCES = (1.0, 2.0, 0.25)
 
@@ -56,6 +58,7 @@ class Crop(NamedTuple):
     light: wd.DirectionalLight
     view: wd.View  # of the crop and its margin
     white: float  # Y* of the whole picture
+    brightest: float  # Y that a thousandth of its pixels exceed, for the exposure of colour differences
 
 
 class Truth(NamedTuple):
@@ -134,9 +137,11 @@ def crop(
     eye = centre + towards / np.linalg.norm(towards) * RADII * radius
     width, height = WHOLE
     whole = wd.View(tuple(eye), tuple(centre), fov_y_deg=FOV_DEG, width=width, height=height)
-    image = wd.shade(mesh, hf, light, whole, tolerance=0.1, footprint=False, pigment=0.0)
-    white = brightness(image.xyz[image.lit][:, 1].astype(np.float64))
-    pixel = rng.choice(np.flatnonzero(image.lit & (image.xyz[..., 1] >= least * white)))
+    image = wd.shade(mesh, hf, light, whole, tolerance=0.1, pigment=0.0)
+    luminance = image.xyz[..., 1].astype(np.float64)
+    white, brightest = brightness(luminance[image.lit]), float(np.quantile(luminance, 1.0 - CLIPPED))
+    # Rays through the centres of pixels that are covered in part may miss the body.
+    pixel = rng.choice(np.flatnonzero(image.lit & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (each[[pixel]] for each in pixel_rays(whole.eye, whole.target, whole.up, **size))
     body = reference.Body.of(prepare_surface(mesh))
@@ -146,7 +151,7 @@ def crop(
     rows = HEIGHT + 2 * MARGIN
     fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(FOV_DEG) / 2.0) * rows / height))
     view = wd.View(tuple(eye), tuple(target), fov_y_deg=fov, width=WIDTH + 2 * MARGIN, height=rows)
-    return Crop(name, mesh, hf, light, view, white)
+    return Crop(name, mesh, hf, light, view, white, brightest)
 
 
 def truth(given: Crop, tolerance: float) -> Truth:
@@ -250,7 +255,9 @@ def main() -> None:
                 everything += 1
                 within += bool(not len(found.interior) or (p99 <= 1.0 and p50 <= 0.25))
                 inner = image.xyz[MARGIN:-MARGIN, MARGIN:-MARGIN][exact.interior]
-                colours = colour_difference(inner, exact.xyz[exact.interior]) if len(inner) > 1 else math.nan
+                colours = math.nan
+                if len(inner) > 1:
+                    colours = colour_difference(inner, exact.xyz[exact.interior], each.brightest)
                 edges = [_percentiles(some, 95.0)[0] / tolerance for some in (found.silhouette, found.shadowed)]
                 print(
                     f"| {each.name} | {tolerance:g} | {samples} | {100.0 * exact.interior.mean():.0f} % "

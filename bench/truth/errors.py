@@ -32,16 +32,18 @@ def relative(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(found - exact, axis=1) / size)
 
 
-def colour_difference(found: np.ndarray, exact: np.ndarray) -> float:
-    """99th percentile of ΔE2000 against D65, of what is at most 1 exposed so that the 99th percentile of Y is."""
+def colour_difference(found: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
+    """99th percentile of ΔE2000 against D65, exposed so that this Y is 1; of what is at most so bright.
+
+    By default it is the 99th percentile of Y.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
-    brightest = np.percentile(exact[:, 1], 99.0)
+    brightest = float(np.percentile(exact[:, 1], 99.0)) if brightest is None else brightest
     inside = exact[:, 1] <= brightest
-    if not brightest:
+    if not brightest or not inside.any():
         return math.nan
-    exposure = 1.0 / brightest
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    labs = [colour.XYZ_to_Lab(np.float64(each[inside]) * exposure, white) for each in (found, exact)]
+    labs = [colour.XYZ_to_Lab(np.float64(each[inside]) / brightest, white) for each in (found, exact)]
     return float(np.percentile(colour.delta_E(*labs, method="CIE 2000"), 99.0))

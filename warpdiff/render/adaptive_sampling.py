@@ -88,7 +88,7 @@ class LightRefinement:
         weights = pixel_filters.weights_at(level, means, name)
         inputs = [
             buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows),
-            buffers.tiles[level], self.colours, given.ranks, weights, level,
+            buffers.tiles[level], self.colours, self.errors, given.ranks, weights, level,
         ]  # fmt: skip
         outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
         return [

@@ -40,9 +40,8 @@ _CELL_SIGMA_PER_SPACING = 0.5
 RIM_LEVEL = 2
 # Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
 UNSETTLED_FACTOR = 3.0
-# Pixels are split from errors of so much on, and below of (tolerance / so much)^0.4 of the tolerance: where it is
-# tighter, a larger part of what 99 of 100 pixels keep to is from estimates that were too small. See docs/decisions.md.
-_SPLIT_FROM, _BY_TIGHTNESS = 0.1, 0.4
+# Pixels are split whose estimated error is more than so much of the tolerance: some estimates are too small.
+_SPLIT_FROM = 0.85
 # Of so many pixels, some tell how bright a picture is.
 _PIXELS_FOR_LUMINANCE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
@@ -53,7 +52,7 @@ _MOST_RASTERIZED = 1 << 24
 
 def bound_of(tolerance: float) -> float:
     """From which errors, relative to the colour, pixels are split."""
-    return tolerance * min(math.pow(tolerance / _SPLIT_FROM, _BY_TIGHTNESS), 1.0)
+    return _SPLIT_FROM * tolerance
 
 
 def level_of(samples: int, *, means: bool) -> int:
