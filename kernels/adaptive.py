@@ -195,7 +195,8 @@ _SHARE_OUT = """
             for (int column = 0; column < across; ++column, ++cell) {
                 if (is_hit[cell] == 0) continue;
                 const float value[4] = {of_cells[3 * cell], of_cells[3 * cell + 1], of_cells[3 * cell + 2], 1.0f};
-                dark |= is_hidden && is_hidden[cell];
+                const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
+                dark |= (is_hidden && is_hidden[cell]) << quadrant;
                 for (int c = 0; c < 3; ++c) mean[c] += value[c];
                 for (int k = 0; k < 3; ++k)
                     for (int c = 0; c < 4; ++c) sums[k][c] += along[k * across + column] * value[c];
@@ -286,7 +287,7 @@ def splat_cells(
         means_out: Means over the cells, those of the level before.
         changes_out: How far these are apart; at first, from the pixel's one ray.
         levels_out: Set to ``level``.
-        dark_out: 1 if the light is hidden from any cell, otherwise 0.
+        dark_out: A bit for each quadrant, row by row: 1 if the light is hidden from any of its cells.
     """
     thread, _ = wp.tid()
     begin = first + thread * run

@@ -227,10 +227,12 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     monkeypatch.setattr(frame, "grid_for", lambda *a, **k: made.append(shadow_grid.grid_for(*a, **k)) or made[-1])
     found = wd.shade(mesh, hf, lights, view, **options)
     # One for each light, whatever the samples and tiles.
-    assert [grid.starts.shape[0] > 0 for grid in made] == [True, True]
+    assert all(grid.starts.shape[0] for grid in made)
+    asked = len(made)
+    assert len({grid.starts.ptr for grid in made}) == len(lights)
     monkeypatch.setattr(frame, "grid_pays", lambda *_: False)
     expected = wd.shade(mesh, hf, lights, view, **options)
-    assert len(made) == 2
+    assert len(made) == asked
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.lit, expected.lit)
     unhidden = wd.shade(mesh, hf, lights, view, shadows=False, **options)

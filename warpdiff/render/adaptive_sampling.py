@@ -152,9 +152,10 @@ def split(light: LightRefinement, progress: Callable[[float], None] | None = Non
     if not light.splits:
         return 0, 0
     pixels = (np.flatnonzero(is_wanted[some]) + among.start).astype(np.int32)
-    dark = np.zeros(size, dtype=np.bool_)
+    dark = np.zeros(size, dtype=np.uint8)
     unsettled = 0
     threads = min(options["threads"], pixel_filters.most_threads(size))
+    frame.expect_cells(light.light_index, len(pixels))
     with shared_tile_buffers(
         threads, leaves_out=light.integrator.leaves_out, coloured=frame.pigmented, device=device
     ) as shared:
@@ -165,16 +166,16 @@ def split(light: LightRefinement, progress: Callable[[float], None] | None = Non
             ranks = np.empty(size, dtype=np.int32)
             ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
             given.ranks = array(ranks)
-            is_dark = given.dark.numpy()
+            dark_quadrants = given.dark.numpy()
             is_chosen = np.zeros(size, dtype=np.uint8)
             is_chosen[tiles] = 1
             for level in cell_levels.LEVELS:
                 # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them,
-                # nor from those around. Those together that take shadow rays.
+                # nor from those beside them. Those together that take shadow rays.
                 beside_dark = np.full(size, frame.casts_shadows)
                 if level > 1:
-                    dark[tiles] |= is_dark[ranks[tiles]] != 0
-                    beside_dark = pixel_filters.around(np.flatnonzero(dark), view.width, view.height).ravel()
+                    dark[tiles] |= dark_quadrants[ranks[tiles]]
+                    beside_dark = pixel_filters.beside_quadrants(dark, view.width, view.height).ravel()
                 tiles = np.concatenate([tiles[~beside_dark[tiles]], tiles[beside_dark[tiles]]])
                 for met in pixel_filters.parts(tiles, level):
                     in_light = int(np.count_nonzero(~beside_dark[met]))
