@@ -10,8 +10,8 @@ FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
 # What of it lies in each of three pixels in a row.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
-# The finest level: 256 cells a pixel, of which a filter reaches some 2,300.
-MOST_LEVEL = 4
+# The finest level: 1,024 cells a pixel, of which a filter reaches some 9,200.
+MOST_LEVEL = 5
 LEVELS = range(1, MOST_LEVEL + 1)
 # Points, which have no filters, begin at this level: nothing else tells how much they differ.
 LEAST_LEVEL_OF_POINTS = 2

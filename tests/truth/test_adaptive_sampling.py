@@ -328,8 +328,8 @@ def test_progress_ends_when_pixels_are_split(fingers, table):
 
 
 def test_more_cells_than_there_are_are_refused(fingers):
-    with pytest.raises(ValueError, match="samples_per_pixel must be at most 256 where pixels show means, got 257"):
-        wd.shade(BODIES["tube"](), fingers, LIGHT, view(), coherence=SHORT, samples_per_pixel=257)
+    with pytest.raises(ValueError, match="samples_per_pixel must be at most 1024 where pixels show means, got 1025"):
+        wd.shade(BODIES["tube"](), fingers, LIGHT, view(), coherence=SHORT, samples_per_pixel=1025)
 
 
 def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table):

@@ -66,6 +66,11 @@ class LightRefinement:
     def _bound(self) -> float:
         return pixel_filters.bound_of(self.tolerance) if self.refine else np.inf
 
+    @property
+    def levels(self) -> range:
+        """Those that pixels may be split to."""
+        return range(1, 1 + pixel_filters.last_level_for(self.tolerance, self.least))
+
     def _goes_on(self, level: int) -> tuple[bool, int]:
         """Whether all pixels are split beyond a level, and to which the rims are."""
         return level < self.least, pixel_filters.RIM_LEVEL if self.refine else 0
@@ -101,7 +106,7 @@ class LightRefinement:
         view = self.frame.view
         # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
         bound = self._bound
-        if self.refine and level == cell_levels.MOST_LEVEL:
+        if self.refine and level == self.levels[-1]:
             bound = pixel_filters.UNSETTLED_FACTOR * self.tolerance
         inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
         return KernelCall(
@@ -169,7 +174,7 @@ def split(light: LightRefinement, progress: Callable[[float], None] | None = Non
             dark_quadrants = given.dark.numpy()
             is_chosen = np.zeros(size, dtype=np.uint8)
             is_chosen[tiles] = 1
-            for level in cell_levels.LEVELS:
+            for level in light.levels:
                 # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them,
                 # nor from those beside them. Those together that take shadow rays.
                 beside_dark = np.full(size, frame.casts_shadows)
@@ -189,11 +194,11 @@ def split(light: LightRefinement, progress: Callable[[float], None] | None = Non
                     )
                     shared.meet(level, met, pipelines, nearest, threads=threads)
                 if progress is not None:
-                    progress((first + level / cell_levels.MOST_LEVEL * together) / len(pixels))
+                    progress((first + level / len(light.levels) * together) / len(pixels))
                 part = part[is_wanted[part] != 0]
                 step = light.resolve_pixels(level, given, array(part), floor, wanted)
                 launch_pipeline([step], len(part), slice_size=_SLICE, **options)
-                if level == cell_levels.MOST_LEVEL:
+                if level == light.levels[-1]:
                     unsettled += int(np.count_nonzero(is_wanted[part]))
                     break
                 step = light.select_cells(level, given, array(tiles), floor, wanted, array(is_chosen, wp.uint8))
@@ -255,10 +260,10 @@ class DeviceQueue:
         view = light.frame.view
         self._launch(work_queues.count_up, [self._wanted], [self._found[:1]])
         self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
-        for level in cell_levels.LEVELS:
+        for level in light.levels:
             self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
             self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))
-            if level < cell_levels.MOST_LEVEL:
+            if level < light.levels[-1]:
                 chosen = light.select_cells(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
                 self._launch_step(chosen)
         self._launch(work_queues.count_up, [self._wanted], [self._found[1:]])

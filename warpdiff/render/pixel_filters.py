@@ -42,6 +42,8 @@ RIM_LEVEL = 2
 UNSETTLED_FACTOR = 3.0
 # Pixels are split whose estimated error is more than so much of the tolerance: some estimates are too small.
 _SPLIT_FROM = 0.85
+# From this tolerance on, the level before the finest is the last.
+_COARSE_TOLERANCE = 0.05
 # Of so many pixels, some tell how bright a picture is.
 _PIXELS_FOR_LUMINANCE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
@@ -53,6 +55,12 @@ _MOST_RASTERIZED = 1 << 24
 def bound_of(tolerance: float) -> float:
     """From which errors, relative to the colour, pixels are split."""
     return _SPLIT_FROM * tolerance
+
+
+def last_level_for(tolerance: float, least: int) -> int:
+    """The finest level that pixels are split to which are split to ``least`` at least."""
+    last = MOST_LEVEL - 1 if tolerance >= _COARSE_TOLERANCE else MOST_LEVEL
+    return max(int(last), least)
 
 
 def level_of(samples: int, *, means: bool) -> int:

@@ -92,10 +92,11 @@ def shade(
             from a table with levels where there is one, otherwise from many points. None is on for an averaged window
             and for a source, and off for others and for ``"direct"``.
         samples_per_pixel: Rays a pixel; 1 is its centre. Without footprints they are points under the same filter. With
-            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, 64 or 256. What
+            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, … 1,024. What
             lies between the centres of pixels, and is thinner than they are wide, takes 4 or more to be seen.
         refine: Whether pixels whose parts differ by more than the tolerance allows are split, again and again, up to
-            256 cells. Otherwise a picture with footprints promises nothing: ``image.error`` estimates what it errs by.
+            256 cells, or 1,024 where ``tolerance`` is below 0.05. Otherwise a picture with footprints promises nothing:
+            ``image.error`` estimates what it errs by.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
@@ -312,7 +313,7 @@ def warn_unsettled(plan: Plan) -> None:
     """Warn of a picture that does not keep its tolerance."""
     if plan.unsettled > MOST_UNSETTLED:
         warnings.warn(
-            f"{100.0 * plan.unsettled:.3g} % of the pixels see more than {4**cell_levels.MOST_LEVEL} cells of each "
+            f"{100.0 * plan.unsettled:.3g} % of the pixels see more than the finest cells of each "
             f"settle to tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
             WarpdiffWarning,
             stacklevel=3,
