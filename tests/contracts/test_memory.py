@@ -142,6 +142,14 @@ def test_absurd_sizes_are_refused():
         wd.brdf_map(wd.HeightField(np.zeros((4, 4)), 0.05), (0, 0, 1), size=100_000)
 
 
+def test_bodies_that_do_not_fit_after_all_say_so(monkeypatch):
+    """Their bytes are known about."""
+    monkeypatch.setattr(free_memory, "require_faces", lambda *_: None)
+    for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):
+        with pytest.raises(MemoryError, match=r"a body of so many faces takes another .* GB are free: take fewer"):
+            call()
+
+
 def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
     hf = wd.gratings.fingers(size_um=6.4, seed=3)
     plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
@@ -149,6 +157,17 @@ def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
     monkeypatch.setattr(free_memory, "available", lambda: 1e5)
     with pytest.raises(MemoryError, match=f"table of nodes={fine.nodes}"):
         wd.reflectance(hf, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
+
+
+def test_tables_of_very_small_sources_are_refused():
+    hf = wd.gratings.fingers(size_um=6.4, seed=3)
+    plan = wd.plan(
+        hf, coherence=wd.Coherence("source", angular_diameter_deg=5.0), method="low-rank/table", tolerance=0.2
+    )
+    for changes in ({}, {"rays_per_width": 1e9}, {"nodes": 28}):
+        small = wd.Coherence("source", angular_diameter_deg=1e-15)
+        with pytest.raises(MemoryError, match=r"table of nodes=\d+ and rays_per_width=.* GB are free: take"):
+            wd.reflectance(hf, (0, 0, 1), (0.1, 0.2, 1.0), plan=dataclasses.replace(plan, coherence=small, **changes))
 
 
 def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):

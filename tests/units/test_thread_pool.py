@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from warpdiff.core.thread_pool import Work, cores, side_by_side
+from warpdiff.core.thread_pool import Work, _kept, cores, side_by_side
 
 THREADS = (1, 2, 5)
 
@@ -111,6 +111,23 @@ def test_progress_that_fails_ends_work(threads):
     assert len(done) < 20
     side_by_side(done.append, [-1], threads=threads)
     assert done[-1] == -1
+
+
+@pytest.mark.parametrize("threads", [2, 31])
+def test_threads_that_do_not_begin_are_done_without(threads, monkeypatch):
+    """As in an address space in which there is no room for another stack."""
+
+    def fail(_):
+        raise RuntimeError("can't start new thread")
+
+    _kept.cache_clear()
+    monkeypatch.setattr(threading.Thread, "start", fail)
+    done = []
+    side_by_side(done.append, range(10), threads=threads)
+    with Work(done.append, range(10), threads=threads):
+        pass
+    assert sorted(done) == sorted([*range(10), *range(10)])
+    _kept.cache_clear()
 
 
 @pytest.mark.permanent("varied calls and thread counts: memory and threads that stay")

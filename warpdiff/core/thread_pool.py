@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import threading
@@ -43,7 +44,10 @@ class Work:
         # More than stay end with the work.
         self._own = ThreadPoolExecutor(others) if others > cores() else None
         self._others: list[Future[None]] = []
-        self._others = [(self._own or _kept()).submit(self._help) for _ in range(others)]
+        # Fewer do where there is no memory for a thread.
+        with contextlib.suppress(RuntimeError):
+            for _ in range(others):
+                self._others.append((self._own or _kept()).submit(self._help))
         if self._others and not joins:
             try:
                 # Another thread does not get hold of the interpreter while this one goes on in it.

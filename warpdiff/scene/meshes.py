@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.compute import allocations
 from warpdiff.core import checks, free_memory
 from warpdiff.scene.corn_snake import snake
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["disc", "snake", "tube"]
 
 
+@allocations.named("a body of so many faces", "take fewer segments")
 def tube(
     *,
     radius: float = 0.12,
@@ -118,6 +120,7 @@ def tube(
     return _mesh(vertices, np.concatenate([first_cap, inner, last_cap]), normals, uvs)
 
 
+@allocations.named("a body of so many faces", "take fewer segments")
 def disc(
     *, inner_radius: float = 0.4, outer_radius: float = 1.0, segments: int = 512, rings: int = 24
 ) -> trimesh.Trimesh:

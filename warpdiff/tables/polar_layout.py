@@ -126,6 +126,8 @@ class Layout:
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0) - LOG_RED)
         rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
+        # Whole numbers that are refused for their memory.
+        rays = np.minimum(rays, 2.0**60)
         blurs = _LINE_BLUR_SPACINGS * 2.0 * math.pi / rays
         counts = tuple(rays.astype(int).tolist())
         return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
@@ -170,8 +172,8 @@ class Layout:
 
     @property
     def rows(self) -> int:
-        """Rows of the table."""
-        return int(self.firsts[-1])
+        """Rows of the table, of any number."""
+        return sum((rays + 2 * REACH) * self.nodes for level in self.rays for rays in level)
 
     @property
     def sharp_rows(self) -> int:
