@@ -161,11 +161,11 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
     frame = Frame(rays.surface, rays.view, device_driven=not covers, device=resolve_device(None), threads=1)
 
     def trace(threads: int) -> None:
-        frame._threads = threads
+        frame.rays.options["threads"] = threads
         frame.cast(0)
 
     def found() -> Found:
-        hit = frame._hits() == 1
+        hit = frame.rays.on_host(frame.seen.pixels.hit) == 1
         # Where nothing is met, normals are whatever was there.
         return Found(hit, np.where(hit[:, None], frame.seen.pixels.normal.numpy(), 0.0).astype(np.float64))
 

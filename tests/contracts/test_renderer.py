@@ -20,7 +20,7 @@ import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.compute.pipeline import KernelCall
 from warpdiff.kernels import work_queues
-from warpdiff.render import adaptive_sampling, renderer
+from warpdiff.render import device_schedule, renderer
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
@@ -218,7 +218,7 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
         return drawn.image()
 
     whole = picture()
-    monkeypatch.setattr(adaptive_sampling, "_MOST_RAYS", 900)
+    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 900)
     parts = picture()
     same(parts, whole)
     assert parts.plan.split == whole.plan.split

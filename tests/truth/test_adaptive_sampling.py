@@ -15,7 +15,7 @@ import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.kernels import adaptive as kernels
 from warpdiff.kernels import cell_levels
-from warpdiff.render import adaptive_sampling, pixel_filters
+from warpdiff.render import host_schedule, pixel_filters
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
@@ -208,7 +208,7 @@ def test_neither_threads_nor_parts_matter(fingers, table, monkeypatch):
     monkeypatch.setattr(pixel_filters, "_MOST_RASTERIZED", 1024)
     found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     np.testing.assert_array_equal(found.xyz, expected.xyz)
-    monkeypatch.setattr(adaptive_sampling, "_MOST_PIXELS", 300)
+    monkeypatch.setattr(host_schedule, "_MOST_PIXELS", 300)
     found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     assert np.percentile(np.linalg.norm(found.xyz - expected.xyz, axis=2), 99.0) < 1e-3 * expected.xyz.max()
 

@@ -12,7 +12,6 @@ import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.bench.truth.brute_force import shading_frame
 from warpdiff.compute.pipeline import launch_pipeline
-from warpdiff.kernels import scattering
 from warpdiff.kernels.structs import Footprint
 from warpdiff.render.frame import Frame
 from warpdiff.scene.mesh_import import prepare_surface
@@ -204,12 +203,9 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     frame = Frame(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
     frame.set_lights([LIGHT], SHORT, 1.0, normal=0.04, shadows=False)
     frame.deflect(0, 0)
-    pixels = frame.seen.pixels
-    found, among = wp.empty(48 * 36, dtype=Footprint, device="cpu"), frame.may_see
-    given = [frame._camera, frame._scene.bare, pixels, frame.seen.deflections]
-    inputs = [*given, deviation, among.start, len(among)]
-    wp.launch(scattering.pixel_footprints, (1, 1), inputs, [found], device="cpu")
-    hit = np.flatnonzero(frame._hits())
+    rays, pixels, found = frame.rays, frame.seen.pixels, frame.seen.footprints
+    launch_pipeline([rays.footprints(frame.seen, deviation)], rays.may_see, **rays.options)
+    hit = np.flatnonzero(rays.on_host(pixels.hit))
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *each, smooth=smooth) for each in at)

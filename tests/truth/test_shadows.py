@@ -16,7 +16,7 @@ from warpdiff.compute.pipeline import launch
 from warpdiff.kernels.shading_frames import LIFT
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Pixels
-from warpdiff.render import frame
+from warpdiff.render import pixel_rays
 from warpdiff.scene import shadow_grid
 from warpdiff.scene.device_mesh import SceneArrays, pixels_within
 from warpdiff.scene.mesh_import import prepare_surface
@@ -224,13 +224,13 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     view = wd.View((0.0, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72)
     options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 3e-2, "samples_per_pixel": samples}
     made = []
-    monkeypatch.setattr(frame, "grid_for", lambda *a, **k: made.append(shadow_grid.grid_for(*a, **k)) or made[-1])
+    monkeypatch.setattr(pixel_rays, "grid_for", lambda *a, **k: made.append(shadow_grid.grid_for(*a, **k)) or made[-1])
     found = wd.shade(mesh, hf, lights, view, **options)
     # One for each light, whatever the samples and tiles.
     assert all(grid.starts.shape[0] for grid in made)
     asked = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(frame, "grid_pays", lambda *_: False)
+    monkeypatch.setattr(pixel_rays, "grid_pays", lambda *_: False)
     expected = wd.shade(mesh, hf, lights, view, **options)
     assert len(made) == asked
     np.testing.assert_array_equal(found.xyz, expected.xyz)

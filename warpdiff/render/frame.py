@@ -9,52 +9,48 @@ import numpy as np
 import warp as wp
 
 from warpdiff.compute.device import load
-from warpdiff.compute.pipeline import KernelCall, begin_pipeline, launch, launch_pipeline
-from warpdiff.core import fork_safety
+from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.evaluate.directions import direct_colour
 from warpdiff.image.image import Image, relative_errors
-from warpdiff.kernels import adaptive, bvh, ray_hits, scattering, shadow_grid
+from warpdiff.kernels import adaptive, ray_hits, scattering
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
-from warpdiff.kernels.structs import Cells, Sampling
+from warpdiff.kernels.structs import Sampling
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.render import adaptive_sampling, pixel_filters
-from warpdiff.render.direction_statistics import BLOCK, DirectionStatistics
-from warpdiff.render.gbuffer import GBuffer
+from warpdiff.render.device_schedule import DeviceSchedule
+from warpdiff.render.direction_statistics import DirectionStatistics
+from warpdiff.render.host_schedule import HostSchedule
+from warpdiff.render.pixel_rays import RAYS_OF_SLICE, PixelRays, RasterizedRays
 from warpdiff.scene import device_mesh
-from warpdiff.scene.shadow_grid import grid_for, grid_pays, no_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from warpdiff.core.thread_pool import Work
     from warpdiff.optics.coherence import Coherence
     from warpdiff.plans.plan import Plan
-    from warpdiff.render.gbuffer import TileBuffers
+    from warpdiff.render.gbuffer import GBuffer, TileBuffers
     from warpdiff.scene.camera import View
     from warpdiff.scene.lights import DirectionalLight
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.tables.integrator import Integrator
 
-_SEED = 0
 # Samples of a pixel that are measured; rays of means, whose cells see more than pixels' centres do, and of a pixel.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.3
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Shadow rays of the cells of a pixel that is split, about: of a snake 22 at 1e-1, 43 at 3e-2.
-_SHADOW_RAYS_OF_CELLS = 16
-# Of a slice: pixels whose rays are found, or whose colours are, and faces.
-_RAYS_OF_SLICE, _COLOURS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048, 2048
+# Pixels of a slice, whose colours are found.
+_COLOURS_OF_SLICE = 2048
 
 
 def load_kernels(device: wp.Device) -> None:
     """Begin to load what every picture needs, while the mesh is looked at."""
-    load([ray_hits.intersect_known_faces, scattering.scattering_vectors, shadow_grid.trace_shadow_rays], device)
+    load([ray_hits.intersect_known_faces, scattering.scattering_vectors, trace_shadow_rays], device)
 
 
 class Frame:
@@ -79,25 +75,16 @@ class Frame:
         """
         # Means begin with one ray a pixel.
         self._samples, self._least = 1 if means else samples, samples
-        self._device = device
-        self._threads = threads
-        self._device_driven = not device.is_cpu if device_driven is None else device_driven
-        self._surface = surface
-        self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
-        self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
+        self._device, self._surface, self._means = device, surface, means
         self._size = size = view.width * view.height
-        self._means = means
-        # The pixels that may see anything, of whole blocks and with a row more on either side, once faces have told.
-        self.may_see = range(size if self._device_driven else 0)
-        self._rows = wp.empty(2, dtype=wp.int32, device=device)
-        # A GPU has no lack of threads for rays, and no use for faces of uneven sizes.
-        self._nearest = wp.empty(0 if self._device_driven else size, dtype=wp.uint64, device=device)
-        # Where rays of a sample lie, if each pixel's lies elsewhere.
-        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
-        # Faces that are yet finding their pixels.
-        self._covering: Work | None = None
-        self.set_view(view)
-        # While these are at it: room for what they see.
+        options: dict[str, Any] = {"smooth": smooth, "means": means, "device": device, "threads": threads}
+        on_device = not device.is_cpu if device_driven is None else device_driven
+        self.rays = (
+            PixelRays(surface, view, **options)
+            if on_device
+            else RasterizedRays(surface, view, samples=self._samples, **options)
+        )
+        self.invalidate_gbuffer()
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         # XYZ, coverage, and what any light reaches: zeros, which are no memory yet, where no pixel is written to.
         zeros = (np.zeros((size, 3), dtype=np.float32), np.zeros(size), np.zeros(size, dtype=np.bool_))
@@ -111,40 +98,26 @@ class Frame:
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
-        self._queue: adaptive_sampling.DeviceQueue | None = None
+        self._schedule: HostSchedule | DeviceSchedule | None = None
         self._lights: Any = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
-        # Pixels that were split, and that this does not settle, of the light of which these are most.
-        self._split = np.zeros(2)
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """The device and the number of threads of launches."""
-        return {"device": self._device, "threads": self._threads}
 
     def set_view(self, view: View) -> None:
         """Set the view, of the same size as any before."""
-        self._end_covering()
-        self.view = view
-        self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
-        self._may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
-        if not self._device_driven and self._samples == 1:
-            self._covering = self._begin_to_rasterize(self._sampling(0, 1))
+        self.rays.set_view(view)
         self.invalidate_gbuffer()
 
-    @fork_safety.cached_property
+    @property
+    def view(self) -> View:
+        """The last view."""
+        return self.rays.view
+
+    @property
     def seen(self) -> GBuffer:
         """The G-buffer of the pixels' own rays, under the last light."""
-        coloured = self._surface.has_base_colour
-        return GBuffer.by(self._size, device=self._device, means=self._means, coloured=coloured)
-
-    def _end_covering(self) -> None:
-        """Wait for faces that are finding pixels of a view that is no longer looked at."""
-        covering, self._covering = self._covering, None
-        if covering is not None:
-            covering.abandon()
+        return self.rays.seen
 
     def invalidate_gbuffer(self) -> None:
         """Forget what was cast and deflected."""
@@ -223,7 +196,7 @@ class Frame:
                 # Means begin with the pixels' centres.
                 self.deflect(sample, light_index, summary, samples=1 if self._means and sample == 0 else samples)
                 parts = len(self._to_lights) * (measured if self._means else sample == 0) if sampled else 0
-                found, lit, some = summary.found(parts=parts, among=self.may_see)
+                found, lit, some = summary.found(parts=parts, among=self.rays.may_see)
                 within = within.joined(found)
                 count += lit
                 seen.append(some)
@@ -261,8 +234,8 @@ class Frame:
         left_out = self._left_out_buffer(integrator)
         for light_index, share in self._passes(progress):
             integrator.add(
-                *self.seen.directions, illuminants[light_index], self._sums[0], left_out=left_out, among=self.may_see,
-                progress=share,
+                *self.seen.directions, illuminants[light_index], self._sums[0], left_out=left_out,
+                among=self.rays.may_see, progress=share,
             )  # fmt: skip
 
     def _left_out_buffer(self, integrator: Integrator) -> wp.array:
@@ -281,7 +254,6 @@ class Frame:
         progress: Callable[[float], None] | None,
     ) -> None:
         """Add means over pixels, which are split where one ray does not tell them."""
-        self._split = np.zeros(2)
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
         left_out = self._left_out_buffer(integrator)
@@ -294,21 +266,18 @@ class Frame:
             if several:
                 errors.zero_()
             illuminant, seen = illuminants[light_index], self.seen
-            steps = [self._spread(seen, pixel_filters.deviation_at(0, means=True))] if integrator.blurs else []
+            steps = [self.rays.footprints(seen, pixel_filters.deviation_at(0, means=True))] if integrator.blurs else []
             steps += integrator.steps(
                 *seen.directions, illuminant, colours, seen.footprints if integrator.blurs else None, left_out
             )
             first, rest = _part(share, 0.0, _PROGRESS_OF_FIRST_RAYS), _part(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
-            launch_pipeline(steps, self.may_see, slice_size=_COLOURS_OF_SLICE, progress=first, **self.options)
+            launch_pipeline(steps, self.rays.may_see, slice_size=_COLOURS_OF_SLICE, progress=first, **self.rays.options)
             light = adaptive_sampling.LightRefinement(
                 self, integrator, light_index, illuminant, colours, errors, self._sums[1:], tolerance,
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
-            if self._device_driven:
-                self._queue = self._queue or adaptive_sampling.DeviceQueue(light, self._size)
-                self._queue.work_off(light)
-            else:
-                self._split = np.maximum(self._split, adaptive_sampling.split(light, rest))
+            self._schedule = self._schedule or self._scheduled(light)
+            self._schedule.split(light, rest)
             if rest is not None:
                 rest(1.0)
             if several:
@@ -316,6 +285,12 @@ class Frame:
                     adaptive.accumulate, [colours, errors], [self._sums[0], self._errors[0]], in_runs=True
                 )
                 self._launch([step])
+
+    def _scheduled(self, light: adaptive_sampling.LightRefinement) -> HostSchedule | DeviceSchedule:
+        """What splits pixels under lights like this one."""
+        if isinstance(self.rays, RasterizedRays):
+            return HostSchedule(self.rays)
+        return DeviceSchedule(light, self._size)
 
     @property
     def _colours_of_one(self) -> wp.array:
@@ -325,16 +300,6 @@ class Frame:
         if not len(self._colours):
             self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
         return self._colours
-
-    def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
-        """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""
-        nearest = wp.full(pixels * cells.across**2, ray_hits.UNSEEN, dtype=wp.uint64, device=self._device)
-        inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
-        launch(
-            ray_hits.rasterize, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES_OF_SLICE,
-            in_runs=True, **self.options,
-        )  # fmt: skip
-        return np.asarray(nearest.numpy())
 
     def steps_of_cells(
         self,
@@ -350,11 +315,11 @@ class Frame:
         seen, means = buffers.seen, integrator.blurs
         sampling = Sampling()
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filters.places_at(level, self._device.alias)
-        steps = self._steps_of_rays(sampling, seen.pixels)
+        steps = self.rays.steps(sampling, seen.pixels)
         sums = [buffers.colours, *self._no_sums[1:]]
         steps += self._deflect(light_index, seen, 1.0, sums, sample=0, shadows=shadows)
         if means:
-            steps.append(self._spread(seen, pixel_filters.deviation_at(level, means=True)))
+            steps.append(self.rays.footprints(seen, pixel_filters.deviation_at(level, means=True)))
         footprints = seen.footprints if means else None
         return [*steps, *integrator.steps(*seen.directions, illuminant, buffers.colours, footprints, buffers.left_out)]
 
@@ -374,96 +339,34 @@ class Frame:
 
     def _launch(self, steps: Sequence[KernelCall]) -> None:
         """Launch what finds rays and directions over all pixels."""
-        launch_pipeline(steps, self.may_see, slice_size=_RAYS_OF_SLICE, **self.options)
-
-    def _begin_to_rasterize(self, sampling: Any) -> Work:
-        """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
-        self._nearest.fill_(ray_hits.UNSEEN)
-        self._rows.assign([self.view.height, -1])
-        reach = 0.0 if sampling.samples == 1 else ray_hits.MOST_OFFSET
-        inputs = [self._camera, self._scene.bare, sampling, Cells(), reach]
-        rasterize = KernelCall(ray_hits.rasterize, inputs, [self._nearest, self._rows], in_runs=True)
-        return begin_pipeline([rasterize], self._scene.face_count, slice_size=_FACES_OF_SLICE, **self.options)
-
-    def _keep_to(self, first_row: int, last_row: int) -> None:
-        """Look at pixels of these rows alone from now on, and leave zeros elsewhere.
-
-        They are the same for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
-        """
-        written = self.may_see
-        if first_row <= last_row:
-            first = max(int(first_row) - 1, 0) * self.view.width // BLOCK
-            end = -(-(int(last_row) + 2) * self.view.width // BLOCK)
-            self.may_see = range(first * BLOCK, min(end * BLOCK, self._size))
-        else:
-            self.may_see = range(0)
-        for sums in self._sums:
-            values = sums.numpy()
-            values[written.start : min(written.stop, self.may_see.start)] = 0
-            values[max(written.start, self.may_see.stop) : written.stop] = 0
+        launch_pipeline(steps, self.rays.may_see, slice_size=RAYS_OF_SLICE, **self.rays.options)
 
     def _cast(self, sample: int, samples: int) -> list[KernelCall]:
-        """The calls that send one ray through every pixel."""
+        """The calls that send one ray through every pixel; what is not looked at any more is black."""
         self.invalidate_gbuffer()
-        sampling = self._sampling(sample, samples)
-        if not self._device_driven:
-            covering, self._covering = self._covering or self._begin_to_rasterize(sampling), None
-            with covering:
-                self.seen.pixels.nearest = self._nearest
-            self._keep_to(*self._rows.numpy())
-        return self._steps_of_rays(sampling, self.seen.pixels)
-
-    def _sampling(self, sample: int, samples: int) -> Any:
-        """Where a sample of every pixel lies."""
-        sampling = Sampling()
-        sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
-        if samples > 1 and not self._device_driven:
-            if not len(self._offsets):
-                self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self._device)
-            inputs = [sample, samples, _SEED]
-            launch(
-                ray_hits.place_samples,
-                self._size,
-                inputs,
-                [self._offsets],
-                slice_size=_RAYS_OF_SLICE,
-                in_runs=True,
-                **self.options,
-            )
-            sampling.offsets = self._offsets
-        return sampling
-
-    def _steps_of_rays(self, sampling: Any, pixels: Any) -> list[KernelCall]:
-        """The calls that find where rays meet the mesh, and its shading frames there."""
-        arrays = self._scene.with_hierarchy() if self._device_driven else self._scene.bare
-        find = bvh.trace_bvh if self._device_driven else ray_hits.intersect_known_faces
-        return [
-            KernelCall(find, [self._camera, arrays, sampling, pixels], [], in_runs=True),
-            KernelCall(ray_hits.make_shading_frames, [arrays, pixels], [], in_runs=True),
-        ]
+        written = self.rays.may_see
+        steps = self.rays.cast(sample, samples)
+        for sums in self._sums if self.rays.may_see != written else ():
+            values = sums.numpy()
+            values[written.start : min(written.stop, self.rays.may_see.start)] = 0
+            values[max(written.start, self.rays.may_see.stop) : written.stop] = 0
+        return steps
 
     @property
     def casts_shadows(self) -> bool:
         """Whether the mesh may hide the lights."""
-        return self._shadows and self._may_be_hidden
+        return self._shadows and self.rays.may_be_hidden
 
     def _grid_of(self, light_index: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
         if light_index not in self._grids:
-            rays = 0 if self._device_driven else self._samples * int(np.count_nonzero(self._hits()))
-            self._grids[light_index] = self._grid_for(light_index, rays, **self.options)
+            self._grids[light_index] = self.rays.shadow_grid(self._to_lights[light_index], self._samples)
         return self._grids[light_index]
 
     def expect_cells(self, light_index: int, pixels: int) -> None:
         """Get ready for the shadow rays of so many pixels that are split."""
-        rays = _SHADOW_RAYS_OF_CELLS * pixels
-        if self.casts_shadows and grid_pays(self._scene.face_count, rays):
-            self._grids[light_index] = self._grid_for(light_index, rays, **self.options)
-
-    def _grid_for(self, light_index: int, rays: int, **options: Any) -> Any:
-        if not grid_pays(self._scene.face_count, rays):
-            return no_grid(self._scene, few=not self._device_driven)
-        return grid_for(self._surface, self._scene, self._to_lights[light_index], **options)
+        if self.casts_shadows and isinstance(self.rays, RasterizedRays):
+            self._grids[light_index] = self.rays.shadow_grid_of_cells(self._to_lights[light_index], pixels)
 
     def deflect(
         self, sample: int, light_index: int, summary: DirectionStatistics | None = None, *, samples: int | None = None
@@ -507,31 +410,15 @@ class Frame:
 
     def directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The last deflections, directions to the light and gains."""
-        deflections, to_lights, gains = (self._looked_at(each) for each in self.seen.directions)
+        deflections, to_lights, gains = map(self.rays.on_host, self.seen.directions)
         return deflections, to_lights, gains
 
     def met(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
         """Hits of the pixels' central rays: whether, which face, where on it, and the shading normal."""
         self._launch(self._cast(0, 1))
         pixels = self.seen.pixels
-        hit, face, place, normal = map(self._looked_at, (pixels.hit, pixels.face, pixels.place, pixels.normal))
+        hit, face, place, normal = map(self.rays.on_host, (pixels.hit, pixels.face, pixels.place, pixels.normal))
         return hit, face, place, normal
-
-    def _hits(self) -> NDArray[np.int32]:
-        """Which pixels' rays have met the mesh."""
-        return self._looked_at(self.seen.pixels.hit)
-
-    def _looked_at(self, values: wp.array) -> NDArray[Any]:
-        """Values of all pixels on the host; zero for those that are not looked at."""
-        all_values, seen = values.numpy(), slice(self.may_see.start, self.may_see.stop)
-        found: NDArray[Any] = np.zeros_like(all_values)
-        found[seen] = all_values[seen]
-        return found
-
-    def _spread(self, seen: GBuffer, deviation: float) -> KernelCall:
-        """The call that finds the footprints of filters of a deviation [pixels]."""
-        inputs = [self._camera, self._scene.bare, seen.pixels, seen.deflections, deviation]
-        return KernelCall(scattering.pixel_footprints, inputs, [seen.footprints], in_runs=True)
 
     @property
     def xyz(self) -> wp.array:
@@ -550,7 +437,7 @@ class Frame:
             errors += self._errors[0].numpy()
         error = relative_errors(errors, xyz, lit) * lit
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
-        found = self._split if self._queue is None else np.array(self._queue.counts)
+        found = np.array((0, 0) if self._schedule is None else self._schedule.counts)
         # Where only cells may meet the mesh, pixels are split that do not.
         split, unsettled = np.minimum(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
         return Image(

@@ -256,11 +256,13 @@ class PictureRequest:
         )  # fmt: skip
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
-        """The arrays of a picture."""
-        return Frame(
+        """The arrays of a picture, whose faces begin to find their pixels."""
+        result = Frame(
             surface, view, smooth=self.smooth, samples=self.samples, means=self.footprint, device=self.device,
             threads=self.threads, **options,
         )  # fmt: skip
+        result.set_view(view)
+        return result
 
     def set_lights(self, picture: Frame, hf: HeightField, lights: list[DirectionalLight]) -> None:
         """Set a picture's lights."""

@@ -1,0 +1,108 @@
+"""Work queues of pixels to be split, which the device fills and drains without the host."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpdiff.compute.pipeline import KernelCall, launch, launch_pipeline
+from warpdiff.kernels import cell_levels, work_queues
+from warpdiff.render import pixel_filters
+from warpdiff.render.adaptive_sampling import SLICE
+from warpdiff.render.gbuffer import TileBuffers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from warpdiff.render.adaptive_sampling import LightRefinement
+
+# Rays at a time: a GPU has much memory, and many threads.
+_MOST_RAYS = 1 << 20
+
+
+class DeviceSchedule:
+    """Lists of pixels to be split, which the device that finds them works off without the host."""
+
+    def __init__(self, light: LightRefinement, pixels: int) -> None:
+        """Room for a picture under lights like this one."""
+        options = light.frame.rays.options
+        device = options["device"]
+
+        def empty(shape: Any, dtype: Any = wp.int32) -> Any:
+            return wp.empty(shape, dtype=dtype, device=device)
+
+        self._device, self._pixels = device, pixels
+        self._options: dict[str, Any] = {**options, "slice_size": SLICE}
+        self._tallies, self._floor = empty(work_queues.GROUPS * (1 + work_queues.BINS)), empty(1, wp.float32)
+        self._wanted, self._chosen, self._of_all = empty(pixels, wp.uint8), empty(pixels, wp.uint8), empty(0)
+        self._given = light.empty_shares(pixels)
+        self._listed, self._counts = empty(pixels), empty(1)
+        self._found, self._most_found = empty(2), wp.zeros(2, dtype=wp.int32, device=device)
+        self._taken, self._left = empty(1), empty(1)
+        whole = cell_levels.rays_at(cell_levels.MOST_LEVEL)
+        rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
+        kind = {"leaves_out": light.integrator.leaves_out, "coloured": light.frame.pigmented}
+        self._buffers = TileBuffers.by(rays, **kind, device=device)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """How many pixels were split at first, and in the end, of the light of which these are most."""
+        first, last = self._most_found.numpy().tolist()
+        return first, last
+
+    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int | None = None) -> None:
+        """Launch a kernel over all pixels, or so many of something."""
+        launch(kernel, self._pixels if size is None else size, inputs, outputs, in_runs=True, **self._options)
+
+    def _launch_step(self, step: KernelCall) -> None:
+        launch_pipeline([step], self._pixels, **self._options)
+
+    def split(self, light: LightRefinement, _progress: Callable[[float], None] | None) -> None:
+        """Launch what splits pixels until none is left."""
+        self._find_floor(light.colours, light.frame.seen.gains)
+        self._found.zero_()
+        self._launch_step(light.estimate_errors(self._floor, self._wanted))
+        if light.splits:
+            self._split_all(light)
+        inputs = [self._found, light.light_index == 0]
+        wp.launch(work_queues.keep_larger, dim=2, inputs=inputs, outputs=[self._most_found], device=self._device)
+
+    def _split_all(self, light: LightRefinement) -> None:
+        view = light.frame.view
+        self._launch(work_queues.count_up, [self._wanted], [self._found[:1]])
+        self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
+        for level in light.levels:
+            self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
+            self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))
+            if level < light.levels[-1]:
+                chosen = light.select_cells(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
+                self._launch_step(chosen)
+        self._launch(work_queues.count_up, [self._wanted], [self._found[1:]])
+
+    def _find_floor(self, colours: wp.array, gains: wp.array) -> None:
+        """Set the floor to that of a picture."""
+        self._tallies.zero_()
+        apart = pixel_filters.luminance_stride(self._pixels)
+        self._launch(work_queues.tally, [colours, gains, apart], [self._tallies], -(-self._pixels // apart))
+        wp.launch(work_queues.find_floor, dim=1, inputs=[self._tallies], outputs=[self._floor], device=self._device)
+
+    def _meet(self, level: int, steps: Sequence[KernelCall]) -> None:
+        """Launch steps over the cells of as many chosen pixels as there is room for until none is left; −1 is none."""
+        tiles = self._buffers.tiles[level]
+        self._counts.zero_()
+        self._taken.zero_()
+        self._launch(work_queues.list_up, [self._chosen], [self._listed, self._counts])
+
+        def go_on(count: int) -> None:
+            inputs, outputs = [self._counts, count], [self._taken, self._left]
+            wp.launch(work_queues.go_on, dim=1, inputs=inputs, outputs=outputs, device=self._device)
+
+        def meet() -> None:
+            self._launch(work_queues.take, [self._listed, self._counts, self._taken], [tiles], len(tiles))
+            self._buffers.colours.zero_()
+            launch_pipeline(steps, len(tiles) * cell_levels.rays_at(level), device=self._device, threads=1)
+            go_on(len(tiles))
+
+        go_on(0)
+        wp.capture_while(self._left, meet)

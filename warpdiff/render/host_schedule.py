@@ -1,0 +1,157 @@
+"""Pixels split into cells, level after level, on threads of the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.compute.pipeline import KernelCall, Pipeline, launch_pipeline
+from warpdiff.render import pixel_filters
+from warpdiff.render.adaptive_sampling import SLICE
+from warpdiff.render.gbuffer import shared_tile_buffers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from warpdiff.render.adaptive_sampling import LightRefinement
+    from warpdiff.render.gbuffer import SharedTileBuffers
+    from warpdiff.render.pixel_rays import RasterizedRays
+
+# Pixels that are split together, for each of which there are some 40 numbers.
+_MOST_PIXELS = 1 << 17
+
+
+class HostSchedule:
+    """What is split, and when, as the host finds out.
+
+    Attributes:
+        counts: How many pixels were split at first, and in the end, of the light of which these are most.
+    """
+
+    def __init__(self, rays: RasterizedRays) -> None:
+        """For pictures by these rays."""
+        self._rays = rays
+        self.counts = (0, 0)
+
+    def split(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
+        """Split pixels until none is left that is to be."""
+        at_first, at_last = _Splitting(light, self._rays).run(progress) if self._rays.may_see else (0, 0)
+        most = (0, 0) if light.light_index == 0 else self.counts
+        self.counts = max(most[0], at_first), max(most[1], at_last)
+
+
+@dataclass
+class _Part:
+    """Pixels that are split together.
+
+    Attributes:
+        pixels: Those that are to be told better.
+        tiles: Those whose cells tell them: they, and those around.
+        given: What cells give, the struct ``Shares`` of the kernels.
+        ranks: Where in it each pixel of the picture comes.
+        chosen: By pixel of the picture, whether it is among the tiles.
+    """
+
+    pixels: NDArray[np.int32]
+    tiles: NDArray[np.int32]
+    given: Any
+    ranks: NDArray[np.int32]
+    chosen: NDArray[np.uint8]
+
+
+class _Splitting:
+    """A picture's pixels under one light while they are split."""
+
+    def __init__(self, light: LightRefinement, rays: RasterizedRays) -> None:
+        self._light, self._rays, self._device = light, rays, rays.options["device"]
+        self._width, self._height = rays.view.width, rays.view.height
+        size = self._width * self._height
+        floor = pixel_filters.floor_of(light.colours, rays.seen.gains, rays.may_see)
+        self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
+        self._wanted = np.zeros(size, dtype=np.uint8)
+        self._wanted_out = self._array(self._wanted, wp.uint8)
+        # Of pixels, the quadrants in which the light is hidden from any cell.
+        self._dark = np.zeros(size, dtype=np.uint8)
+        self._threads = min(rays.options["threads"], pixel_filters.most_threads(size))
+
+    def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+        return wp.array(values, dtype=dtype, device=self._device, copy=False)
+
+    def _launch(self, step: KernelCall, elements: int | range) -> None:
+        launch_pipeline([step], elements, slice_size=SLICE, **self._rays.options)
+
+    def run(self, progress: Callable[[float], None] | None) -> tuple[int, int]:
+        """Split all, and say how many there were at first, and in the end."""
+        light, among = self._light, self._rays.may_see
+        self._launch(light.estimate_errors(self._floor, self._wanted_out), among)
+        if not light.splits:
+            return 0, 0
+        wanted = self._wanted[among.start : among.stop]
+        pixels = (np.flatnonzero(wanted) + among.start).astype(np.int32)
+        light.frame.expect_cells(light.light_index, len(pixels))
+        unsettled = 0
+        with shared_tile_buffers(
+            self._threads, leaves_out=light.integrator.leaves_out, coloured=light.frame.pigmented, device=self._device
+        ) as shared:
+            for first in range(0, len(pixels), _MOST_PIXELS):
+                part = self._part(pixels[first : first + _MOST_PIXELS])
+                together = len(part.pixels)
+                for level in light.levels:
+                    self._splat(level, part, shared)
+                    if progress is not None:
+                        progress((first + level / len(light.levels) * together) / len(pixels))
+                    self._compare(level, part)
+                    if not len(part.tiles):
+                        break
+                else:
+                    unsettled += int(np.count_nonzero(self._wanted[part.pixels]))
+        return len(pixels), unsettled
+
+    def _part(self, pixels: NDArray[np.int32]) -> _Part:
+        tiles = np.flatnonzero(pixel_filters.around(pixels, self._width, self._height)).astype(np.int32)
+        ranks = np.empty_like(self._wanted, dtype=np.int32)
+        ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
+        given = self._light.empty_shares(len(tiles))
+        given.ranks = self._array(ranks)
+        chosen = np.zeros_like(self._wanted)
+        chosen[tiles] = 1
+        return _Part(pixels, tiles, given, ranks, chosen)
+
+    def _splat(self, level: int, part: _Part, shared: SharedTileBuffers) -> None:
+        """Shade the cells of a part at a level, and add them up for the pixels around."""
+        # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them, nor from
+        # those beside them. Those together that take shadow rays.
+        beside_dark = np.full(self._wanted.shape, self._light.frame.casts_shadows)
+        if level > 1:
+            self._dark[part.tiles] |= part.given.dark.numpy()[part.ranks[part.tiles]]
+            beside_dark = pixel_filters.beside_quadrants(self._dark, self._width, self._height).ravel()
+        is_beside = beside_dark[part.tiles]
+        part.tiles = np.concatenate([part.tiles[~is_beside], part.tiles[is_beside]])
+        for met in pixel_filters.parts(part.tiles, level):
+            in_light = int(np.count_nonzero(~beside_dark[met]))
+            pipelines = [
+                (Pipeline(self._light.splat_cells(level, shared.buffers, part.given, shadows=shadows)), each)
+                for shadows, each in ((False, range(in_light)), (True, range(in_light, len(met))))
+                if each
+            ]
+            cells = pixel_filters.grid_of(met, level, self._width, self._height, self._device)
+            shared.meet(level, met, pipelines, self._rays.rasterize_cells(cells, len(met)), threads=self._threads)
+
+    def _compare(self, level: int, part: _Part) -> None:
+        """Set the pixels of a part, and leave those of its tiles that are split again."""
+        part.pixels = part.pixels[self._wanted[part.pixels] != 0]
+        step = self._light.resolve_pixels(level, part.given, self._array(part.pixels), self._floor, self._wanted_out)
+        self._launch(step, len(part.pixels))
+        if level == self._light.levels[-1]:
+            return
+        chosen = self._array(part.chosen, wp.uint8)
+        step = self._light.select_cells(
+            level, part.given, self._array(part.tiles), self._floor, self._wanted_out, chosen
+        )
+        self._launch(step, len(part.tiles))
+        part.tiles = part.tiles[part.chosen[part.tiles] != 0]
