@@ -14,8 +14,7 @@ import pytest
 import warp as wp
 
 import warpdiff as wd
-from warpdiff.compute import allocations
-from warpdiff.core import free_memory
+from warpdiff.core import allocations, free_memory
 
 SETTING = """
 import resource, time

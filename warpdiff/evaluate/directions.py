@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute import allocations
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
-from warpdiff.core import checks, free_memory
+from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.fourier import direct_sum
 from warpdiff.image.image import Image, relative_errors

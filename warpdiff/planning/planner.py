@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.compute import allocations
 from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.core import checks
+from warpdiff.core import allocations, checks
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.fourier.low_rank_basis import holds_powers

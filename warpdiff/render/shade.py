@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.compute import allocations
 from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.core import checks, free_memory
+from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.evaluate.directions import check_call, check_plan
 from warpdiff.kernels import cell_levels

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.compute import allocations
-from warpdiff.core import checks, free_memory
+from warpdiff.core import allocations, checks, free_memory
 from warpdiff.scene.corn_snake import snake
 
 if TYPE_CHECKING:

@@ -6,8 +6,6 @@ import contextlib
 import re
 from typing import TYPE_CHECKING
 
-import warp as wp
-
 from warpdiff.core import free_memory
 
 if TYPE_CHECKING:
@@ -43,11 +41,11 @@ def named(what: str, remedy: str) -> Iterator[None]:
 
 
 def _told(refused: re.Match[str] | None, what: str, remedy: str) -> str:
-    device = refused["device"] if refused else None
-    there = free_memory.available() if device in (None, "cpu") else float(wp.get_device(device).free_memory)
-    free = f"{max(there, 0.0) / 1e9:.2g} GB are free: {remedy}"
+    free = f"{max(free_memory.available(), 0.0) / 1e9:.2g} GB are free: {remedy}"
     if refused is None:
         # Python itself does not say how much it was.
         return f"{what} takes more memory than there is, and {free}"
-    size = float(refused["size"]) * _UNITS[refused["unit"]]
-    return f"{what} takes another {size / 1e9:.2g} GB at once, and {free}"
+    size = f"{float(refused['size']) * _UNITS[refused['unit']] / 1e9:.2g}"
+    if refused["device"] in (None, "cpu"):
+        return f"{what} takes another {size} GB at once, and {free}"
+    return f"{what} takes another {size} GB at once, more than is free on {refused['device']}: {remedy}"
