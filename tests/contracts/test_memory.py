@@ -62,14 +62,14 @@ calls = {
     ),
 }
 for message, call in calls.items():
-    began = time.monotonic()
+    began = time.process_time()
     try:
         call()
     except MemoryError as error:
         assert message in str(error) and "GB are free: take" in str(error), error
     else:
         raise AssertionError(message)
-    assert time.monotonic() - began < 2.0, message
+    assert time.process_time() - began < 2.0, message
 shade(40)
 """
 JUST = """
