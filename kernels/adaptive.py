@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from warpdiff.kernels import cell_levels, spectral_sum
+from warpdiff.kernels import cell_levels, compile_options
 from warpdiff.kernels.snippets import filled, simd_batch
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 

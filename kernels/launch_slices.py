@@ -5,11 +5,11 @@ A GPU has a queue for that.
 
 import warp as wp
 
-from warpdiff.kernels import spectral_sum
+from warpdiff.kernels import compile_options
 from warpdiff.kernels.snippets import filled
 
 # Those of all others: Warp's headers are compiled once for modules of the same options.
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 # Of a launch that is recorded, in numbers of 64 bits: the function, its bounds of one index, its arguments, their size,
 # where among them the first index and the number of indices are (−1 for kernels that take one a call), and how many

@@ -2,13 +2,13 @@
 
 import warp as wp
 
-from warpdiff.kernels import spectral_sum
+from warpdiff.kernels import compile_options
 from warpdiff.kernels.rasterize import rasterize_run
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
 from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 # How far from a pixel's centre its samples lie, at most.
 MOST_OFFSET = 1.5

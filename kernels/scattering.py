@@ -2,12 +2,12 @@
 
 import warp as wp
 
-from warpdiff.kernels import limits, spectral_sum
+from warpdiff.kernels import compile_options, limits
 from warpdiff.kernels.footprints import pixel_footprints_run
 from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 # Of a kernel of arrays with one index, Warp compiles a second variant for the CPU, for arrays that lie densely, hardly
 # faster. A second index, which is always 0, spares it: a third of these modules' time to compile.

@@ -7,12 +7,12 @@ ray slips between them.
 
 import warp as wp
 
-from warpdiff.kernels import spectral_sum
+from warpdiff.kernels import compile_options
 from warpdiff.kernels.bvh import occluded
 from warpdiff.kernels.snippets import filled, simd_batch, take_number
 from warpdiff.kernels.structs import Pixels
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 # Why most ask for a second index: see ``directions``.
 
