@@ -11,8 +11,8 @@ namespace warpdiff {
 // the cubic through them.
 template <int N>
 struct AtW {
-    int entry[N];
-    float weights[4][N];
+    Batch<N, int> entry;
+    Batch<N> weights[4];
 
     template <class Table>
     WARPDIFF_INLINE void set(int i, const Table& table, float w)
@@ -42,8 +42,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     const float w0 = at_w.weights[0][i], w1 = at_w.weights[1][i], w2 = at_w.weights[2][i], w3 = at_w.weights[3][i];
     Vector products[3] = {Vector{}, Vector{}, Vector{}};
     for (int k = 0; k < EACH; ++k) {
-        const Vector functions
-            = w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH] + w3 * entries[k + 3 * EACH];
+        const Vector functions =
+            w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH] + w3 * entries[k + 3 * EACH];
         for (int c = 0; c < 3; ++c) products[c] += sum.at[c * EACH + k] * functions;
     }
     Colour result;
@@ -81,4 +81,4 @@ WARPDIFF_INLINE void add_zeroth_order(
     }
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff

@@ -17,8 +17,8 @@ struct Spoke {
 
     template <class Rows>
     WARPDIFF_INLINE Spoke(const Rows& all, int at, int length_of)
-        : rows(numbers<Vector>(all) + (long long)at * VECTORS)
-        , length(length_of)
+        : rows(numbers<Vector>(all) + (long long)at * VECTORS),
+          length(length_of)
     {
     }
 };
@@ -100,7 +100,7 @@ template <int FUNCTIONS>
 struct FunctionVectors {
     static constexpr int LANES = ON_GPU ? 1 : FUNCTIONS > 4 ? 8 : 4;
     static constexpr int COUNT = (FUNCTIONS + LANES - 1) / LANES;
-    typedef typename Floats<LANES>::type Vector;
+    typedef typename FloatVector<LANES>::type Vector;
 
     static constexpr int first(int p)
     {
@@ -163,4 +163,4 @@ WARPDIFF_INLINE void project_spokes(Rows& sequence, int at, int length, int skip
             terms, out + 3LL * k * FUNCTIONS, 3LL * nodes * FUNCTIONS);
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff

@@ -31,8 +31,8 @@ WARPDIFF_INLINE float float_of(int bits)
 }
 
 struct LogPolar {
-    float log2;   // logarithm of the radius to the base of 2
-    float turns;  // angle, from 0 to 1
+    float log2;  // logarithm of the radius to the base of 2
+    float turns; // angle, from 0 to 1
 };
 
 // A place in logarithmic polar coordinates; its radius counts as `least` at least.
@@ -50,9 +50,9 @@ WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
     const bool beyond = less > 0.41421356f * more;
     const float t = (beyond ? less - more : less) / ((beyond ? less + more : more) + 1.0e-30f), t2 = t * t;
     const float series_of_t = 1.0f
-        + t2 * (-1.0f / 3.0f
-            + t2 * (0.2f
-                + t2 * (-1.0f / 7.0f + t2 * (1.0f / 9.0f + t2 * (-1.0f / 11.0f + t2 * (1.0f / 13.0f))))));
+        + t2
+            * (-1.0f / 3.0f
+                + t2 * (0.2f + t2 * (-1.0f / 7.0f + t2 * (1.0f / 9.0f + t2 * (-1.0f / 11.0f + t2 * (1.0f / 13.0f))))));
     float turn = 0.159154943f * t * series_of_t + (beyond ? 0.125f : 0.0f);
     turn = x > y ? turn : 0.25f - turn;
     turn = u < 0.0f ? 0.5f - turn : turn;
@@ -87,8 +87,9 @@ WARPDIFF_INLINE float exp_of_negative(float x)
     const float f = y - (float)whole;
     return float_of((whole + 127) << 23)
         * (1.00000007f
-            + f * (0.693146967f
-                + f * (0.240221197f + f * (0.0555071328f + f * (0.00967554132f + f * 0.00132764707f)))));
+            + f
+                * (0.693146967f
+                    + f * (0.240221197f + f * (0.0555071328f + f * (0.00967554132f + f * 0.00132764707f)))));
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff

@@ -14,7 +14,7 @@
 namespace warpdiff {
 
 // Loops are of so many, whole ones: compilers round otherwise in what is left over by vectors.
-constexpr int BATCH = batch_of(8);
+constexpr int ABREAST = batch_of(8);
 // Nodes of a segment: any number on a GPU, where they are not kept.
 constexpr int SEGMENT_NODES = ON_GPU ? 1 << 20 : 4;
 constexpr float PI = 3.14159265f;
@@ -34,34 +34,36 @@ struct CutGaussian {
 // Footprints of N pixels.
 template <int N>
 struct Asked {
-    float u[N], v[N], w[N];
-    float light_x[N], light_y[N], light_z[N];                       // of a source, in the surface's frame
-    float row_u[N], row_v[N], column_u[N], column_v[N];             // changes by one deviation along rows and columns
-    float xx[N], xy[N], yy[N], source2[N];                          // covariance, and the root of the source's determinant
-    float angle2[N], ratio2[N], both[N];                            // the same of the angle and of ln |(u, v)|
-    float along_u[N], along_v[N], parts[N];                         // what goes with a deviation of the angle
+    Batch<N> u, v, w;
+    Batch<N> light_x, light_y, light_z;        // of a source, in the surface's frame
+    Batch<N> row_u, row_v, column_u, column_v; // changes by one deviation along rows and columns
+    Batch<N> xx, xy, yy, source2;              // covariance, and the root of the source's determinant
+    Batch<N> angle2, ratio2, both;             // the same of the angle and of ln |(u, v)|
+    Batch<N> along_u, along_v, parts;          // what goes with a deviation of the angle
     AtW<N> at_w;
 };
 
 // Their parts.
 template <int N>
 struct Parts {
-    int count, pixel[N];
-    float share[N], u[N], v[N], angle2[N], ratio2[N], both[N];
-    float turns[N], place[N], deviation[N], skew[N];  // the middle's angle and place among the nodes, across nodes
-    float turn_per_node[N], aside2[N], half_ratio2[N], spacing[N];
-    int apart[N], step[N], taps[N], begin[N], end[N], first_weight[N];
+    int count;
+    Batch<N, int> pixel;
+    Batch<N> share, u, v, angle2, ratio2, both;
+    Batch<N> turns, place, deviation, skew; // the middle's angle and place among the nodes, across nodes
+    Batch<N> turn_per_node, aside2, half_ratio2, spacing;
+    Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
 // Segments of parts: nodes of one octave.
 template <int N>
 struct Segments {
-    int count, part[N], first[N], apart[N], nodes[N];
+    int count;
+    Batch<N, int> part, first, apart, nodes;
     // Which spoke the middle of the part lies on, and by how many it turns, times 1 − 1/ρ, for a node that lies ρ times
     // as far out; how far the first node lies from the mean of ln |(u, v)| [nodes], and that from the middle; the blur
     // at the middle and what the level has of it, in steps of the taps' variances.
-    float position[N], turning[N], away[N], behind[N], blur[N], given[N], skew[N], per_deviation[N];
-    int spokes[N], first_row[N];
+    Batch<N> position, turning, away, behind, blur, given, skew, per_deviation;
+    Batch<N, int> spokes, first_row;
 };
 
 // Rows that a node sums: the first one, its number, and where their weights begin.
@@ -106,17 +108,17 @@ WARPDIFF_INLINE void load_footprints(
         asked.column_u[i] = footprints ? footprints[4 * i + 2] : 0.0f;
         asked.column_v[i] = footprints ? footprints[4 * i + 3] : 0.0f;
     }
-    for (int i = wp::max(count, 0); i % BATCH != 0; ++i)
-        asked.u[i] = asked.v[i] = asked.w[i] = asked.light_x[i] = asked.light_y[i] = asked.light_z[i] = asked.row_u[i]
-            = asked.row_v[i] = asked.column_u[i] = asked.column_v[i] = 0.0f;
+    for (int i = wp::max(count, 0); i % ABREAST != 0; ++i)
+        asked.u[i] = asked.v[i] = asked.w[i] = asked.light_x[i] = asked.light_y[i] = asked.light_z[i] = asked.row_u[i] =
+            asked.row_v[i] = asked.column_u[i] = asked.column_v[i] = 0.0f;
 }
 
 // Covariances, in (u, v) and polar, and into how many parts they are split.
 template <bool SOURCE, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Asked<N>& asked, int count)
 {
-    for (int from = 0; from < count; from += BATCH)
-        for (int i = from; i < from + BATCH; ++i) {
+    for (int from = 0; from < count; from += ABREAST)
+        for (int i = from; i < from + ABREAST; ++i) {
             // A source's is Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = asked.light_x[i], t1 = asked.light_y[i];
             const float row_u = asked.row_u[i], row_v = asked.row_v[i];
@@ -126,8 +128,8 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Asked<N>& asked, int c
             asked.xy[i] = -spread2 * t0 * t1 + (row_u * row_v + column_u * column_v);
             asked.yy[i] = spread2 * (1.0f - t1 * t1) + (row_v * row_v + column_v * column_v);
             asked.at_w.set(i, table, asked.w[i]);
-            const PolarCovariance polar
-                = to_polar(table, asked.u[i], asked.v[i], asked.xx[i], asked.xy[i], asked.yy[i]);
+            const PolarCovariance polar =
+                to_polar(table, asked.u[i], asked.v[i], asked.xx[i], asked.xy[i], asked.yy[i]);
             asked.angle2[i] = polar.angle2;
             asked.ratio2[i] = polar.ratio2;
             asked.both[i] = polar.both;
@@ -186,8 +188,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
             continue;
         }
         if (next.part == 0)
-            add_zeroth_order(table, u, v, asked.w[i], asked.xx[i], asked.xy[i], asked.yy[i], asked.source2[i], gain,
-                xyz + 3 * i);
+            add_zeroth_order(
+                table, u, v, asked.w[i], asked.xx[i], asked.xy[i], asked.yy[i], asked.source2[i], gain, xyz + 3 * i);
         const float along_u = asked.along_u[i], along_v = asked.along_v[i];
         parts.u[k] = u + away * along_u;
         parts.v[k] = v + away * along_v;
@@ -207,7 +209,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         ++parts.count;
         if (++next.part == all) next = {i + 1, 0};
     }
-    for (int k = parts.count; k > 0 && k % BATCH != 0; ++k) {
+    for (int k = parts.count; k > 0 && k % ABREAST != 0; ++k) {
         parts.u[k] = parts.u[k - 1];
         parts.v[k] = parts.v[k - 1];
         parts.angle2[k] = parts.angle2[k - 1];
@@ -221,8 +223,8 @@ template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
     const float per_log = table.per_log;
-    for (int from = 0; from < parts.count; from += BATCH)
-        for (int k = from; k < from + BATCH; ++k) {
+    for (int from = 0; from < parts.count; from += ABREAST)
+        for (int k = from; k < from + ABREAST; ++k) {
             const float of_angle2 = parts.angle2[k], of_ratio2 = parts.ratio2[k];
             const float turn_share = smaller(WIDEST_ANGLE / wp::sqrt(larger(of_angle2, 1.0e-12f)), 1.0f);
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2, 1.0e-12f)), 1.0f);
@@ -254,26 +256,26 @@ WARPDIFF_INLINE void choose_nodes(const Table& table, const Taps& taps, CutGauss
     const int all_nodes = octaves * table.nodes;
     const float per_log = table.per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
     // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
-    for (int from = 0; from < parts.count; from += BATCH)
-        for (int k = from; k < from + BATCH; ++k)
+    for (int from = 0; from < parts.count; from += ABREAST)
+        for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.per_octave), 0, octaves - 1)];
-    for (int from = 0; from < parts.count; from += BATCH)
-        for (int k = from; k < from + BATCH; ++k) {
+    for (int from = 0; from < parts.count; from += ABREAST)
+        for (int k = from; k < from + ABREAST; ++k) {
             // A source's lines are narrower than the spokes are apart, and what blurs them has that in it.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_node[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
             const float most = MOST_APART / (sharp + table.detail);
             parts.apart[k] = most < 2.0f ? 1 : most < 4.0f ? 2 : most < 8.0f ? 4 : 8;
-            parts.step[k]
-                = variance < MOST_TABULATED + 0.25f ? (int)((variance - 0.25f) * taps.per_variance + 0.5f) : -1;
+            parts.step[k] =
+                variance < MOST_TABULATED + 0.25f ? (int)((variance - 0.25f) * taps.per_variance + 0.5f) : -1;
         }
-    for (int from = 0; from < parts.count; from += BATCH)
-        for (int k = from; k < from + BATCH; ++k)
+    for (int from = 0; from < parts.count; from += ABREAST)
+        for (int k = from; k < from + ABREAST; ++k)
             parts.taps[k] = numbers<const int>(taps.lengths)[parts.step[k] < 0 ? 0 : parts.step[k]];
-    for (int from = 0; from < parts.count; from += BATCH)
-        for (int k = from; k < from + BATCH; ++k) {
+    for (int from = 0; from < parts.count; from += ABREAST)
+        for (int k = from; k < from + ABREAST; ++k) {
             const bool tabulated = parts.step[k] >= 0;
             const float place = parts.place[k];
             const float half = tabulated ? 0.5f * (float)(parts.taps[k] - 1) : cut.deviations * parts.deviation[k];
@@ -309,7 +311,7 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
         next.node += segments.nodes[s] * apart;
         if (next.node >= parts.end[k] && ++next.part < parts.count) next.node = parts.begin[next.part];
     }
-    for (int s = segments.count; s % BATCH != 0; ++s) {
+    for (int s = segments.count; s % ABREAST != 0; ++s) {
         segments.part[s] = segments.part[s - 1];
         segments.first[s] = segments.first[s - 1];
         segments.apart[s] = segments.apart[s - 1];
@@ -324,8 +326,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     const int* const spokes = numbers<const int>(table.spokes);
     const int* const first_rows = numbers<const int>(table.first_rows);
     const float* const blurs = numbers<const float>(table.blurs);
-    for (int from = 0; from < segments.count; from += BATCH)
-        for (int s = from; s < from + BATCH; ++s) {
+    for (int from = 0; from < segments.count; from += ABREAST)
+        for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.per_octave);
             // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
@@ -367,8 +369,8 @@ WARPDIFF_INLINE void place_node(
     const float nearer = exp_of_minus_small(
         (segments.away[s] + (float)(m * segments.apart[s])) * (1.0f / table.per_log) - segments.behind[s]);
     position = segments.position[s] + segments.turning[s] * (1.0f - nearer);
-    step = (int)smaller(larger(segments.blur[s] * nearer * nearer - segments.given[s], 0.0f),
-        (float)((int)taps.weights.shape[0] - 1));
+    step = (int)smaller(
+        larger(segments.blur[s] * nearer * nearer - segments.given[s], 0.0f), (float)((int)taps.weights.shape[0] - 1));
 }
 
 // The rows around there, of which `count` are taken.
@@ -426,8 +428,7 @@ struct Nodes {
         float position;
         int step;
         place_node(table, given, segments, s, m, position, step);
-        return rows_of_node(
-            table, given, segments, s, m, position, step, numbers<const int>(given.lengths)[step]);
+        return rows_of_node(table, given, segments, s, m, position, step, numbers<const int>(given.lengths)[step]);
     }
 
     WARPDIFF_INLINE float weight_at(const Segments<N>& segments, CutGaussian cut, int s, int m) const
@@ -505,8 +506,8 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
 template <int FUNCTIONS, bool SOURCE, int RUN, int AHEAD, int MOST_PARTS, class Table, class Taps, class Deflections,
     class Lights, class Gains, class Footprints, class Colours>
 WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, CutGaussian cut,
-    const Deflections& deflections, const Lights& to_lights, const Gains& gains, const Footprints& footprints, int begin,
-    int end, Gains& left_out, Colours& xyz_out)
+    const Deflections& deflections, const Lights& to_lights, const Gains& gains, const Footprints& footprints,
+    int begin, int end, Gains& left_out, Colours& xyz_out)
 {
     constexpr int N = batch_of(RUN), WIDTH = 3 * FUNCTIONS;
     const int count = end - begin;
@@ -538,4 +539,4 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
     }
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff

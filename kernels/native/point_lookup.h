@@ -11,12 +11,12 @@ namespace warpdiff {
 // N points: where they lie in the table, and the rows that they take.
 template <int N>
 struct Points {
-    float u[N] = {}, v[N] = {}, w[N] = {};
-    float turns[N], place[N];  // angle and place among the nodes
+    Batch<N> u = {}, v = {}, w = {};
+    Batch<N> turns, place; // angle and place among the nodes
     AtW<N> at_w;
-    const float* first_row[N];  // of the first of three nodes, on the first of three spokes
-    float aside[N];             // from the middle one of these [spokes]
-    int first_node[N], octave[N];
+    Batch<N, const float*> first_row; // of the first of three nodes, on the first of three spokes
+    Batch<N> aside;                   // from the middle one of these [spokes]
+    Batch<N, int> first_node, octave;
 };
 
 // Places of all N, which the compiler finds side by side.
@@ -39,8 +39,8 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int node, i
 {
     const float position = turns * (float)numbers<const int>(table.spokes)[octave], nearest = wp::rint(position);
     aside = position - nearest;
-    const long long row
-        = numbers<const int>(table.first_rows)[octave] + ((int)nearest - 1 - octave) * table.nodes + node;
+    const long long row =
+        numbers<const int>(table.first_rows)[octave] + ((int)nearest - 1 - octave) * table.nodes + node;
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
@@ -50,8 +50,8 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
 {
     points.first_node[i] = (int)wp::rint(points.place[i]) - 1;
     points.octave[i] = (int)((float)points.first_node[i] * table.per_octave);
-    points.first_row[i]
-        = row_at<WIDTH>(table, points.turns[i], points.first_node[i], points.octave[i], points.aside[i]);
+    points.first_row[i] =
+        row_at<WIDTH>(table, points.turns[i], points.first_node[i], points.octave[i], points.aside[i]);
     if (ON_GPU || !is_lit) return;
     for (int j = 0; j < 3; ++j) {
         const float* const row = points.first_row[i] + j * (long long)table.nodes * WIDTH;
@@ -131,4 +131,4 @@ WARPDIFF_INLINE void look_up_points(
     }
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff

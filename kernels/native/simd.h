@@ -22,20 +22,36 @@ constexpr int batch_of(int on_cpu)
     return ON_GPU ? 1 : on_cpu;
 }
 
-// Floats in a register, which need not lie at multiples of their size in memory.
+// Numbers of N elements side by side. Of one element the index is known to be 0, so that it stays in a register.
+template <int N, class Number = float>
+struct Batch {
+    Number at[N];
+
+    WARPDIFF_INLINE Number& operator[](int i)
+    {
+        return at[N == 1 ? 0 : i];
+    }
+
+    WARPDIFF_INLINE const Number& operator[](int i) const
+    {
+        return at[N == 1 ? 0 : i];
+    }
+};
+
+// FloatVector in a register, which need not lie at multiples of their size in memory.
 template <int LANES>
-struct Floats;
+struct FloatVector;
 template <>
-struct Floats<1> {
+struct FloatVector<1> {
     typedef float type;
 };
 #if !defined(__CUDA_ARCH__)
 template <>
-struct Floats<4> {
+struct FloatVector<4> {
     typedef float type __attribute__((vector_size(16), aligned(4)));
 };
 template <>
-struct Floats<8> {
+struct FloatVector<8> {
     typedef float type __attribute__((vector_size(32), aligned(4)));
 };
 #endif
@@ -45,7 +61,7 @@ template <int WIDTH>
 struct Row {
     static constexpr int LANES = ON_GPU ? 1 : WIDTH % 8 == 0 ? 8 : 4;
     static constexpr int VECTORS = WIDTH / LANES;
-    typedef typename Floats<LANES>::type Vector;
+    typedef typename FloatVector<LANES>::type Vector;
 
     Vector at[VECTORS];
 
@@ -96,4 +112,4 @@ WARPDIFF_INLINE void prefetch(const float* at)
 #endif
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff

@@ -27,7 +27,8 @@ struct Neighbours {
         reach_x = (int)(wp::sqrt(table.exponent / table.along) + 0.5f);
         for (int j = 0; j < KNOWN_ROWS; ++j) {
             const float away = wp::max((float)j - 0.5f, 0.0f);
-            on_row[j] = (int)(wp::sqrt(wp::max(table.exponent - table.across * away * away, 0.0f) / table.along) + 0.5f);
+            on_row[j] =
+                (int)(wp::sqrt(wp::max(table.exponent - table.across * away * away, 0.0f) / table.along) + 0.5f);
         }
     }
 };
@@ -147,14 +148,14 @@ WARPDIFF_INLINE void put_node(float* rows, int node, int count, const Row<NODES>
         ((typename Row<NODES>::Vector*)rows)[(long long)node * Row<NODES>::VECTORS + l] = value.at[l];
 }
 
-// The integrals along a spoke in this direction, whose sine and cosine count coefficients, at `nodes` nodes from the row
-// `begin` on: `divisions` samples from node to node, the first one at t, each `ratio` times as far out as the one
+// The integrals along a spoke in this direction, whose sine and cosine count coefficients, at `nodes` nodes from the
+// row `begin` on: `divisions` samples from node to node, the first one at t, each `ratio` times as far out as the one
 // before, up to the `highest`.
 //
 // Rows are of TERMS powers; or of amplitudes (PARTS = 2), whose powers at NODES values of κ are what is integrated.
 template <int TERMS, int PARTS, int NODES, class Table, class Bases, class Values>
-WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double sine, double cosine, int nodes, double t,
-    double ratio, int divisions, double highest, float scale, int left_out, int begin, Values& values_out)
+WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double sine, double cosine, int nodes,
+    double t, double ratio, int divisions, double highest, float scale, int left_out, int begin, Values& values_out)
 {
     const Neighbours around(table, left_out);
     float* const out = numbers<float>(values_out) + (long long)begin * NODES;
@@ -165,7 +166,7 @@ WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double
     int node = -1;
     for (; node <= nodes && t <= highest; ++node) {
         for (int k = 0; k < divisions && t <= highest; ++k, t *= ratio) {
-            const Row<TERMS* PARTS> total = sample_spectrum<TERMS * PARTS>(table, around, t * sine, t * cosine);
+            const Row<TERMS * PARTS> total = sample_spectrum<TERMS * PARTS>(table, around, t * sine, t * cosine);
             const float f = ((float)k + 0.5f) / (float)divisions - 0.5f;
             if constexpr (PARTS == 1)
                 sums.add(total, f, scale);
@@ -179,4 +180,4 @@ WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double
     put_node(out, node, nodes, sums.here);
 }
 
-}  // namespace warpdiff
+} // namespace warpdiff
