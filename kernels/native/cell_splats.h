@@ -41,10 +41,10 @@ WARPDIFF_INLINE CellSums sum_cells(
 
 // Splat pixels from begin to end of those that are split, −1 is none: `least_fall` is the share of what was expected
 // that their means are taken to change by at least.
-template <class Colours, class Hits, class Flags, class Floats, class Shares, class Bytes>
+template <class Colours, class Hits, class Flags, class Numbers, class Shares, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& hidden, const Hits& pixels,
-    const Colours& colours_before, const Floats& errors_before, const Hits& ranks, const Floats& weights, int level,
-    float least_fall, int begin, int end, Shares& shares_out, Colours& means_out, Floats& changes_out,
+    const Colours& colours_before, const Numbers& errors_before, const Hits& ranks, const Numbers& weights, int level,
+    float least_fall, int begin, int end, Shares& shares_out, Colours& means_out, Numbers& changes_out,
     Bytes& levels_out, Bytes& dark_out)
 {
     const int across = 1 << level;

@@ -149,9 +149,9 @@ WARPDIFF_INLINE void estimate_part_of_row(const Neighbourhood<N>& around, Contra
 }
 
 // Estimates for pixels from begin to end, part of a row after part of a row.
-template <int BATCH, class Colours, class Deflections, class Hits, class Floats, class Marks>
+template <int BATCH, class Colours, class Deflections, class Hits, class Numbers, class Marks>
 WARPDIFF_INLINE void estimate_errors(const Colours& colours, const Deflections& deflections, const Hits& hit, int width,
-    int height, int low, int high, ContrastShares shares, SplitRule rule, int begin, int end, Floats& errors_out,
+    int height, int low, int high, ContrastShares shares, SplitRule rule, int begin, int end, Numbers& errors_out,
     Marks& wanted_out)
 {
     constexpr int N = batch_of(BATCH);

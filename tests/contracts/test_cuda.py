@@ -29,7 +29,7 @@ SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"footprints", "compile_options", "snippets", "structs", "shading_frames"}
+FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
 CPU_ONLY = {"launch_slices", "lookup_specification"}
 # Numbers that hosts need, too.
 WITHOUT_WARP = {"cell_levels", "limits"}
