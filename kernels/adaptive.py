@@ -2,112 +2,17 @@
 
 import warp as wp
 
-from warpdiff.kernels import cell_levels, spectral_sum
-from warpdiff.kernels.snippets import filled, simd_batch
+from warpdiff.kernels import cell_levels, compile_options
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options("error_estimates.h", "cell_splats.h"))
 
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
-# Parts of rows, one after the other, with the rows above and below and what is beside their ends.
-_ESTIMATE = """
-    const int* const is_hit = (const int*)hit.data;
-    const double* const uvw = (const double*)deflections.data;
-    const float* const xyz = (const float*)colours.data;
-    float* const errors = (float*)errors_out.data;
-    unsigned char* const wanted = (unsigned char*)wanted_out.data;
-    const float least = *(const float*)floor.data;
-    auto larger = [](float a, float b) { return a > b ? a : b; };
-    auto meets = [&](long long pixel) { return pixel >= low && pixel < high ? is_hit[pixel] : 0; };
-    for (int from = begin, count; from < end; from += count) {
-        const int column = from % width, row = from / width;
-        count = wp::min(wp::min(end - from, ABREAST), width - column);
-        // A silhouette passes between pixels that meet the mesh and others, on either side.
-        int hits = 0;
-        for (int line = -1; line < 2; ++line)
-            for (int i = -1; i < count + 1; ++i) hits |= meets(from + (long long)line * width + i);
-        if (hits == 0) {
-            memset(errors + from, 0, count * sizeof(float));
-            memset(wanted + from, all_of_them ? 1 : 0, count);
-            continue;
-        }
-        // Above, here and below, from one pixel further to the left to one further to the right; what does not meet the
-        // mesh differs in nothing from the pixel beside it.
-        const float first_u = (float)uvw[3LL * from], first_v = (float)uvw[3LL * from + 1];
-        float colour[3][3][ABREAST + 2] = {}, u[3][ABREAST + 2] = {}, v[3][ABREAST + 2] = {};
-        bool there[3][ABREAST + 2] = {}, empty[3][ABREAST + 2] = {};
-        for (int line = 0; line < 3; ++line) {
-            if (row + line < 1 || row + line > height) continue;
-            for (int j = 0; j < count + 2; ++j) {
-                const long long k = from + (line - 1LL) * width + j - 1;
-                if (column + j < 1 || column + j > width) continue;
-                there[line][j] = meets(k) != 0;
-                empty[line][j] = !there[line][j];
-                if (!there[line][j]) continue;
-                for (int c = 0; c < 3; ++c) colour[c][line][j] = xyz[3 * k + c];
-                u[line][j] = (float)(uvw[3 * k] - uvw[3LL * from]);
-                v[line][j] = (float)(uvw[3 * k + 1] - uvw[3LL * from + 1]);
-            }
-        }
-        for (int i = 0; i < ABREAST; ++i) {
-            const int j = i + 1;
-            auto apart = [&](int line, int at) {
-                const float x = colour[0][line][at] - colour[0][1][j], y = colour[1][line][at] - colour[1][1][j];
-                const float z = colour[2][line][at] - colour[2][1][j];
-                return there[line][at] ? x * x + y * y + z * z : 0.0f;
-            };
-            float contrast2 = larger(larger(apart(0, j), apart(2, j)), larger(apart(1, i), apart(1, i + 2)));
-            const float x = colour[0][1][j], y = colour[1][1][j], z = colour[2][1][j], size2 = x * x + y * y + z * z;
-            // Nothing tells of a pixel by itself.
-            const bool by_itself = !(there[0][j] | there[2][j] | there[1][i] | there[1][i + 2]);
-            contrast2 = by_itself ? size2 : contrast2;
-            bool all = true, any = false, beside = false;
-            for (int line = 0; line < 3; ++line) {
-                all &= there[line][i] & there[line][j] & there[line][i + 2];
-                any |= there[line][i] | there[line][j] | there[line][i + 2];
-                beside |= empty[line][i] | empty[line][j] | empty[line][i + 2];
-            }
-            const bool rim = any & beside;
-            // By how much changes of (u, v) along rows and columns, and aslant, are not those before.
-            auto square = [](float x, float y) { return x * x + y * y; };
-            const float left_u = u[1][i] - u[1][j], right_u = u[1][i + 2] - u[1][j];
-            const float left_v = v[1][i] - v[1][j], right_v = v[1][i + 2] - v[1][j];
-            const float above_u = u[0][j] - u[1][j], below_u = u[2][j] - u[1][j];
-            const float above_v = v[0][j] - v[1][j], below_v = v[2][j] - v[1][j];
-            const float tiny = 1.0e-30f;
-            const float along = larger(square(left_u, left_v), square(right_u, right_v)) + tiny;
-            const float down = larger(square(above_u, above_v), square(below_u, below_v)) + tiny;
-            float uneven2 = larger(square(left_u + right_u, left_v + right_v) / along,
-                square(above_u + below_u, above_v + below_v) / down);
-            auto aslant = [&](int line, int at, float side_u, float side_v, float over_u, float over_v) {
-                const float of_u = u[line][at] - u[1][j] - side_u - over_u;
-                const float of_v = v[line][at] - v[1][j] - side_v - over_v;
-                uneven2 = larger(uneven2, square(of_u, of_v) / larger(along, down));
-            };
-            aslant(0, i, left_u, left_v, above_u, above_v);
-            aslant(0, i + 2, right_u, right_v, above_u, above_v);
-            aslant(2, i, left_u, left_v, below_u, below_v);
-            aslant(2, i + 2, right_u, right_v, below_u, below_v);
-            const float uv2 = larger(square(first_u + u[1][j], first_v + v[1][j]), 1.0e-6f);
-            const float wide = wp::sqrt(larger(along, down) / uv2);
-            const float share = all ? SMOOTH + PER_UNEVEN * wp::sqrt(uneven2) + PER_WIDE * wide : 1.0f;
-            const float error = (share < 1.0f ? share : 1.0f) * wp::sqrt(contrast2);
-            const float size = larger(wp::sqrt(size2), least);
-            if (i >= count) continue;
-            errors[from + i] = there[1][j] ? error : 0.0f;
-            wanted[from + i] = all_of_them || (any && (error > bound * size || (rim && splits_rims))) ? 1 : 0;
-        }
-    }
-"""
-
 
 @wp.func_native(
-    filled(
-        simd_batch(32) + _ESTIMATE,
-        SMOOTH=f"{cell_levels.SMOOTH}f",
-        PER_UNEVEN=f"{cell_levels.PER_UNEVEN}f",
-        PER_WIDE=f"{cell_levels.PER_WIDE}f",
-    )
+    "warpdiff::estimate_errors<32>(colours, deflections, hit, width, height, low, high, "
+    f"{{{cell_levels.SMOOTH}f, {cell_levels.PER_UNEVEN}f, {cell_levels.PER_WIDE}f}}, "
+    "{*(const float*)floor.data, bound, all_of_them, splits_rims}, begin, end, errors_out, wanted_out);"
 )
 def estimate_errors_run(
     colours: wp.array(dtype=wp.vec3f),
@@ -174,58 +79,10 @@ def estimate_errors(
     )  # fmt: skip
 
 
-# Cell after cell in rows, and rows for the three pixels above, here and below.
-_SHARE_OUT = """
-    const float* const of_cells = (const float*)colours.data;
-    const int* const is_hit = (const int*)hit.data;
-    const float* const before = (const float*)colours_before.data;
-    const float* const erred = (const float*)errors_before.data;
-    const float* const along = (const float*)weights.data;
-    const int* const rank_of = ranks.shape[0] > 0 ? (const int*)ranks.data : nullptr;
-    const bool* const is_hidden = hidden.shape[0] > 0 ? (const bool*)hidden.data : nullptr;
-    const int across = 1 << level;
-    for (int tile = begin; tile < end; ++tile) {
-        const int pixel = ((const int*)pixels.data)[tile];
-        if (pixel < 0) continue;
-        float shares[3][3][4] = {}, mean[3] = {};
-        unsigned char dark = 0;
-        long long cell = (long long)tile * across * across;
-        for (int row = 0; row < across; ++row) {
-            float sums[3][4] = {};
-            for (int column = 0; column < across; ++column, ++cell) {
-                if (is_hit[cell] == 0) continue;
-                const float value[4] = {of_cells[3 * cell], of_cells[3 * cell + 1], of_cells[3 * cell + 2], 1.0f};
-                const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
-                dark |= (is_hidden && is_hidden[cell]) << quadrant;
-                for (int c = 0; c < 3; ++c) mean[c] += value[c];
-                for (int k = 0; k < 3; ++k)
-                    for (int c = 0; c < 4; ++c) sums[k][c] += along[k * across + column] * value[c];
-            }
-            for (int line = 0; line < 3; ++line)
-                for (int k = 0; k < 3; ++k)
-                    for (int c = 0; c < 4; ++c) shares[line][k][c] += along[line * across + row] * sums[k][c];
-        }
-        const long long rank = rank_of ? rank_of[pixel] : pixel;
-        memcpy((float*)shares_out.data + 36 * rank, shares, sizeof(shares));
-        float* const known = (float*)means_out.data + 3 * rank;
-        float change2 = 0.0f;
-        for (int c = 0; c < 3; ++c) {
-            mean[c] /= (float)(across * across);
-            const float change = mean[c] - (level == 1 ? before[3LL * pixel + c] : known[c]);
-            change2 += change * change;
-            known[c] = mean[c];
-        }
-        // Cells may agree with what was before where both are wrong.
-        float* const last_change = (float*)changes_out.data + rank;
-        const float least = LEAST_FALL * (level == 1 ? erred[pixel] : *last_change);
-        *last_change = wp::max(wp::sqrt(change2), least);
-        ((unsigned char*)levels_out.data)[rank] = (unsigned char)level;
-        ((unsigned char*)dark_out.data)[rank] = dark;
-    }
-"""
-
-
-@wp.func_native(filled(_SHARE_OUT, LEAST_FALL=f"{cell_levels.LEAST_FALL}f"))
+@wp.func_native(
+    "warpdiff::splat_cells(colours, hit, hidden, pixels, colours_before, errors_before, ranks, weights, level, "
+    f"{cell_levels.LEAST_FALL}f, begin, end, shares_out, means_out, changes_out, levels_out, dark_out);"
+)
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),

@@ -2,12 +2,12 @@
 
 import warp as wp
 
-from warpdiff.kernels import spectral_sum
+from warpdiff.kernels import compile_options
 from warpdiff.kernels.ray_hits import paint, pixel_offset
 from warpdiff.kernels.structs import Camera, Pixels, Sampling, SurfaceArrays
 
 # Infinities stay defined, by which the hierarchy decides whether a ray hits.
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 # Beyond any distance between two points of the unit sphere.
 FAR = wp.constant(wp.float32(4.0))

@@ -2,13 +2,11 @@
 
 import warp as wp
 
-from warpdiff.kernels import spectral_sum
-from warpdiff.kernels.rasterize import rasterize_run
+from warpdiff.kernels import cell_levels, compile_options
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
-from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options("rasterize.h", "ray_hits.h", "shading_frames.h"))
 
 # How far from a pixel's centre its samples lie, at most.
 MOST_OFFSET = 1.5
@@ -93,6 +91,28 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     return (1.0 - fy) * top + fy * bottom
 
 
+# Cells of a pixel at the finest level.
+_MOST_CELLS = max(cell_levels.rays_at(level) for level in cell_levels.LEVELS)
+
+
+@wp.func_native(
+    f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, reach, begin, end, nearest_out, "
+    "rows_out);"
+)
+def rasterize_run(
+    camera: Camera,
+    surface: SurfaceArrays,
+    sampling: Sampling,
+    cells: Cells,
+    reach: wp.float64,
+    begin: wp.int32,
+    end: wp.int32,
+    nearest_out: wp.array(dtype=wp.uint64),
+    rows_out: wp.array(dtype=wp.int32),
+):
+    """Rasterize a run of faces into the nearest face of each ray."""
+
+
 @wp.kernel
 def rasterize(
     # In:
@@ -151,100 +171,9 @@ def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
     pixels.base_colour[ray] = colour
 
 
-# Rays with a face each side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a
-# time.
-_MEET = """
-    const double* const axes = (const double*)camera.axes.data;
-    const int* const faces = (const int*)surface.faces.data;
-    const float* const positions = (const float*)surface.positions.data;
-    const unsigned long long* const nearest = (const unsigned long long*)pixels.nearest.data;
-    const int* const tiles = (const int*)sampling.tiles.data;
-    const double* const places = (const double*)sampling.places.data;
-    const double* const offsets = (const double*)sampling.offsets.data;
-    int* const hit = (int*)pixels.hit.data;
-    int* const face_at = (int*)pixels.face.data;
-    float* const place_at = (float*)pixels.place.data;
-    float* const view_at = (float*)pixels.to_view.data;
-    const bool orthographic = camera.orthographic, of_tiles = sampling.tiles.shape[0] > 0;
-    const bool scattered = sampling.offsets.shape[0] > 0;
-    const int width = camera.width, of_tile = of_tiles ? (int)sampling.places.shape[0] : 1;
-    const double per_width = 2.0 * axes[12] / width, per_height = 2.0 * axes[13] / camera.height;
-    // Rays that meet a face, and where they are in the picture.
-    int rays[ABREAST], met[ABREAST], number = 0;
-    double right[ABREAST], down[ABREAST];
-    auto meet = [&]() {
-        float corner[3][3][ABREAST];
-        for (int i = 0; i < ABREAST; ++i) {
-            const int* const corners = faces + 3LL * (i < number ? met[i] : 0);
-            for (int which = 0; which < 3; ++which)
-                for (int c = 0; c < 3; ++c) corner[which][c][i] = positions[3LL * corners[which] + c];
-        }
-        float views[3][ABREAST], kept[2][ABREAST];
-        for (int i = 0; i < ABREAST; ++i) {
-            // In float64, as the eye may be thousands of radii away.
-            const double x = per_width * right[i] - axes[12], y = axes[13] - per_height * down[i];
-            double along[3], edge1[3], edge2[3], away[3], across1[3], across2[3];
-            for (int c = 0; c < 3; ++c) {
-                const double across = x * axes[3 + c] + y * axes[6 + c];
-                along[c] = (orthographic ? 0.0 : across) - axes[9 + c];
-                away[c] = axes[c] + (orthographic ? across : 0.0) - corner[0][c][i];
-                edge1[c] = (double)corner[1][c][i] - corner[0][c][i];
-                edge2[c] = (double)corner[2][c][i] - corner[0][c][i];
-            }
-            const double per_length = 1.0
-                / wp::sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
-            for (int c = 0; c < 3; ++c) {
-                along[c] *= per_length;
-                views[c][i] = -(float)along[c];
-            }
-            across2[0] = along[1] * edge2[2] - along[2] * edge2[1];
-            across2[1] = along[2] * edge2[0] - along[0] * edge2[2];
-            across2[2] = along[0] * edge2[1] - along[1] * edge2[0];
-            across1[0] = away[1] * edge1[2] - away[2] * edge1[1];
-            across1[1] = away[2] * edge1[0] - away[0] * edge1[2];
-            across1[2] = away[0] * edge1[1] - away[1] * edge1[0];
-            const double determinant = edge1[0] * across2[0] + edge1[1] * across2[1] + edge1[2] * across2[2];
-            const double inverse = determinant == 0.0 ? 0.0 : 1.0 / determinant;
-            const double share1 = inverse * (away[0] * across2[0] + away[1] * across2[1] + away[2] * across2[2]);
-            const double share2 = inverse * (along[0] * across1[0] + along[1] * across1[1] + along[2] * across1[2]);
-            const double kept1 = wp::min(wp::max(share1, 0.0), 1.0), kept2 = wp::min(wp::max(share2, 0.0), 1.0 - kept1);
-            kept[0][i] = (float)(1.0 - kept1 - kept2);
-            kept[1][i] = (float)kept1;
-        }
-        for (int i = 0; i < number; ++i) {
-            const long long at = rays[i];
-            hit[at] = 1;
-            face_at[at] = met[i];
-            for (int c = 0; c < 2; ++c) place_at[2 * at + c] = kept[c][i];
-            for (int c = 0; c < 3; ++c) view_at[3 * at + c] = views[c][i];
-        }
-        number = 0;
-    };
-    for (int i = 0; i < ABREAST; ++i) right[i] = down[i] = 0.0;
-    for (int ray = begin; ray < end;) {
-        const int pixel = of_tiles ? tiles[ray / of_tile] : ray, row = pixel / width, column = pixel % width;
-        // The rest of a row, or of a tile.
-        int count = of_tiles ? of_tile - ray % of_tile : width - column;
-        count = count < end - ray ? count : end - ray;
-        for (int k = 0; k < count; ++k) {
-            const int at = ray + k;
-            hit[at] = 0;
-            face_at[at] = -1;
-            if (nearest[at] == UNSEEN) continue;
-            rays[number] = at;
-            met[number] = (int)(unsigned int)nearest[at];
-            const double* const place = of_tiles ? places + 2 * (at % of_tile) : scattered ? offsets + 2 * at : nullptr;
-            right[number] = column + (of_tiles ? 0 : k) + 0.5 + (place ? place[0] : 0.0);
-            down[number] = row + 0.5 + (place ? place[1] : 0.0);
-            if (++number == ABREAST) meet();
-        }
-        ray += count;
-    }
-    if (number > 0) meet();
-"""
-
-
-@wp.func_native(filled(simd_batch(32) + _MEET, UNSEEN=f"{int(UNSEEN)}ULL"))
+@wp.func_native(
+    f"warpdiff::intersect_known_faces<32, {int(UNSEEN)}ULL>(camera, surface, sampling, pixels, begin, end);"
+)
 def intersect_known_faces_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
 ):

@@ -2,12 +2,11 @@
 
 import warp as wp
 
-from warpdiff.kernels import limits, spectral_sum
+from warpdiff.kernels import compile_options, limits
 from warpdiff.kernels.footprints import pixel_footprints_run
-from warpdiff.kernels.snippets import filled, simd_batch
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options("scattering.h", "footprints.h"))
 
 # Of a kernel of arrays with one index, Warp compiles a second variant for the CPU, for arrays that lie densely, hardly
 # faster. A second index, which is always 0, spares it: a third of these modules' time to compile.
@@ -32,102 +31,10 @@ class Reflection:
     per_light_cosine: wp.bool  # for a light of a size
 
 
-# Pixels side by side, step after step, so that the compiler makes vectors of each; a GPU takes one at a time.
-_DEFLECT = """
-    const int* const hit = (const int*)pixels.hit.data;
-    const float* const frames[3] = {(const float*)pixels.tangent.data, (const float*)pixels.bitangent.data,
-        (const float*)pixels.normal.data};
-    const float* const aways = (const float*)pixels.to_view.data;
-    const bool* const is_hidden = hidden.shape[0] > 0 ? (const bool*)hidden.data : nullptr;
-    double* const deflections = (double*)deflections_out.data;
-    float* const to_lights = (float*)to_lights_out.data;
-    float* const gains = (float*)gains_out.data;
-    const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
-    const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
-    const bool sums = coverage_out.shape[0] > 0;
-    float* const xyz = (float*)xyz_out.data;
-    double* const coverage = (double*)coverage_out.data;
-    bool* const lit = (bool*)lit_out.data;
-    for (int from = begin; from < end; from += ABREAST) {
-        const int count = wp::min(end - from, ABREAST);
-        int hits = 0;
-        for (int i = 0; i < count; ++i) hits |= hit[from + i];
-        if (sums && resets) memset(xyz + 3LL * from, 0, 3 * count * sizeof(float));
-        if (sums && begins) {
-            memset(coverage + from, 0, count * sizeof(double));
-            memset(lit + from, 0, count * sizeof(bool));
-        }
-        if (hits == 0) {
-            memset(deflections + 3LL * from, 0, 3 * count * sizeof(double));
-            memset(to_lights + 3LL * from, 0, 3 * count * sizeof(float));
-            memset(gains + from, 0, count * sizeof(float));
-            continue;
-        }
-        // Of pixels that meet nothing, and behind the last one, whatever is there.
-        float frame[3][3][ABREAST], away[3][ABREAST];
-        for (int i = 0; i < ABREAST; ++i) {
-            const long long at = 3LL * (from + (i < count ? i : 0));
-            for (int c = 0; c < 3; ++c) {
-                for (int axis = 0; axis < 3; ++axis) frame[axis][c][i] = frames[axis][at + c];
-                away[c][i] = aways[at + c];
-            }
-        }
-        double light_x[ABREAST], light_y[ABREAST], light_z[ABREAST], u[ABREAST], v[ABREAST], w[ABREAST];
-        float gain[ABREAST];
-        for (int i = 0; i < ABREAST; ++i) {
-            // The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
-            const double away_x = away[0][i], away_y = away[1][i], away_z = away[2][i];
-            double to_light[3], to_view[3];
-            for (int axis = 0; axis < 3; ++axis) {
-                const double x = frame[axis][0][i], y = frame[axis][1][i], z = frame[axis][2][i];
-                to_light[axis] = towards[0] * x + towards[1] * y + towards[2] * z;
-                to_view[axis] = away_x * x + away_y * y + away_z * z;
-            }
-            const double per_light = 1.0 / wp::sqrt(to_light[0] * to_light[0] + to_light[1] * to_light[1]
-                + to_light[2] * to_light[2]);
-            const double per_view = 1.0 / wp::sqrt(to_view[0] * to_view[0] + to_view[1] * to_view[1]
-                + to_view[2] * to_view[2]);
-            light_x[i] = to_light[0] * per_light;
-            light_y[i] = to_light[1] * per_light;
-            light_z[i] = to_light[2] * per_light;
-            u[i] = light_x[i] + to_view[0] * per_view;
-            v[i] = light_y[i] + to_view[1] * per_view;
-            w[i] = light_z[i] + to_view[2] * per_view;
-            // C·M, the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), with Schlick's reflectance and 1 + ωi·ωr
-            // without cancellation.
-            const double cos_i = light_z[i], cos_r = to_view[2] * per_view, total = w[i];
-            const double overlap = 0.5 * (u[i] * u[i] + v[i] * v[i] + total * total);
-            const double cos_d = wp::sqrt(0.5 * overlap), m = 1.0 - (cos_d < 1.0 ? cos_d : 1.0);
-            const double least = cos_i < cos_r ? cos_i : cos_r;
-            const double mask = masking ? least * total * wp::sqrt(2.0 / overlap) / cos_d : 1.0;
-            const double schlick = 1.0 + beyond_normal * m * m * m * m * m;
-            const double result = schlick * overlap * overlap * (mask < 1.0 ? mask : 1.0)
-                / (total * total * cos_r * (per_cosine ? cos_i : 1.0));
-            gain[i] = least > HORIZON ? (float)(scale * result) : 0.0f;
-        }
-        for (int i = 0; i < count; ++i) {
-            const long long k = from + i, at = 3 * k;
-            const bool is_hit = hit[k] != 0;
-            const bool is_lit = is_hit && gain[i] > 0.0f && !(is_hidden && is_hidden[k]);
-            // Whether it is lit or not: those beside it ask how (u, v) changes.
-            deflections[at] = is_hit ? -u[i] : 0.0;
-            deflections[at + 1] = is_hit ? -v[i] : 0.0;
-            deflections[at + 2] = is_hit ? -w[i] : 0.0;
-            to_lights[at] = is_lit ? (float)light_x[i] : 0.0f;
-            to_lights[at + 1] = is_lit ? (float)light_y[i] : 0.0f;
-            to_lights[at + 2] = is_lit ? (float)light_z[i] : 0.0f;
-            gains[k] = is_lit ? gain[i] : 0.0f;
-        }
-        if (!sums) continue;
-        for (int i = 0; i < count; ++i) {
-            coverage[from + i] += hit[from + i] != 0 ? counted : 0.0;
-            lit[from + i] |= gains[from + i] > 0.0f;
-        }
-    }
-"""
-
-
-@wp.func_native(filled(simd_batch(32) + _DEFLECT, HORIZON=limits.HORIZON))
+@wp.func_native(
+    f"warpdiff::find_scattering_vectors<32>(pixels, towards, reflection, scale, {limits.HORIZON}, counted, begins, "
+    "resets, hidden, begin, end, deflections_out, to_lights_out, gains_out, xyz_out, coverage_out, lit_out);"
+)
 def scattering_vectors_run(
     pixels: Pixels,
     towards: wp.vec3d,

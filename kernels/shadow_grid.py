@@ -7,12 +7,12 @@ ray slips between them.
 
 import warp as wp
 
-from warpdiff.kernels import spectral_sum
+from warpdiff.kernels import compile_options
+from warpdiff.kernels.atomics import take_number
 from warpdiff.kernels.bvh import occluded
-from warpdiff.kernels.snippets import filled, simd_batch, take_number
 from warpdiff.kernels.structs import Pixels
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options("shadow_grid.h", "atomics.h"))
 
 # Why most ask for a second index: see ``directions``.
 
@@ -150,81 +150,10 @@ def fill(
                 grid.tops[place] = top
 
 
-# Pixels side by side, of which those in one cell meet its list together; a GPU takes one at a time. Places and cells
-# are those of ``seen`` and ``cell_of``, and sides of edges those of ``left_of``, by which lists are made.
-_LOOK_UP = """
-    constexpr int MOST = 32;
-    const int* const hit = (const int*)pixels.hit.data;
-    const float* const normals = (const float*)pixels.normal.data;
-    const float* const origins = (const float*)pixels.shadow_origin.data;
-    const float* const corners = (const float*)grid.corners.data;
-    const float* const tops = (const float*)grid.tops.data;
-    const int* const starts = (const int*)grid.starts.data;
-    const int* const faces = (const int*)grid.faces.data;
-    bool* const hidden_at = (bool*)hidden_out.data;
-    for (int from = begin; from < end; from += ABREAST) {
-        const int count = wp::min(end - from, ABREAST);
-        // Whole numbers across the light, and heights.
-        double x[ABREAST], y[ABREAST], z[ABREAST];
-        int cell[ABREAST], hidden[ABREAST];
-        for (int i = 0; i < ABREAST; ++i) {
-            const long long k = from + (i < count ? i : 0), at = 3 * k;
-            const bool asks = i < count && hit[k] != 0 && normals[at] * towards[0] + normals[at + 1] * towards[1]
-                + normals[at + 2] * towards[2] > FACING_AWAY;
-            // What is nowhere is in the middle.
-            const double p0 = asks ? origins[at] : 0.0f, p1 = asks ? origins[at + 1] : 0.0f;
-            const double p2 = asks ? origins[at + 2] : 0.0f;
-            x[i] = rint((p0 * grid.across[0] + p1 * grid.across[1] + p2 * grid.across[2]) * STEPS);
-            y[i] = rint((p0 * grid.up[0] + p1 * grid.up[1] + p2 * grid.up[2]) * STEPS);
-            z[i] = p0 * grid.towards[0] + p1 * grid.towards[1] + p2 * grid.towards[2];
-            const int column = (int)floor((x[i] - grid.low_x) * grid.per_step);
-            const int row = (int)floor((y[i] - grid.low_y) * grid.per_step);
-            const bool inside = column >= 0 && row >= 0 && column < grid.columns && row < grid.rows;
-            cell[i] = asks && inside ? row * grid.columns + column : -1;
-            hidden[i] = 0;
-        }
-        for (int i = 0; i < count; ++i) {
-            if (cell[i] < 0) continue;
-            const int here = cell[i];
-            double least = 4.0;
-            for (int j = i; j < ABREAST; ++j)
-                if (cell[j] == here && z[j] < least) least = z[j];
-            for (int next = starts[here]; next < starts[here + 1];) {
-                // Those that rise above any of the pixels: told apart without branches, which none could foresee.
-                int above[MOST], number = 0;
-                float top[MOST];
-                const int stop = wp::min(next + MOST, starts[here + 1]);
-                for (; next < stop; ++next) {
-                    above[number] = faces[next];
-                    top[number] = tops[next];
-                    number += tops[next] > least;
-                }
-                for (int which = 0; which < number; ++which) {
-                    const float* const of_face = corners + 9LL * above[which];
-                    const float most = top[which];
-                    const double x0 = of_face[0], y0 = of_face[1], z0 = of_face[2];
-                    const double x1 = of_face[3], y1 = of_face[4], z1 = of_face[5];
-                    const double x2 = of_face[6], y2 = of_face[7], z2 = of_face[8];
-                    for (int j = 0; j < ABREAST; ++j) {
-                        // Twice the areas between the edges and the point, exactly.
-                        const double e0 = (x2 - x1) * (y[j] - y1) - (y2 - y1) * (x[j] - x1);
-                        const double e1 = (x0 - x2) * (y[j] - y2) - (y0 - y2) * (x[j] - x2);
-                        const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
-                        const int below = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0)
-                            & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-                        // What lies in a face's plane is not to depend on what is beside it and lower.
-                        hidden[j] |= below & (cell[j] == here) & (most > z[j]);
-                    }
-                }
-            }
-            for (int j = 0; j < ABREAST; ++j) cell[j] = cell[j] == here ? -1 : cell[j];
-        }
-        for (int i = 0; i < count; ++i) hidden_at[from + i] = hidden[i] != 0;
-    }
-"""
-
-
-@wp.func_native(filled(simd_batch(8) + _LOOK_UP, FACING_AWAY=f"{float(FACING_AWAY)}f", STEPS=float(STEPS)))
+# Places and cells are found as by ``seen`` and ``cell_of``, and sides of edges as by ``left_of``, which make the lists.
+@wp.func_native(
+    f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, hidden_out);"
+)
 def look_up(
     grid: ShadowGrid,
     towards: wp.vec3f,

@@ -8,32 +8,13 @@ table of its own, so that the kernels serve any series.
 """
 
 import functools
-import sys
 import types
 
 import warp as wp
 
-# The vectors below are as long as the table's rows: the first two flags let their sums be reordered into SIMD lanes.
-# They are the parts of fast-math that do so and leave NaN and infinity defined. The last two make the first picture
-# come sooner: Warp's headers, which each thread that compiles precompiles, take 1.1 s in place of 1.7 without a type
-# that no kernel has, and a module 0.05 to 0.1 s less when their templates are instantiated beforehand.
-_FLAGS = (
-    "-O3 -march=native",
-    "-mreassociate -fno-signed-zeros -ffp-contract=fast",
-    "-DWP_NO_BFLOAT16= -fpch-instantiate-templates",
-)
-# Of Warp's headers those that no kernel here takes: their names stand for one that is there already, which spares a
-# fifth of what precompiling takes. The directives come in where Warp lets its macro for exported names be another.
-# Which of its headers a version needs is known of those alone that were tried.
-_LEFT_OUT = (
-    "fabric", "hashgrid", "matnn", "noise", "svd", "texture", "tile_bvh", "tile_cholesky", "tile_fft", "tile_matmul",
-    "tile_mesh", "tile_radix_sort", "tile_reduce", "tile_scan", "tile_solve", "tuple", "volume",
-)  # fmt: skip
-if sys.platform == "linux" and wp.__version__ == "1.19.0":
-    _ALIASES = "".join(rf'_Pragma("include_alias(\"{name}.h\",\"api.h\")")' for name in _LEFT_OUT)
-    _FLAGS += (f"-DWP_API={_ALIASES}",)
-OPTIONS = {"enable_backward": False, "cpu_compiler_flags": " ".join(_FLAGS)}
+from warpdiff.kernels import compile_options
 
+OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Taps of the interpolation kernel along an axis.
 TAPS = 8

@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from warpdiff.kernels import cell_levels, limits, spectral_sum
-from warpdiff.kernels.snippets import take_number
+from warpdiff.kernels import cell_levels, compile_options, limits
+from warpdiff.kernels.atomics import take_number
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options("atomics.h"))
 
 # Luminances are told apart by the bits of their float32 above so many: sign, exponent, and seven bits of the fraction,
 # a 128th. Groups of these bins are counted, too, so that one thread finds a bin among them.

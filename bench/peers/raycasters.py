@@ -17,7 +17,7 @@ import warp as wp
 from warpdiff.bench.truth import brute_force
 from warpdiff.compute.device import resolve_device
 from warpdiff.compute.pipeline import launch
-from warpdiff.kernels import bvh, spectral_sum
+from warpdiff.kernels import bvh, compile_options
 from warpdiff.render.frame import Frame
 from warpdiff.scene import device_mesh
 from warpdiff.scene.mesh_import import prepare_surface
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import warpdiff as wd
     from warpdiff.scene.mesh_import import Surface
 
-wp.set_module_options(spectral_sum.OPTIONS)
+wp.set_module_options(compile_options.options())
 
 # Cosines below this are tilted towards the viewer by ours.
 LEAST_COSINE = 0.02

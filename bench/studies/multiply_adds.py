@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdiff.kernels.spectral_sum import OPTIONS
+from warpdiff.kernels.compile_options import options
 
 _MULTIPLY_ADDS = """
     typedef float lanes16 __attribute__((vector_size(64)));
@@ -30,7 +30,7 @@ def multiply_adds(seed: wp.float32, rounds: wp.int32) -> wp.float32:  # noqa: D1
     ...
 
 
-@wp.kernel(module="unique", module_options=OPTIONS)
+@wp.kernel(module="unique", module_options=options())
 def multiply_add_rate(rounds: wp.int32, first: wp.int32, sums_out: wp.array(dtype=wp.float32)):
     """Twelve independent sums of 16 floats, ``rounds`` multiply-adds each."""
     i = first + wp.tid()

@@ -29,8 +29,8 @@ SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"rasterize", "footprints", "snippets", "structs", "shading_frames"}
-CPU_ONLY = {"launch_slices"}
+FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
+CPU_ONLY = {"launch_slices", "lookup_specification"}
 # Numbers that hosts need, too.
 WITHOUT_WARP = {"cell_levels", "limits"}
 KERNELS = {

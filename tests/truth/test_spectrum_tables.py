@@ -197,7 +197,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.scope, "D65", **options)[1]
-    firsts, rays = table.firsts.numpy()[0], table.rays.numpy()[0]
+    firsts, rays = table.first_rows.numpy()[0], table.spokes.numpy()[0]
     # A node's number is a multiple of an octave's nodes where an octave begins.
     last = len(rays) * table.nodes - table.node_of_one
     seams = last - table.nodes * np.arange(1, 3)

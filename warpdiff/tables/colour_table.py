@@ -276,11 +276,11 @@ def _coloured(
     table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
-    table.wiggles = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NO_DECIMATION
+    table.detail = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NO_DECIMATION
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
-    table.spread = math.sqrt(source.lobe2) * MIDDLE_UM
-    table.mirror = wp.array(source.mirror, dtype=wp.float32, device=device)
+    table.lobe_uv = math.sqrt(source.lobe2) * MIDDLE_UM
+    table.zeroth_order = wp.array(source.mirror, dtype=wp.float32, device=device)
     table.least_kappa, highest = source.terms.kappas
     table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)
     table.lobe2 = source.lobe2
@@ -288,7 +288,7 @@ def _coloured(
     table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
     table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
     if source.is_lines:
-        table.blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
+        table.line_blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
         table.spread2 = source.coherence.spread**2
         table.near2 = near(source.coherence) ** 2
     # Levels come behind, if any: until then theirs is no memory on the CPU.
@@ -337,7 +337,7 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
     target = colour_lookup.lookup(count, is_lines)
     table = target.Colours()
     for name in target.Colours.vars:
-        if name not in ("firsts", "rays", "widths"):
+        if name not in ("first_rows", "spokes", "blurs"):
             setattr(table, name, getattr(sharp, name))
 
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
@@ -361,9 +361,9 @@ def _fill(
     threads: int,
 ) -> None:
     """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the rays of a level and an octave."""
-    table.rays = wp.array(layout.rays, dtype=wp.int32, device=device)
-    table.widths = wp.array(layout.widths, dtype=wp.float32, device=device)
-    table.firsts = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
+    table.spokes = wp.array(layout.rays, dtype=wp.int32, device=device)
+    table.blurs = wp.array(layout.widths, dtype=wp.float32, device=device)
+    table.first_rows = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
     on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
     for level in range(first_level, len(layout.rays)):
@@ -376,8 +376,8 @@ def _fill(
 
 @functools.cache
 def blending(device: str, *, is_lines: bool) -> Any:
-    """The struct ``Blending`` of the kernels for a source's lines or a spectrum, on the device of a name."""
-    result = colour_lookup.Blending()
+    """The struct ``FootprintTaps`` of the kernels for a source's lines or a spectrum, on the device of a name."""
+    result = colour_lookup.FootprintTaps()
     reached, weigh = (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_lines else (_TAP_RADIUS_SIGMAS, _closest)
     weights, lengths = _blends(2 * colour_lookup.REACH, reached, weigh)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)

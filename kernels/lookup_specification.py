@@ -1,0 +1,303 @@
+"""What the native look-ups compute, in plain Warp and pixel by pixel: slow, to be read and compared with.
+
+``native/point_lookup.h`` and ``native/footprint_lookup.h`` do the same for many pixels side by side, with series in
+place of logarithms, exponentials and arc tangents.
+"""
+
+import functools
+import math
+from typing import Any
+
+import warp as wp
+
+from warpdiff.kernels import colour_lookup
+from warpdiff.kernels.compile_options import options
+from warpdiff.kernels.structs import Footprint
+
+# As in footprint_lookup.h.
+MOST_TURN = wp.constant(wp.float32(0.1))
+WIDEST_ANGLE = wp.constant(wp.float32(0.5))
+WIDEST_RATIO = wp.constant(wp.float32(0.35))
+MOST_TABULATED = wp.constant(wp.float32(1.5))
+MOST_APART = wp.constant(wp.float32(1.5))
+CURVES = wp.constant(wp.float32(0.047))
+DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
+CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
+LOG_2 = wp.constant(wp.float32(math.log(2.0)))
+
+
+@wp.func
+def spline(away: wp.float32) -> wp.vec3f:
+    """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
+    return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
+
+
+@wp.func
+def turns_of(u: wp.float32, v: wp.float32) -> wp.float32:
+    """An angle from 0 to 1."""
+    turns = wp.atan2(v, u) / (2.0 * wp.PI)
+    if turns < 0.0:
+        turns += 1.0
+    return turns
+
+
+@functools.cache
+def lookup(functions: int, source: bool = False) -> Any:
+    """The kernel, whose arguments are those of ``colour_lookup.lookup(functions, source).integrate``."""
+    fast = colour_lookup.lookup(functions, source)
+    Colours, FootprintTaps, row_t, functions_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.functions  # noqa: N806
+
+    @wp.func
+    def node_of(table: Colours, u: wp.float32, v: wp.float32) -> wp.float32:
+        """The place among the nodes of (u, v)."""
+        size = wp.max(wp.sqrt(u * u + v * v), table.least_uv)
+        return wp.log(size) * table.per_log + table.node_of_one
+
+    @wp.func
+    def functions_at(table: Colours, w: wp.float32) -> functions_t:
+        """The functions at |w|: the cubic through four entries."""
+        steps = wp.max((w - table.least_w) * table.per_w, 0.0)
+        entry = wp.clamp(wp.int32(steps) - 1, 0, table.functions.shape[0] - 4)
+        t = steps - wp.float32(entry) - 1.0
+        return (
+            -t * (1.0 - t) * (2.0 - t) / 6.0 * table.functions[entry]
+            + (t + 1.0) * (1.0 - t) * (2.0 - t) / 2.0 * table.functions[entry + 1]
+            + (t + 1.0) * t * (2.0 - t) / 2.0 * table.functions[entry + 2]
+            - (t + 1.0) * t * (1.0 - t) / 6.0 * table.functions[entry + 3]
+        )
+
+    @wp.func
+    def colour_of(table: Colours, sum: row_t, w: wp.float32) -> wp.vec3f:
+        """XYZ of a sum of rows; projected colour curves have shallow negative lobes."""
+        at_w = functions_at(table, w)
+        result = wp.vec3f()
+        for c in range(3):
+            for k in range(wp.static(functions)):
+                result[c] += sum[c * wp.static(functions) + k] * at_w[k]
+            result[c] = wp.max(result[c], 0.0)
+        return result
+
+    @wp.func
+    def zeroth_order(
+        table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, covariance: wp.mat22f, source2: wp.float32
+    ) -> wp.vec3f:
+        """Its XYZ over a covariance of (u, v): a Gaussian at each wavelength."""
+        result = wp.vec3f()
+        entries = table.zeroth_order.shape[0]
+        if entries == 0:
+            return result
+        for k in range(table.wavenumbers.shape[0]):
+            tau = table.wavenumbers[k]
+            lobe2 = table.lobe2 / (tau * tau)
+            whole = covariance + lobe2 * wp.identity(2, dtype=wp.float32)
+            determinant = wp.determinant(whole)
+            exponent = (whole[1, 1] * u * u - 2.0 * whole[0, 1] * u * v + whole[0, 0] * v * v) / determinant
+            if determinant > 0.0 and exponent < 48.0:
+                steps = wp.max((w * tau - table.least_kappa) * table.per_kappa, 0.0)
+                entry = wp.clamp(wp.int32(steps), 0, entries - 2)
+                t = steps - wp.float32(entry)
+                power = (1.0 - t) * table.zeroth_order[entry] + t * table.zeroth_order[entry + 1]
+                size = power * (lobe2 + source2) / wp.sqrt(determinant) * wp.exp(-0.5 * exponent)
+                result += size * table.weights[k]
+        return result
+
+    @wp.func
+    def point(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32) -> wp.vec3f:
+        """The colour of a single direction: splines between three nodes, and at each between three spokes."""
+        octaves = table.spokes.shape[1]
+        place = wp.min(node_of(table, u, v), wp.float32(octaves * table.nodes - 2))
+        middle = wp.int32(wp.rint(place))
+        of_nodes = spline(place - wp.float32(middle))
+        sum = row_t()
+        for m in range(3):
+            node = middle - 1 + m
+            octave = node // table.nodes
+            position = turns_of(u, v) * wp.float32(table.spokes[0, octave])
+            spoke = wp.int32(wp.rint(position))
+            of_spokes = spline(position - wp.float32(spoke))
+            for j in range(3):
+                row = table.first_rows[0, octave] + (spoke - 1 + j) * table.nodes + node - octave * table.nodes
+                sum += of_nodes[m] * of_spokes[j] * table.rows[row]
+        return colour_of(table, sum, w)
+
+    @wp.func
+    def to_polar(table: Colours, u: wp.float32, v: wp.float32, covariance: wp.mat22f) -> wp.mat22f:
+        """The covariance of the angle and of ln |(u, v)| to first order."""
+        uv2 = wp.max(u * u + v * v + table.lobe_uv * table.lobe_uv, table.least_uv * table.least_uv)
+        across = wp.vec2f(-v, u) / uv2
+        along = wp.vec2f(u, v) / uv2
+        both = wp.dot(across, covariance * along)
+        angle2 = wp.max(wp.dot(across, covariance * across), 0.0)
+        ratio2 = wp.max(wp.dot(along, covariance * along), 0.0)
+        return wp.mat22f(angle2, both, both, ratio2)
+
+    @wp.func
+    def sum_of_spokes(
+        table: Colours, taps: FootprintTaps, node: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
+    ) -> row_t:
+        """A node's rows around an angle, on the mip level that is blurred by as much as ``level_of`` or less."""
+        octave = node // table.nodes
+        line2 = wp.float32(0.0)
+        if wp.static(source):
+            line2 = table.line_blurs2[octave]
+        # Levels are blurred each twice as much as the one before.
+        first = table.blurs[1, octave]
+        level = wp.int32(wp.floor(0.5 * wp.log2(wp.max(level_of - line2, 1.0e-30) / (first * first)))) + 1
+        level = wp.clamp(level, 0, table.spokes.shape[0] - 1)
+        spokes = table.spokes[level, octave]
+        spacing = 2.0 * wp.PI / wp.float32(spokes)
+        left2 = (angle2 - table.blurs[level, octave] * table.blurs[level, octave] - line2) / (spacing * spacing)
+        step = wp.int32(wp.max(left2 * taps.per_variance + 0.5, 0.0))
+        step = wp.min(step, taps.weights.shape[0] - 1)
+        count = taps.lengths[step]
+        start = turns * wp.float32(spokes) - 0.5 * wp.float32(count - 1)
+        spoke = wp.int32(wp.rint(start))
+        fractions = taps.weights.shape[1]
+        fraction = wp.int32((start - wp.float32(spoke) + 0.5) * wp.float32(fractions))
+        fraction = wp.clamp(fraction, 0, fractions - 1)
+        result = row_t()
+        for j in range(count):
+            at = colour_lookup.cyclic(spoke + j, spokes)
+            row = table.first_rows[level, octave] + at * table.nodes + node - octave * table.nodes
+            result += taps.weights[step, fraction, j] * table.rows[row]
+        return result
+
+    @wp.func
+    def part(
+        table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
+    ) -> wp.vec3f:
+        """The mean colour over a Gaussian in ln |(u, v)| and the angle, which may go together."""
+        # Beyond these it is no range of angles and ratios.
+        turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
+        ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
+        angle2 = polar[0, 0] * turn_share * turn_share
+        ratio2 = polar[1, 1] * ratio_share * ratio_share
+        both = polar[0, 1] * turn_share * ratio_share
+        # The mean of ln |(u, v)| to second order.
+        place = node_of(table, u, v) + 0.5 * (angle2 - ratio2) * table.per_log
+        variance = ratio2 * table.per_log * table.per_log + 0.25
+        deviation = wp.sqrt(variance)
+        turn_per_node = both * table.per_log / variance
+        aside2 = wp.max(angle2 - turn_per_node * both * table.per_log, 0.0)
+        skew = -0.5 * ratio2 * ratio2 * table.per_log * table.per_log * table.per_log / (variance * deviation)
+
+        octaves = table.spokes.shape[1]
+        spacing = table.blurs[1, wp.clamp(wp.int32(place * table.per_octave), 0, octaves - 1)]
+        across2 = aside2 + spacing * spacing
+        if wp.static(source):
+            across2 = aside2 + 1.0e-12
+        curves = CURVES * table.per_log
+        sharp = wp.sqrt(1.0 / (curves * curves) + turn_per_node * turn_per_node / across2 + 1.0 / variance)
+        most = MOST_APART / (sharp + table.detail)
+        apart = wp.int32(1)
+        while apart < 8 and wp.float32(2 * apart) <= most:
+            apart = 2 * apart
+
+        # Weights of nodes are tabulated, or those of a Gaussian that is cut off.
+        tabulated = variance < MOST_TABULATED + 0.25
+        step = wp.int32(0)
+        half = DEVIATIONS * deviation
+        first = wp.int32(wp.ceil(place - half))
+        end = wp.int32(wp.floor(place + half)) + 1
+        fraction = wp.int32(0)
+        if tabulated:
+            step = wp.int32((variance - 0.25) * taps.per_variance + 0.5)
+            start = place - 0.5 * wp.float32(taps.lengths[step] - 1)
+            first = wp.int32(wp.rint(start))
+            end = first + taps.lengths[step]
+            fractions = taps.weights.shape[1]
+            fraction = wp.clamp(wp.int32((start - wp.float32(first) + 0.5) * wp.float32(fractions)), 0, fractions - 1)
+        sum = row_t()
+        total = wp.float32(0.0)
+        begin = (wp.max(first, 0) + apart - 1) // apart * apart
+        for node in range(begin, wp.min(end, octaves * table.nodes), apart):
+            t = (wp.float32(node) - place) / deviation
+            weight = wp.exp(-0.5 * CUT_PER_VARIANCE * t * t) * wp.max(1.0 + skew * t * (t * t - 3.0), 0.0)
+            if tabulated:
+                weight = taps.weights[step, fraction, node - first]
+            # Further out a straight footprint is as wide, and less of an angle.
+            nearer = wp.exp(-(wp.float32(node) - place) / table.per_log + 0.5 * ratio2)
+            turns = turns_of(u, v) + turn_per_node * table.per_log * (1.0 - nearer) / (2.0 * wp.PI)
+            sum += weight * sum_of_spokes(table, taps, node, turns, aside2 * nearer * nearer, aside2)
+            total += weight
+        if tabulated:
+            total = wp.float32(1.0)
+        return colour_of(table, sum, w) / wp.max(total, 1.0e-6)
+
+    @wp.func
+    def is_left_out(
+        table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
+    ) -> wp.bool:
+        """Whether a source blurs less than the rows are blurred, or so much that it is no range of angles."""
+        octave = wp.int32(node_of(table, u, v) * table.per_octave)
+        octave = wp.clamp(octave, 0, table.spokes.shape[1] - 1)
+        over2 = polar[1, 1] + 0.25 / (table.per_log * table.per_log)
+        if parts > 1:
+            over2 -= (1.0 - within) * polar[0, 1] * polar[0, 1] / polar[0, 0]
+        blurred = (within * polar[0, 0] - table.line_blurs2[octave]) * over2
+        return u * u + v * v < table.near2 or blurred < within * within * polar[0, 1] * polar[0, 1]
+
+    @wp.kernel(module="unique", module_options=options(max_unroll=1))
+    def integrate(
+        # In:
+        table: Colours,
+        deflections: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        footprints: wp.array(dtype=Footprint),
+        taps: FootprintTaps,
+        run: wp.int32,
+        first: wp.int32,
+        # Out:
+        left_out: wp.array(dtype=wp.float32),
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none."""
+        begin = (first + wp.tid()) * run
+        for i in range(begin, wp.min(begin + run, gains.shape[0])):
+            u = wp.float32(deflections[i][0])
+            v = wp.float32(deflections[i][1])
+            w = wp.float32(-deflections[i][2])
+            covariance = wp.mat22f()
+            source2 = wp.float32(0.0)
+            if footprints.shape[0] > 0:
+                row = wp.vec2f(footprints[i][0], footprints[i][1])
+                column = wp.vec2f(footprints[i][2], footprints[i][3])
+                covariance += wp.outer(row, row) + wp.outer(column, column)
+            if wp.static(source):
+                aside = wp.vec2f(to_lights[i][0], to_lights[i][1])
+                covariance += table.spread2 * (wp.identity(2, dtype=wp.float32) - wp.outer(aside, aside))
+                source2 = table.spread2 * to_lights[i][2]
+                left_out[i] = wp.float32(0.0)
+            elif footprints.shape[0] == 0:
+                if gains[i] > 0.0:
+                    colour = point(table, u, v, w)
+                    xyz_out[i] += gains[i] * (colour + zeroth_order(table, u, v, w, covariance, 0.0))
+                continue
+            if not gains[i] > 0.0:
+                continue
+            polar = to_polar(table, u, v, covariance)
+            # Split where the direction turns by much: parts along what goes with the angle are straight.
+            whole = wp.sqrt(polar[0, 0])
+            count = wp.clamp(wp.int32(wp.ceil(whole / MOST_TURN)), 1, wp.static(colour_lookup.MOST_PARTS))
+            uv2 = wp.max(u * u + v * v + table.lobe_uv * table.lobe_uv, table.least_uv * table.least_uv)
+            along = wp.vec2f()
+            if whole > 0.0:
+                along = covariance * wp.vec2f(-v, u) / (uv2 * whole)
+            within = taps.parts[count - 1, 0, 0]
+            if wp.static(source):
+                if is_left_out(table, u, v, polar, within, count):
+                    left_out[i] = gains[i]
+                    continue
+            xyz_out[i] += gains[i] * zeroth_order(table, u, v, w, covariance, source2)
+            for k in range(count):
+                at = wp.vec2f(u, v) + taps.parts[count - 1, 1, k] * along
+                share = gains[i] * taps.parts[count - 1, 2, k]
+                if wp.static(source):
+                    share *= 2.0 * wp.PI * source2
+                left = polar
+                if count > 1:
+                    left = to_polar(table, at[0], at[1], covariance - (1.0 - within) * wp.outer(along, along))
+                xyz_out[i] += share * part(table, taps, at[0], at[1], w, left)
+
+    return integrate

@@ -1,0 +1,41 @@
+// Atomic changes of numbers: slices of a launch run on several threads, and Warp's own are atomic on a GPU only.
+
+#pragma once
+
+#include "simd.h"
+
+namespace warpdiff {
+
+// Count one up; returns what was there.
+WARPDIFF_INLINE int take_number(int* count)
+{
+#if defined(__CUDA_ARCH__)
+    return atomicAdd(count, 1);
+#else
+    return __atomic_fetch_add(count, 1, __ATOMIC_RELAXED);
+#endif
+}
+
+#if !defined(__CUDA_ARCH__)
+
+template <class Number>
+WARPDIFF_INLINE void keep_smallest(Number* kept, Number found)
+{
+    Number known = __atomic_load_n(kept, __ATOMIC_RELAXED);
+    while (
+        found < known && !__atomic_compare_exchange_n(kept, &known, found, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    }
+}
+
+template <class Number>
+WARPDIFF_INLINE void keep_largest(Number* kept, Number found)
+{
+    Number known = __atomic_load_n(kept, __ATOMIC_RELAXED);
+    while (
+        found > known && !__atomic_compare_exchange_n(kept, &known, found, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    }
+}
+
+#endif
+
+} // namespace warpdiff

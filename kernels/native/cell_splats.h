@@ -1,0 +1,76 @@
+// What a split pixel's cells add to that pixel and to the eight around it, through the pixels' filter.
+
+#pragma once
+
+#include "simd.h"
+
+namespace warpdiff {
+
+// Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
+// weights, and that of the weights; the mean colour; and a bit for each quadrant that the light is hidden from.
+struct CellSums {
+    float shares[3][3][4] = {}, mean[3] = {};
+    unsigned char dark = 0;
+};
+
+// Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
+// `along` weighs cells by how far they are, along one axis, from the middle pixel of three.
+WARPDIFF_INLINE CellSums sum_cells(
+    const float* colours, const int* hit, const bool* hidden, const float* along, int across)
+{
+    CellSums sums;
+    int cell = 0;
+    for (int row = 0; row < across; ++row) {
+        float of_row[3][4] = {};
+        for (int column = 0; column < across; ++column, ++cell) {
+            if (hit[cell] == 0) continue;
+            const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
+            const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
+            sums.dark |= (hidden && hidden[cell]) << quadrant;
+            for (int c = 0; c < 3; ++c) sums.mean[c] += value[c];
+            for (int k = 0; k < 3; ++k)
+                for (int c = 0; c < 4; ++c) of_row[k][c] += along[k * across + column] * value[c];
+        }
+        for (int line = 0; line < 3; ++line)
+            for (int k = 0; k < 3; ++k)
+                for (int c = 0; c < 4; ++c) sums.shares[line][k][c] += along[line * across + row] * of_row[k][c];
+    }
+    for (int c = 0; c < 3; ++c) sums.mean[c] /= (float)(across * across);
+    return sums;
+}
+
+// Splat pixels from begin to end of those that are split, −1 is none: `least_fall` is the share of what was expected
+// that their means are taken to change by at least.
+template <class Colours, class Hits, class Flags, class Numbers, class Shares, class Bytes>
+WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& hidden, const Hits& pixels,
+    const Colours& colours_before, const Numbers& errors_before, const Hits& ranks, const Numbers& weights, int level,
+    float least_fall, int begin, int end, Shares& shares_out, Colours& means_out, Numbers& changes_out,
+    Bytes& levels_out, Bytes& dark_out)
+{
+    const int across = 1 << level;
+    for (int tile = begin; tile < end; ++tile) {
+        const int pixel = numbers<const int>(pixels)[tile];
+        if (pixel < 0) continue;
+        const long long first = (long long)tile * across * across;
+        const CellSums sums = sum_cells(numbers<const float>(colours) + 3 * first, numbers<const int>(hit) + first,
+            is_empty(hidden) ? nullptr : numbers<const bool>(hidden) + first, numbers<const float>(weights), across);
+        const long long rank = is_empty(ranks) ? pixel : numbers<const int>(ranks)[pixel];
+        memcpy(numbers<float>(shares_out) + 36 * rank, sums.shares, sizeof(sums.shares));
+        float* const mean = numbers<float>(means_out) + 3 * rank;
+        const float* const before = level == 1 ? numbers<const float>(colours_before) + 3LL * pixel : mean;
+        float change2 = 0.0f;
+        for (int c = 0; c < 3; ++c) {
+            const float change = sums.mean[c] - before[c];
+            change2 += change * change;
+        }
+        for (int c = 0; c < 3; ++c) mean[c] = sums.mean[c];
+        // Cells may agree with what was before where both are wrong.
+        float* const change = numbers<float>(changes_out) + rank;
+        const float expected = level == 1 ? numbers<const float>(errors_before)[pixel] : *change;
+        *change = wp::max(wp::sqrt(change2), least_fall * expected);
+        numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;
+        numbers<unsigned char>(dark_out)[rank] = sums.dark;
+    }
+}
+
+} // namespace warpdiff

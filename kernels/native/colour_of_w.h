@@ -1,0 +1,84 @@
+// From sums of a colour table's rows to XYZ: the functions of w that all rows share, and the zeroth order, which rows
+// leave out.
+
+#pragma once
+
+#include "simd.h"
+
+namespace warpdiff {
+
+// The functions of w are tabulated at equal steps: for each of N pixels the first of four entries, and the weights of
+// the cubic through them.
+template <int N>
+struct AtW {
+    Batch<N, int> entry;
+    Batch<N> weights[4];
+
+    template <class Table>
+    WARPDIFF_INLINE void set(int i, const Table& table, float w)
+    {
+        const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
+        const int last = table.functions.shape[0] - 4, before = (int)steps - 1;
+        entry[i] = before < 0 ? 0 : before < last ? before : last;
+        const float t = steps - (float)entry[i] - 1.0f, prior = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
+        weights[0][i] = (-1.0f / 6.0f) * t * after * beyond;
+        weights[1][i] = 0.5f * prior * after * beyond;
+        weights[2][i] = 0.5f * prior * t * beyond;
+        weights[3][i] = (-1.0f / 6.0f) * prior * t * after;
+    }
+};
+
+struct Colour {
+    float xyz[3];
+};
+
+// The scalar products of a sum of rows, X, Y and Z, with the functions at pixel i's w.
+template <int WIDTH, int N, class Table>
+WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i)
+{
+    typedef typename Row<WIDTH>::Vector Vector;
+    constexpr int EACH = Row<WIDTH>::VECTORS / 3;
+    const Vector* const entries = numbers<const Vector>(table.functions) + (long long)at_w.entry[i] * EACH;
+    const float w0 = at_w.weights[0][i], w1 = at_w.weights[1][i], w2 = at_w.weights[2][i], w3 = at_w.weights[3][i];
+    Vector products[3] = {Vector{}, Vector{}, Vector{}};
+    for (int k = 0; k < EACH; ++k) {
+        const Vector functions =
+            w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH] + w3 * entries[k + 3 * EACH];
+        for (int c = 0; c < 3; ++c) products[c] += sum.at[c * EACH + k] * functions;
+    }
+    Colour result;
+    for (int c = 0; c < 3; ++c) {
+        result.xyz[c] = 0.0f;
+        for (int l = 0; l < Row<WIDTH>::LANES; ++l) result.xyz[c] += ((const float*)&products[c])[l];
+    }
+    return result;
+}
+
+// Add the zeroth order's XYZ, that of the mean plane, over a covariance of (u, v): a Gaussian at each wavelength.
+// `source2` is the part of a source, the root of its covariance's determinant; (u, v) and the rest are of one pixel.
+template <class Table>
+WARPDIFF_INLINE void add_zeroth_order(
+    const Table& table, float u, float v, float w, float xx, float xy, float yy, float source2, float gain, float* xyz)
+{
+    const int tabulated = table.zeroth_order.shape[0];
+    if (tabulated == 0) return;
+    const float* const wavenumbers = numbers<const float>(table.wavenumbers);
+    const float* const weights = numbers<const float>(table.weights);
+    const float* const powers = numbers<const float>(table.zeroth_order);
+    const float least = wavenumbers[0];
+    // Not so far out at any wavelength that exp(-24) = 4e-11 is left.
+    if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
+    for (int k = 0; k < table.wavenumbers.shape[0]; ++k) {
+        const float tau = wavenumbers[k], lobe2 = table.lobe2 / (tau * tau), a = lobe2 + xx, d = lobe2 + yy;
+        const float determinant = a * d - xy * xy;
+        const float exponent = (d * u * u - 2.0f * xy * u * v + a * v * v) / determinant;
+        if (!(determinant > 0.0f && exponent < 48.0f)) continue;
+        const float steps = wp::max((w * tau - table.least_kappa) * table.per_kappa, 0.0f);
+        const int entry = wp::clamp((int)steps, 0, tabulated - 2);
+        const float t = steps - (float)entry, power = (1.0f - t) * powers[entry] + t * powers[entry + 1];
+        const float factor = gain * power * (lobe2 + source2) / wp::sqrt(determinant) * wp::exp(-0.5f * exponent);
+        for (int c = 0; c < 3; ++c) xyz[c] += factor * weights[3 * k + c];
+    }
+}
+
+} // namespace warpdiff

@@ -1,0 +1,166 @@
+// From rows of the power spectrum on spokes to colours at the nodes of a table, for a few spokes side by side.
+
+#pragma once
+
+#include "simd.h"
+
+namespace warpdiff {
+
+// Room for the rows that a spoke of colours takes, one after the other.
+template <int TERMS>
+struct Spoke {
+    typedef typename Row<TERMS>::Vector Vector;
+    static constexpr int VECTORS = Row<TERMS>::VECTORS;
+
+    Vector* rows;
+    int length;
+
+    template <class Rows>
+    WARPDIFF_INLINE Spoke(const Rows& all, int at, int length_of)
+        : rows(numbers<Vector>(all) + (long long)at * VECTORS),
+          length(length_of)
+    {
+    }
+};
+
+// Rows halfway between spokes: Lagrange's polynomial through four on either side.
+template <int TERMS, class Rows>
+WARPDIFF_INLINE void interpolate_halfway(
+    const Rows& values, long long first, int before, int spokes, int nodes, typename Spoke<TERMS>::Vector* out)
+{
+    constexpr float HALFWAY[4] = {1225.0f / 2048.0f, -245.0f / 2048.0f, 49.0f / 2048.0f, -5.0f / 2048.0f};
+    typedef typename Spoke<TERMS>::Vector Vector;
+    const int size = nodes * Spoke<TERMS>::VECTORS;
+    const Vector* rows[8];
+    for (int k = 0; k < 8; ++k) {
+        const long long spoke = (before + k - 3 + spokes) % spokes;
+        rows[k] = numbers<const Vector>(values) + (first + spoke * nodes) * Spoke<TERMS>::VECTORS;
+    }
+    for (int l = 0; l < size; ++l) {
+        Vector sum = Vector{};
+        for (int k = 0; k < 4; ++k) sum += HALFWAY[k] * (rows[3 - k][l] + rows[4 + k][l]);
+        out[l] = sum;
+    }
+}
+
+// The rows that colours along SPOKES spokes take, `length` for each: one before the first of their octave, which counts
+// as dark, the octave, the next one, and of the one behind that what is left. An octave may have half as many spokes as
+// the next one.
+template <int TERMS, int SPOKES, class Values, class Integers>
+WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& spokes_of, int nodes,
+    int octave, int first_spoke, Values& sequence, int at, int length)
+{
+    typedef typename Spoke<TERMS>::Vector Vector;
+    constexpr int ROW = Spoke<TERMS>::VECTORS;
+    const int* const begins = numbers<const int>(starts);
+    const int* const counts = numbers<const int>(spokes_of);
+    const int coarse = counts[octave], count = counts[octave + 1], size = nodes * ROW;
+    const int more = octave + 2 < spokes_of.shape[0] ? counts[octave + 2] / count : 0;
+    // A spectrum of few nodes an octave ends before the filter's last taps.
+    const int left = (length - 1 - nodes) * ROW, next = wp::min(left, size);
+    const int further = more > 0 ? wp::min(left - next, size) : 0;
+    auto on_spoke = [&](int of, int spoke) {
+        return numbers<const Vector>(values) + (begins[of] + (long long)spoke * nodes) * ROW;
+    };
+    Vector* out = Spoke<TERMS>(sequence, at, length).rows;
+    for (int spoke = first_spoke; spoke < first_spoke + SPOKES; ++spoke, out += (long long)length * ROW) {
+        for (int l = 0; l < ROW; ++l) out[l] = Vector{};
+        Vector* const own = out + ROW;
+        if (coarse != count && spoke % 2 != 0)
+            interpolate_halfway<TERMS>(values, begins[octave], spoke / 2, coarse, nodes, own);
+        else
+            memcpy(own, on_spoke(octave, coarse == count ? spoke : spoke / 2), size * sizeof(Vector));
+        memcpy(own + size, on_spoke(octave + 1, spoke), next * sizeof(Vector));
+        if (further > 0) memcpy(own + size + next, on_spoke(octave + 2, spoke * more), further * sizeof(Vector));
+        for (int l = next + further; l < left; ++l) own[size + l] = Vector{};
+    }
+}
+
+// Turn a spoke's rows into coefficients of the quadratic spline that passes through them, by a filter that runs up and
+// down.
+template <int TERMS>
+WARPDIFF_INLINE void filter_to_spline(typename Spoke<TERMS>::Vector* rows, int length)
+{
+    constexpr float POLE = -0.171572875f, GAIN = 1.41421356f * (1.0f - POLE * POLE);
+    constexpr int ROW = Spoke<TERMS>::VECTORS;
+    typedef typename Spoke<TERMS>::Vector Vector;
+    for (int l = 0; l < ROW; ++l) {
+        Vector last = Vector{};
+        for (int j = 0; j < length; ++j) rows[j * ROW + l] = last = rows[j * ROW + l] + POLE * last;
+        last *= POLE / (1.0f - POLE * POLE);
+        for (int j = length - 1; j >= 0; --j) {
+            last = rows[j * ROW + l] + POLE * last;
+            rows[j * ROW + l] = GAIN * last;
+        }
+    }
+}
+
+// Coefficients of FUNCTIONS functions of w in vectors, the last of which may overlap the one before.
+template <int FUNCTIONS>
+struct FunctionVectors {
+    static constexpr int LANES = ON_GPU ? 1 : FUNCTIONS > 4 ? 8 : 4;
+    static constexpr int COUNT = (FUNCTIONS + LANES - 1) / LANES;
+    typedef typename FloatVector<LANES>::type Vector;
+
+    static constexpr int first(int p)
+    {
+        return p * LANES < FUNCTIONS - LANES ? p * LANES : FUNCTIONS - LANES;
+    }
+};
+
+// Sums over `taps` rows of SPOKES spokes, `apart` floats from each other: what a row's terms give for each function of
+// w, by a matrix that the spokes share, weighed with the colour curves.
+template <int TERMS, int FUNCTIONS, int SPOKES>
+WARPDIFF_INLINE void project_node(const float* row, long long apart, const float* factor, const float* colour, int taps,
+    int terms, float* out, long long out_apart)
+{
+    typedef FunctionVectors<FUNCTIONS> Functions;
+    typedef typename Functions::Vector Vector;
+    Vector sum[SPOKES][3][Functions::COUNT];
+    for (int b = 0; b < SPOKES; ++b)
+        for (int c = 0; c < 3; ++c)
+            for (int p = 0; p < Functions::COUNT; ++p) sum[b][c][p] = Vector{};
+    for (int i = 0; i < taps; ++i) {
+        Vector at_w[SPOKES][Functions::COUNT];
+        for (int b = 0; b < SPOKES; ++b)
+            for (int p = 0; p < Functions::COUNT; ++p) at_w[b][p] = Vector{};
+        for (int l = 0; l < terms; ++l) {
+#pragma unroll
+            for (int b = 0; b < SPOKES; ++b) {
+#pragma unroll
+                for (int p = 0; p < Functions::COUNT; ++p)
+                    at_w[b][p] += row[b * apart + l] * *(const Vector*)(factor + Functions::first(p));
+            }
+            factor += FUNCTIONS;
+        }
+#pragma unroll
+        for (int b = 0; b < SPOKES; ++b) {
+#pragma unroll
+            for (int c = 0; c < 3; ++c)
+                for (int p = 0; p < Functions::COUNT; ++p) sum[b][c][p] += colour[c] * at_w[b][p];
+        }
+        row += TERMS;
+        colour += 3;
+    }
+    for (int b = 0; b < SPOKES; ++b)
+        for (int c = 0; c < 3; ++c)
+            for (int p = 0; p < Functions::COUNT; ++p)
+                *(Vector*)(out + b * out_apart + c * FUNCTIONS + Functions::first(p)) = sum[b][c][p];
+}
+
+// Colours along SPOKES spokes from their `length` rows; that of the first node begins behind those `skipped`.
+template <int TERMS, int FUNCTIONS, int SPOKES, class Rows, class Matrices, class Weights, class Colours>
+WARPDIFF_INLINE void project_spokes(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
+    const Weights& weights, int terms, int nodes, int first_spoke, Colours& rows_out)
+{
+    const Spoke<TERMS> first(sequence, at, length);
+    for (int b = 0; b < SPOKES; ++b)
+        filter_to_spline<TERMS>(first.rows + (long long)b * length * Spoke<TERMS>::VECTORS, length);
+    float* const out = numbers<float>(rows_out) + 3LL * first_spoke * nodes * FUNCTIONS;
+    for (int k = 0; k < nodes; ++k)
+        project_node<TERMS, FUNCTIONS, SPOKES>((const float*)first.rows + (long long)(skipped + k) * TERMS,
+            (long long)length * TERMS, numbers<const float>(matrices), numbers<const float>(weights), weights.shape[0],
+            terms, out + 3LL * k * FUNCTIONS, 3LL * nodes * FUNCTIONS);
+}
+
+} // namespace warpdiff

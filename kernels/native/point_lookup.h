@@ -1,0 +1,134 @@
+// Colours of single directions from a colour table: quadratic splines between nodes and between spokes.
+
+#pragma once
+
+#include "colour_of_w.h"
+#include "fast_math.h"
+#include "simd.h"
+
+namespace warpdiff {
+
+// N points: where they lie in the table, and the rows that they take.
+template <int N>
+struct Points {
+    Batch<N> u = {}, v = {}, w = {};
+    Batch<N> turns, place; // angle and place among the nodes
+    AtW<N> at_w;
+    Batch<N, const float*> first_row; // of the first of three nodes, on the first of three spokes
+    Batch<N> aside;                   // from the middle one of these [spokes]
+    Batch<N, int> first_node, octave;
+};
+
+// Places of all N, which the compiler finds side by side.
+template <int N, class Table>
+WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
+{
+    const int octaves = table.spokes.shape[1];
+    const float nodes = (float)table.nodes, last = (float)(octaves * table.nodes - 2), least = table.least_uv;
+    for (int i = 0; i < N; ++i) {
+        const LogPolar at = log_polar(points.u[i], points.v[i], least);
+        points.turns[i] = at.turns;
+        points.place[i] = wp::min(at.log2 * nodes + table.node_of_one, last);
+    }
+    for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
+}
+
+// The row of a node of an octave on the first of the three spokes around an angle, and how far the middle one is.
+template <int WIDTH, class Table>
+WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int node, int octave, float& aside)
+{
+    const float position = turns * (float)numbers<const int>(table.spokes)[octave], nearest = wp::rint(position);
+    aside = position - nearest;
+    const long long row =
+        numbers<const int>(table.first_rows)[octave] + ((int)nearest - 1 - octave) * table.nodes + node;
+    return numbers<const float>(table.rows) + row * WIDTH;
+}
+
+// Find a point's rows, and ask for them unless nothing comes of it.
+template <int WIDTH, int N, class Table>
+WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_lit)
+{
+    points.first_node[i] = (int)wp::rint(points.place[i]) - 1;
+    points.octave[i] = (int)((float)points.first_node[i] * table.per_octave);
+    points.first_row[i] =
+        row_at<WIDTH>(table, points.turns[i], points.first_node[i], points.octave[i], points.aside[i]);
+    if (ON_GPU || !is_lit) return;
+    for (int j = 0; j < 3; ++j) {
+        const float* const row = points.first_row[i] + j * (long long)table.nodes * WIDTH;
+        for (int l = 0; l < 3 * WIDTH; l += 16) prefetch(row + l);
+        prefetch(row + 3 * WIDTH - 1);
+    }
+}
+
+// Weights of three neighbours by the quadratic B-spline, a place away from the middle one.
+WARPDIFF_INLINE void quadratic_spline(float away, float* weights)
+{
+    weights[0] = 0.5f * (0.5f - away) * (0.5f - away);
+    weights[1] = 0.75f - away * away;
+    weights[2] = 0.5f * (0.5f + away) * (0.5f + away);
+}
+
+// The sum of a point's nine rows.
+template <int WIDTH, int N, class Table>
+WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
+{
+    float of_nodes[3], of_spokes[3];
+    quadratic_spline(points.place[i] - (float)(points.first_node[i] + 1), of_nodes);
+    quadratic_spline(points.aside[i], of_spokes);
+    Row<WIDTH> sum;
+    sum.clear();
+    const long long stride = (long long)table.nodes * WIDTH;
+    const int left = (points.octave[i] + 1) * table.nodes - points.first_node[i];
+    const float* first = points.first_row[i];
+#pragma unroll
+    for (int m = 0; m < 3; ++m) {
+        if (m == left) {
+            // The next octave has spokes of its own.
+            float aside;
+            first = row_at<WIDTH>(table, points.turns[i], points.first_node[i], points.octave[i] + 1, aside);
+            quadratic_spline(aside, of_spokes);
+        }
+        const float* row = first + m * WIDTH;
+#pragma unroll
+        for (int j = 0; j < 3; ++j) {
+            sum.add(of_nodes[m] * of_spokes[j], row);
+            row += stride;
+        }
+    }
+    return sum;
+}
+
+// Add the XYZ of deflections from begin to end, at most RUN, times their gains.
+//
+// What the next ones read is asked for AHEAD of their turn: of too many, rows that lie a page apart drive each other
+// out of the first cache.
+template <int FUNCTIONS, int RUN, int AHEAD, class Table, class Deflections, class Gains, class Colours>
+WARPDIFF_INLINE void look_up_points(
+    const Table& table, const Deflections& deflections, const Gains& gains, int begin, int end, Colours& xyz_out)
+{
+    constexpr int N = batch_of(RUN), WIDTH = 3 * FUNCTIONS;
+    const int count = end - begin;
+    const double* const given = numbers<const double>(deflections) + 3LL * begin;
+    const float* const factors = numbers<const float>(gains) + begin;
+    Points<N> points;
+    for (int i = 0; i < count; ++i) {
+        points.u[i] = (float)given[3 * i];
+        points.v[i] = (float)given[3 * i + 1];
+        points.w[i] = (float)-given[3 * i + 2];
+    }
+    place_points(table, points);
+    for (int i = 0; i < count && i < AHEAD; ++i) locate_rows<WIDTH>(table, points, i, factors[i] > 0.0f);
+    for (int i = 0; i < count; ++i) {
+        const int next = i + AHEAD;
+        if (next < count) locate_rows<WIDTH>(table, points, next, factors[next] > 0.0f);
+        if (!(factors[i] > 0.0f)) continue;
+        const Row<WIDTH> sum = sum_of_rows<WIDTH>(table, points, i);
+        const Colour colour = colour_at_w(table, sum, points.at_w, i);
+        float* const out = numbers<float>(xyz_out) + 3LL * (begin + i);
+        // Projected colour curves have shallow negative lobes.
+        for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour.xyz[c], 0.0f);
+        add_zeroth_order(table, points.u[i], points.v[i], points.w[i], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], out);
+    }
+}
+
+} // namespace warpdiff

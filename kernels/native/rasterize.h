@@ -1,0 +1,384 @@
+// Which face each ray of a picture meets first: faces are projected side by side, and then each visits the pixels of
+// its rows one by one, or the cells of split pixels side by side. On the CPU alone; a GPU traces rays.
+
+#pragma once
+
+#include "atomics.h"
+#include "simd.h"
+
+namespace warpdiff {
+
+#if defined(__CUDA_ARCH__)
+
+template <int MOST_CELLS, class... Arguments>
+WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
+{
+    __trap();
+}
+
+#else
+
+// Products of corners on such a grid are exact in a picture, so that faces leave no gap where they meet.
+constexpr double PER_PIXEL = 1 << 14;
+// Before the eye, in units of the surface: what is nearer is not seen.
+constexpr double NEAR_PLANE = 1.0e-9;
+// Faces, and cells of a pixel, side by side.
+constexpr int FACES = 16, CELLS = 8;
+
+WARPDIFF_INLINE double lesser(double a, double b)
+{
+    return a < b ? a : b;
+}
+
+WARPDIFF_INLINE double greater(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+// A picture, where its rays lie, and what they have met.
+template <int MOST_CELLS>
+struct Raster {
+    const double* axes;
+    bool orthographic;
+    int width, height;
+    double per_width, per_height;
+    // Distances begin before the sphere around the mesh: a float32 of those from afar would tell no faces apart.
+    double before;
+    const double* offsets; // of each pixel's ray from the centre; null if all lie there
+    // Of cells: which pixels are split, a bit each in words of 64, and their places; where cells lie about a centre.
+    const unsigned long long* marks; // null for one ray a pixel
+    const int* ranks;
+    int cells;
+    float aside[MOST_CELLS], below[MOST_CELLS];
+    double reach_of_cells, reach; // how far cells, or any rays, lie from the centre along an axis
+    unsigned long long* nearest;
+
+    template <class Camera, class Sampling, class Cells, class Nearest>
+    WARPDIFF_INLINE Raster(
+        const Camera& camera, const Sampling& sampling, const Cells& split, double reach_of_rays, Nearest& nearest_out)
+    {
+        axes = numbers<const double>(camera.axes);
+        orthographic = camera.orthographic;
+        width = camera.width;
+        height = camera.height;
+        per_width = 0.5 * width / axes[12];
+        per_height = 0.5 * height / axes[13];
+        before = wp::max(axes[0] * axes[9] + axes[1] * axes[10] + axes[2] * axes[11] - 1.0, 0.0);
+        offsets = is_empty(sampling.offsets) ? nullptr : numbers<const double>(sampling.offsets);
+        marks = is_empty(split.ranks) ? nullptr : numbers<const unsigned long long>(split.marks);
+        ranks = numbers<const int>(split.ranks);
+        nearest = numbers<unsigned long long>(nearest_out);
+        const int across = split.across;
+        cells = across * across;
+        reach_of_cells = 0.5 - 0.5 / across;
+        for (int cell = 0; marks && cell < cells; ++cell) {
+            aside[cell] = (float)((cell % across + 0.5) / across - 0.5);
+            below[cell] = (float)((cell / across + 0.5) / across - 0.5);
+        }
+        for (int cell = marks ? cells : 0; cell < MOST_CELLS; ++cell) aside[cell] = below[cell] = 0.0f;
+        reach = marks ? greater(reach_of_rays, reach_of_cells) : reach_of_rays;
+    }
+};
+
+// Faces, or what the near plane leaves of them, by corner or by the edge across from it.
+struct Triangles {
+    // In the picture, and along the view; whether the edge runs from the vertex of the smaller number to the larger.
+    double column[3][FACES], row[3][FACES], depth[3][FACES];
+    bool rises[3][FACES];
+    int face[FACES], count = 0;
+    // Pixels that they may reach, and edges: their beginnings, extents, signs, and columns a row.
+    double low_column[FACES], high_column[FACES], low_row[FACES], high_row[FACES];
+    double from_x[3][FACES], from_y[3][FACES], right[3][FACES], down[3][FACES], sign[3][FACES], slope[3][FACES];
+
+    // Twice the areas between a place and the edges of triangle i, positive inside.
+    WARPDIFF_INLINE void areas(int i, double x, double y, double* inside) const
+    {
+        for (int k = 0; k < 3; ++k)
+            inside[k] = sign[k][i] * (right[k][i] * (y - from_y[k][i]) - down[k][i] * (x - from_x[k][i]));
+    }
+};
+
+// The rows that any face may be seen in.
+struct RowRange {
+    int least, most;
+};
+
+// Corners on the grid, boxes, and edges, of all triangles side by side.
+template <class Picture>
+WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
+{
+    double sides[FACES];
+    for (int i = 0; i < FACES; ++i) {
+        for (int k = 0; k < 3; ++k) {
+            triangles.column[k][i] = wp::rint(triangles.column[k][i] * PER_PIXEL) / PER_PIXEL;
+            triangles.row[k][i] = wp::rint(triangles.row[k][i] * PER_PIXEL) / PER_PIXEL;
+        }
+        const double x0 = triangles.column[0][i], x1 = triangles.column[1][i], x2 = triangles.column[2][i];
+        const double y0 = triangles.row[0][i], y1 = triangles.row[1][i], y2 = triangles.row[2][i];
+        const double slack = picture.reach;
+        sides[i] = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0) < 0.0 ? -1.0 : 1.0;
+        triangles.low_column[i] = greater(wp::ceil(lesser(x0, lesser(x1, x2)) - slack - 0.5), 0.0);
+        triangles.high_column[i] = lesser(wp::floor(greater(x0, greater(x1, x2)) + slack - 0.5), picture.width - 1.0);
+        triangles.low_row[i] = greater(wp::ceil(lesser(y0, lesser(y1, y2)) - slack - 0.5), 0.0);
+        triangles.high_row[i] = lesser(wp::floor(greater(y0, greater(y1, y2)) + slack - 0.5), picture.height - 1.0);
+    }
+    // What two faces find of an edge is the same but for its sign.
+    for (int k = 0; k < 3; ++k) {
+        const int one = (k + 1) % 3, other = (k + 2) % 3;
+        for (int i = 0; i < FACES; ++i) {
+            const bool rises = triangles.rises[k][i];
+            const double x1 = triangles.column[one][i], x2 = triangles.column[other][i];
+            const double y1 = triangles.row[one][i], y2 = triangles.row[other][i];
+            triangles.from_x[k][i] = rises ? x1 : x2;
+            triangles.from_y[k][i] = rises ? y1 : y2;
+            triangles.right[k][i] = rises ? x2 - x1 : x1 - x2;
+            triangles.down[k][i] = rises ? y2 - y1 : y1 - y2;
+            triangles.sign[k][i] = rises ? sides[i] : -sides[i];
+            triangles.slope[k][i] = triangles.right[k][i] / (triangles.down[k][i] == 0.0 ? 1.0 : triangles.down[k][i]);
+        }
+    }
+}
+
+// Keep triangle i for a ray if it is nearer than what is known: the distance's bits, and the face below them.
+template <class Picture>
+WARPDIFF_INLINE void keep_nearest(
+    const Picture& picture, const Triangles& triangles, int i, double inside0, double inside1, double inside2, int ray)
+{
+    const double total = inside0 + inside1 + inside2;
+    if (!(total > 0.0)) return;
+    const double d0 = triangles.depth[0][i], d1 = triangles.depth[1][i], d2 = triangles.depth[2][i];
+    const double depth = picture.orthographic ? (inside0 * d0 + inside1 * d1 + inside2 * d2) / total
+                                              : total / (inside0 / d0 + inside1 / d1 + inside2 / d2);
+    const float distance = (float)wp::max(depth - picture.before, 0.0);
+    unsigned int bits;
+    memcpy(&bits, &distance, sizeof(bits));
+    keep_smallest(picture.nearest + ray, (unsigned long long)bits << 32 | (unsigned int)triangles.face[i]);
+}
+
+// One ray of each pixel of a row, from `left` to before `end`.
+template <class Picture>
+WARPDIFF_INLINE void visit_pixels(const Picture& picture, const Triangles& triangles, int i, int row, int left, int end)
+{
+    for (int column = left; column < end; ++column) {
+        const int ray = row * picture.width + column;
+        const double right = picture.offsets ? picture.offsets[2LL * ray] : 0.0;
+        const double down = picture.offsets ? picture.offsets[2LL * ray + 1] : 0.0;
+        double inside[3];
+        triangles.areas(i, column + 0.5 + right, row + 0.5 + down, inside);
+        if (inside[0] >= 0.0 && inside[1] >= 0.0 && inside[2] >= 0.0)
+            keep_nearest(picture, triangles, i, inside[0], inside[1], inside[2], ray);
+    }
+}
+
+// The cells of one pixel.
+template <class Picture>
+WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triangles, int i, int row, int column)
+{
+    typedef float Batch __attribute__((vector_size(4 * CELLS), aligned(4)));
+    typedef signed Flags __attribute__((vector_size(4 * CELLS)));
+    const Flags BITS = {1, 2, 4, 8, 16, 32, 64, 128};
+    double inside[3];
+    triangles.areas(i, column + 0.5, row + 0.5, inside);
+    bool is_beside = false;
+    Batch at_centre[3], along[3], athwart[3];
+    for (int k = 0; k < 3; ++k) {
+        const double right = triangles.right[k][i], down = triangles.down[k][i], sign = triangles.sign[k][i];
+        along[k] = Batch{} + (float)(sign * right);
+        athwart[k] = Batch{} + (float)(sign * down);
+        at_centre[k] = Batch{} + (float)inside[k];
+        is_beside |= inside[k] < -picture.reach_of_cells * (wp::abs(right) + wp::abs(down));
+    }
+    if (is_beside) return;
+    const int first = picture.ranks[row * picture.width + column] * picture.cells;
+    for (int cell = 0; cell < picture.cells; cell += CELLS) {
+        const Batch x = *(const Batch*)(picture.aside + cell), y = *(const Batch*)(picture.below + cell);
+        Batch at[3];
+        for (int k = 0; k < 3; ++k) at[k] = at_centre[k] + (along[k] * y - athwart[k] * x);
+        const Flags each = (at[0] >= 0.0f) & (at[1] >= 0.0f) & (at[2] >= 0.0f) & BITS;
+        int covered = 0;
+        for (int j = 0; j < CELLS; ++j) covered |= each[j];
+        if (cell + CELLS > picture.cells) covered &= (1 << (picture.cells - cell)) - 1;
+        for (; covered != 0; covered &= covered - 1) {
+            const int j = __builtin_ctz(covered);
+            keep_nearest(picture, triangles, i, at[0][j], at[1][j], at[2][j], first + cell + j);
+        }
+    }
+}
+
+// Pixels of a row that are split, from `left` to before `end`.
+template <class Picture>
+WARPDIFF_INLINE void visit_split_pixels(
+    const Picture& picture, const Triangles& triangles, int i, int row, int left, int end)
+{
+    const int words = (picture.width + 63) / 64;
+    for (int word = left / 64; 64 * word < end; ++word) {
+        unsigned long long pixels = picture.marks[row * words + word];
+        if (64 * word < left) pixels &= ~0ULL << (left - 64 * word);
+        if (64 * word + 64 > end) pixels &= ~0ULL >> (64 * word + 64 - end);
+        for (; pixels != 0; pixels &= pixels - 1)
+            visit_cells(picture, triangles, i, row, 64 * word + __builtin_ctzll(pixels));
+    }
+}
+
+// Visit the rays of all pixels that triangles may cover.
+template <class Picture>
+inline void visit_rays(const Picture& picture, Triangles& triangles, RowRange& rows)
+{
+    set_up(picture, triangles);
+    for (int i = 0; i < triangles.count; ++i) {
+        if (!(triangles.low_row[i] <= triangles.high_row[i] && triangles.low_column[i] <= triangles.high_column[i]))
+            continue;
+        rows.least = wp::min(rows.least, (int)triangles.low_row[i]);
+        rows.most = wp::max(rows.most, (int)triangles.high_row[i]);
+        for (int row = (int)triangles.low_row[i]; row <= (int)triangles.high_row[i]; ++row) {
+            // What of the row may count, with a pixel's width of slack.
+            double least = triangles.low_column[i], largest = triangles.high_column[i];
+            for (int k = 0; k < 3; ++k) {
+                const double slope = triangles.slope[k][i], rise = triangles.sign[k][i] * triangles.down[k][i];
+                const double beyond = picture.reach * (1.0 + wp::abs(slope));
+                const double crossing = triangles.from_x[k][i] + slope * (row + 0.5 - triangles.from_y[k][i]) - 0.5;
+                if (rise < 0.0) least = greater(least, wp::floor(crossing - beyond));
+                if (rise > 0.0) largest = lesser(largest, wp::ceil(crossing + beyond));
+            }
+            if (!(least <= largest)) continue;
+            if (picture.marks)
+                visit_split_pixels(picture, triangles, i, row, (int)least, (int)largest + 1);
+            else
+                visit_pixels(picture, triangles, i, row, (int)least, (int)largest + 1);
+        }
+    }
+}
+
+// Put a corner, given across, up and along the view, into the picture.
+template <class Picture>
+WARPDIFF_INLINE void project_corner(
+    const Picture& picture, double across, double up, double depth, Triangles& triangles, int corner, int i)
+{
+    const double scale = picture.orthographic ? 1.0 : 1.0 / depth;
+    triangles.column[corner][i] = 0.5 * picture.width + picture.per_width * scale * across;
+    triangles.row[corner][i] = 0.5 * picture.height - picture.per_height * scale * up;
+    triangles.depth[corner][i] = depth;
+}
+
+// A face cut off at the near plane: up to four corners, across, up and along the view, and whether the edge from each
+// to the next one runs from the vertex of the smaller number to the larger.
+struct ClippedFace {
+    double corner[4][3];
+    bool rises[4];
+    int count = 0;
+};
+
+template <class Picture>
+WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* positions, const int* vertices)
+{
+    const double* const axes = picture.axes;
+    double seen[3][3];
+    for (int k = 0; k < 3; ++k) {
+        const float* const place = positions + 3LL * vertices[k];
+        const double x = place[0] - axes[0], y = place[1] - axes[1], z = place[2] - axes[2];
+        seen[k][0] = x * axes[3] + y * axes[4] + z * axes[5];
+        seen[k][1] = x * axes[6] + y * axes[7] + z * axes[8];
+        seen[k][2] = -(x * axes[9] + y * axes[10] + z * axes[11]);
+    }
+    ClippedFace left;
+    for (int k = 0; k < 3; ++k) {
+        const int next = (k + 1) % 3;
+        const bool rises = vertices[k] < vertices[next];
+        if (seen[k][2] >= NEAR_PLANE) {
+            for (int c = 0; c < 3; ++c) left.corner[left.count][c] = seen[k][c];
+            left.rises[left.count++] = rises;
+        }
+        if ((seen[k][2] >= NEAR_PLANE) == (seen[next][2] >= NEAR_PLANE)) continue;
+        // From the vertex of the smaller number on, for both faces.
+        const int a = rises ? k : next, b = rises ? next : k;
+        const double t = (NEAR_PLANE - seen[a][2]) / (seen[b][2] - seen[a][2]);
+        for (int c = 0; c < 2; ++c) left.corner[left.count][c] = seen[a][c] + t * (seen[b][c] - seen[a][c]);
+        left.corner[left.count][2] = NEAR_PLANE;
+        left.rises[left.count++] = rises;
+    }
+    return left;
+}
+
+// A triangle or two of what is left of a face; their edges, but for the cut and where the two meet, are the face's.
+template <class Picture>
+WARPDIFF_INLINE void add_clipped(
+    const Picture& picture, const ClippedFace& left, int face, Triangles& triangles, RowRange& rows)
+{
+    for (int k = 2; k < left.count; ++k) {
+        const int which[3] = {0, k - 1, k}, i = triangles.count++;
+        for (int c = 0; c < 3; ++c) {
+            const double* const corner = left.corner[which[c]];
+            project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
+        }
+        // Across from each of these: the edge between the other two, that to the first one, that from it.
+        triangles.rises[0][i] = left.rises[k - 1];
+        triangles.rises[1][i] = k == left.count - 1 ? left.rises[k] : false;
+        triangles.rises[2][i] = k == 2 ? left.rises[0] : true;
+        triangles.face[i] = face;
+        if (triangles.count == FACES) {
+            visit_rays(picture, triangles, rows);
+            triangles.count = 0;
+        }
+    }
+}
+
+// Project faces from `from` on side by side; returns whether any of them crosses the near plane.
+template <class Picture>
+WARPDIFF_INLINE bool project_faces(
+    const Picture& picture, const float* positions, const int* faces, int from, int count, Triangles& triangles)
+{
+    const double* const axes = picture.axes;
+    bool behind[FACES] = {};
+    for (int corner = 0; corner < 3; ++corner) {
+        float places[3][FACES];
+        for (int i = 0; i < FACES; ++i) {
+            const int* const vertices = faces + 3LL * (from + (i < count ? i : 0));
+            const float* const place = positions + 3LL * vertices[corner];
+            for (int c = 0; c < 3; ++c) places[c][i] = place[c];
+            triangles.rises[corner][i] = vertices[(corner + 1) % 3] < vertices[(corner + 2) % 3];
+        }
+        for (int i = 0; i < FACES; ++i) {
+            const double x = places[0][i] - axes[0], y = places[1][i] - axes[1], z = places[2][i] - axes[2];
+            const double depth = -(x * axes[9] + y * axes[10] + z * axes[11]);
+            project_corner(picture, x * axes[3] + y * axes[4] + z * axes[5], x * axes[6] + y * axes[7] + z * axes[8],
+                depth, triangles, corner, i);
+            behind[i] |= !(depth >= NEAR_PLANE);
+        }
+    }
+    bool any = false;
+    for (int i = 0; i < count; ++i) {
+        triangles.face[i] = from + i;
+        any |= behind[i];
+    }
+    triangles.count = count;
+    return any;
+}
+
+// Rasterize faces from begin to end into the nearest face of each ray, and the rows that they may be seen in.
+template <int MOST_CELLS, class Camera, class Surface, class Sampling, class Cells, class Nearest, class Rows>
+WARPDIFF_INLINE void rasterize_faces(const Camera& camera, const Surface& surface, const Sampling& sampling,
+    const Cells& cells, double reach, int begin, int end, Nearest& nearest_out, Rows& rows_out)
+{
+    const Raster<MOST_CELLS> picture(camera, sampling, cells, reach, nearest_out);
+    const int* const faces = numbers<const int>(surface.faces);
+    const float* const positions = numbers<const float>(surface.positions);
+    RowRange rows = {picture.height, -1};
+    Triangles triangles;
+    for (int from = begin; from < end; from += FACES) {
+        const int count = wp::min(end - from, FACES);
+        const bool is_cut = project_faces(picture, positions, faces, from, count, triangles);
+        if (is_cut) {
+            triangles.count = 0;
+            for (int face = from; face < from + count; ++face)
+                add_clipped(picture, clip_face(picture, positions, faces + 3LL * face), face, triangles, rows);
+        }
+        if (triangles.count > 0) visit_rays(picture, triangles, rows);
+    }
+    if (rows.most < 0 || is_empty(rows_out)) return;
+    keep_smallest(numbers<int>(rows_out), rows.least);
+    keep_largest(numbers<int>(rows_out) + 1, rows.most);
+}
+
+#endif
+
+} // namespace warpdiff

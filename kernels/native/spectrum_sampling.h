@@ -1,0 +1,183 @@
+// The power spectrum along spokes of the frequency plane, each value the integral under a quadratic B-spline in ln t
+// around a node.
+
+#pragma once
+
+#include "fast_math.h"
+#include "simd.h"
+
+namespace warpdiff {
+
+// Gaussian factors side by side, and rows of neighbours whose reach is worked out beforehand.
+constexpr int TAPS = 16, KNOWN_ROWS = 64;
+
+// How far around a place coefficients count: on each row as far as from anywhere nearest to the middle one, so that no
+// branch depends on the place.
+struct Neighbours {
+    int reach_y, reach_x, on_row[KNOWN_ROWS];
+    // The coefficient that is left out, or a place that none has.
+    int left_y, left_x;
+
+    template <class Table>
+    WARPDIFF_INLINE Neighbours(const Table& table, int left_out)
+    {
+        left_y = left_out < 0 ? -1 : left_out / table.count_x;
+        left_x = left_out - left_y * table.count_x;
+        reach_y = (int)(wp::sqrt(table.exponent / table.across) + 0.5f);
+        reach_x = (int)(wp::sqrt(table.exponent / table.along) + 0.5f);
+        for (int j = 0; j < KNOWN_ROWS; ++j) {
+            const float away = wp::max((float)j - 0.5f, 0.0f);
+            on_row[j] =
+                (int)(wp::sqrt(wp::max(table.exponent - table.across * away * away, 0.0f) / table.along) + 0.5f);
+        }
+    }
+};
+
+// exp(−scale · x²) at whole distances from `from` on, less `beside`.
+WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* taps)
+{
+    for (int i = 0; i < TAPS; ++i) {
+        const float away = (float)(from + i) - beside;
+        taps[i] = exp_of_negative(-scale * away * away);
+    }
+}
+
+// The sum over a row of neighbours, from `begin` to before `end` of those that taps are given for. A row that lies
+// inside of the table need not be looked up index by index.
+template <int WIDTH, class Table>
+WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
+    const Table& table, const Neighbours& around, int y, int column, const float* taps, int begin, int end)
+{
+    const int count_x = table.count_x;
+    const bool inside = column >= 0 && column + TAPS <= count_x;
+    const float* const row = numbers<const float>(table.rows) + (long long)y * count_x * WIDTH;
+    Row<WIDTH> sum;
+    sum.clear();
+    if (inside && y != around.left_y) {
+        const float* const from = row + (long long)column * WIDTH;
+        for (int i = begin; i < end; ++i) sum.add(taps[i], from + i * WIDTH);
+        return sum;
+    }
+    for (int i = begin; i < end; ++i) {
+        const int x = inside ? column + i : cyclic(column + i, count_x);
+        if (y == around.left_y && x == around.left_x) continue;
+        sum.add(taps[i], row + (long long)x * WIDTH);
+    }
+    return sum;
+}
+
+// Coefficients around a place, weighed by the Gaussian of the coherence.
+template <int WIDTH, class Table>
+WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
+{
+    // Places reach hundreds of coefficients.
+    const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
+    const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
+    const int reach_y = around.reach_y, reach_x = around.reach_x;
+    Row<WIDTH> total;
+    total.clear();
+    for (int from_x = -reach_x; from_x <= reach_x; from_x += TAPS) {
+        float of_columns[TAPS];
+        gaussian_taps(table.along, from_x, fx, of_columns);
+        const int column = nearest_x + table.origin_x + from_x;
+        for (int from_y = -reach_y; from_y <= reach_y; from_y += TAPS) {
+            float of_rows[TAPS];
+            gaussian_taps(table.across, from_y, fy, of_rows);
+            for (int j = 0; j < TAPS && from_y + j <= reach_y; ++j) {
+                const int aside = from_y + j < 0 ? -from_y - j : from_y + j;
+                const int reach = aside < KNOWN_ROWS ? around.on_row[aside] : reach_x;
+                const int begin = wp::max(-reach - from_x, 0), end = wp::min(reach - from_x + 1, TAPS);
+                int y = nearest_y + table.origin_y + from_y + j;
+                if (y < 0 || y >= table.count_y) y = cyclic(y, table.count_y);
+                total.add(of_rows[j], sum_of_neighbours<WIDTH>(table, around, y, column, of_columns, begin, end));
+            }
+        }
+    }
+    return total;
+}
+
+// Powers, from sums of amplitudes, whose real parts come before the imaginary ones: at NODES values of κ, by a basis
+// for each term.
+template <int TERMS, int NODES>
+WARPDIFF_INLINE Row<NODES> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
+{
+    Row<NODES> re, im;
+    re.clear();
+    im.clear();
+    for (int n = 0; n < TERMS; ++n, basis += NODES) {
+        re.add(((const float*)amplitudes.at)[n], basis);
+        im.add(((const float*)amplitudes.at)[TERMS + n], basis);
+    }
+    for (int l = 0; l < Row<NODES>::VECTORS; ++l) re.at[l] = re.at[l] * re.at[l] + im.at[l] * im.at[l];
+    return re;
+}
+
+// What samples add to the splines of three nodes in a row; it stays in registers from node to node.
+template <int NODES>
+struct SplineSums {
+    Row<NODES> before, here, behind;
+
+    WARPDIFF_INLINE SplineSums()
+    {
+        before.clear();
+        here.clear();
+        behind.clear();
+    }
+
+    // A sample `f` of a node's distance from the middle one.
+    WARPDIFF_INLINE void add(const Row<NODES>& value, float f, float scale)
+    {
+        before.add(0.5f * scale * (0.5f - f) * (0.5f - f), value);
+        here.add(scale * (0.75f - f * f), value);
+        behind.add(0.5f * scale * (0.5f + f) * (0.5f + f), value);
+    }
+
+    WARPDIFF_INLINE void move_on()
+    {
+        before = here;
+        here = behind;
+        behind.clear();
+    }
+};
+
+template <int NODES>
+WARPDIFF_INLINE void put_node(float* rows, int node, int count, const Row<NODES>& value)
+{
+    if (node < 0 || node >= count) return;
+    for (int l = 0; l < Row<NODES>::VECTORS; ++l)
+        ((typename Row<NODES>::Vector*)rows)[(long long)node * Row<NODES>::VECTORS + l] = value.at[l];
+}
+
+// The integrals along a spoke in this direction, whose sine and cosine count coefficients, at `nodes` nodes from the
+// row `begin` on: `divisions` samples from node to node, the first one at t, each `ratio` times as far out as the one
+// before, up to the `highest`.
+//
+// Rows are of TERMS powers; or of amplitudes (PARTS = 2), whose powers at NODES values of κ are what is integrated.
+template <int TERMS, int PARTS, int NODES, class Table, class Bases, class Values>
+WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double sine, double cosine, int nodes,
+    double t, double ratio, int divisions, double highest, float scale, int left_out, int begin, Values& values_out)
+{
+    const Neighbours around(table, left_out);
+    float* const out = numbers<float>(values_out) + (long long)begin * NODES;
+    Row<NODES> nothing;
+    nothing.clear();
+    for (int node = 0; node < nodes; ++node) put_node(out, node, nodes, nothing);
+    SplineSums<NODES> sums;
+    int node = -1;
+    for (; node <= nodes && t <= highest; ++node) {
+        for (int k = 0; k < divisions && t <= highest; ++k, t *= ratio) {
+            const Row<TERMS * PARTS> total = sample_spectrum<TERMS * PARTS>(table, around, t * sine, t * cosine);
+            const float f = ((float)k + 0.5f) / (float)divisions - 0.5f;
+            if constexpr (PARTS == 1)
+                sums.add(total, f, scale);
+            else
+                sums.add(powers_of<TERMS, NODES>(total, numbers<const float>(bases)), f, scale);
+        }
+        put_node(out, node - 1, nodes, sums.before);
+        sums.move_on();
+    }
+    put_node(out, node - 1, nodes, sums.before);
+    put_node(out, node, nodes, sums.here);
+}
+
+} // namespace warpdiff

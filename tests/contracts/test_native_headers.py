@@ -1,0 +1,67 @@
+"""Native code lies in headers: all are included and listed as what modules are built of, and any compiler takes them."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from warpdiff.kernels import compile_options
+
+HEADERS = sorted(compile_options.NATIVE.glob("*.h"))
+MODULES = sorted(compile_options.NATIVE.parent.glob("*.py"))
+COMPILER = next((found for name in ("c++", "g++", "clang++") if (found := shutil.which(name))), None)
+
+
+def calls(path, name):
+    """Calls of a function in a file, wherever they stand."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] == name:
+            yield node
+
+
+def text(node):
+    """A string's own words, with 0 for what is filled in."""
+    if isinstance(node, ast.Constant):
+        return node.value
+    return "".join(part.value if isinstance(part, ast.Constant) else "0" for part in node.values)
+
+
+def named(path):
+    """Headers that modules of a file include, with what these include."""
+    names = [text(each) for call in calls(path, "options") for each in call.args]
+    return {header for name in names for header in compile_options.headers(name)}
+
+
+def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
+    used = set().union(*(named(path) for path in MODULES))
+    assert used == set(HEADERS)
+    build = compile_options.options("footprint_lookup.h", "point_lookup.h")["extra_build_options"]
+    names = [path.name for path in build.extra_build_dependencies]
+    assert sorted(names) == ["colour_of_w.h", "fast_math.h", "footprint_lookup.h", "point_lookup.h", "simd.h"]
+
+
+def test_a_native_function_in_python_is_one_call_of_a_header():
+    found = [text(each.args[0]) for path in MODULES for each in calls(path, "func_native")]
+    assert len(found) > 10
+    for snippet in found:
+        assert re.fullmatch(r"(return )?warpdiff::(\w+)(<[\w, ]+>)?\(.*\);", snippet, re.DOTALL), snippet
+        assert snippet.count("warpdiff::") == snippet.count(";") == 1, snippet
+        name = re.search(r"warpdiff::(\w+)", snippet)[1]
+        assert any(re.search(rf"\b{name}\(", header.read_text(encoding="utf-8")) for header in HEADERS), name
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C++ compiler on this machine")
+def test_a_plain_compiler_takes_headers(tmp_path):
+    source = tmp_path / "all.cpp"
+    includes = ["builtin.h", *(path.name for path in HEADERS)]
+    source.write_text("#define WP_NO_CRT\n" + "".join(f'#include "{name}"\n' for name in includes), encoding="utf-8")
+    folders = ["-isystem", Path(wp.__file__).parent / "native", "-I", compile_options.NATIVE]
+    flags = ["-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "-Wno-unknown-pragmas"]
+    done = subprocess.run([COMPILER, *flags, *folders, source], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
