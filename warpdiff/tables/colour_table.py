@@ -333,7 +333,7 @@ def _megabytes(layout: Layout, functions: int) -> float:
 
 def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
     """A table with mip levels, from one without, whose rows have room for them."""
-    count = sharp.functions.dtype._length_
+    count = len(sharp.functions.dtype())
     target = colour_lookup.lookup(count, is_lines)
     table = target.Colours()
     for name in target.Colours.vars:
