@@ -150,12 +150,12 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             starts = starts_t()
             for j in range(wp.static(2 * FILTER_REACH + 1)):
                 starts[j] = cyclic(spoke + j - wp.static(FILTER_REACH), spokes) * nodes
-            for l in range(nodes):
-                total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + l]
+            for node in range(nodes):
+                total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + node]
                 for j in range(1, wp.static(FILTER_REACH + 1)):
-                    before = values[starts[wp.static(FILTER_REACH) - j] + l]
-                    total += wp.static(_FILTER)[j] * (before + values[starts[wp.static(FILTER_REACH) + j] + l])
-                rows_out[at + l] = total
+                    before = values[starts[wp.static(FILTER_REACH) - j] + node]
+                    total += wp.static(_FILTER)[j] * (before + values[starts[wp.static(FILTER_REACH) + j] + node])
+                rows_out[at + node] = total
 
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
@@ -188,8 +188,8 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             total = wp.float32(0.0)
             for j in range(-reach, reach + 1):
                 total += gaussian(wp.float32(nearest + j) - place, variance)
-            for l in range(nodes):
-                values_out[spoke * nodes + l] = row_t()
+            for node in range(nodes):
+                values_out[spoke * nodes + node] = row_t()
             # A few at a time, as what is written is read again.
             starts = starts_t()
             weights = weights_t()
@@ -200,11 +200,11 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
                     weights[i] = wp.where(
                         begin + i <= reach, gaussian(wp.float32(at) - place, variance) / total, wp.float32(0.0)
                     )
-                for l in range(nodes):
-                    sum = values_out[spoke * nodes + l]
+                for node in range(nodes):
+                    total_of_node = values_out[spoke * nodes + node]
                     for i in range(wp.static(_TAPS)):
-                        sum += weights[i] * table.rows[starts[i] + l]
-                    values_out[spoke * nodes + l] = sum
+                        total_of_node += weights[i] * table.rows[starts[i] + node]
+                    values_out[spoke * nodes + node] = total_of_node
 
     @wp.func_native(
         f"warpdiff::look_up_points<{functions}, {RUN}, {_AHEAD}>(table, deflections, gains, begin, end, xyz_out);"

@@ -18,6 +18,7 @@ from warpdiff.kernels.colour_lookup import FILTER_REACH, OPTIONS, lookup
 _SAMPLING_OPTIONS = compile_options.options("spectrum_sampling.h", max_unroll=1)
 _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=1)
 
+
 @functools.cache
 def resampler(lanes: int, powers: bool, nodes: int) -> Any:
     """The kernel that samples the power spectrum of a height field's coefficients on rays, and the type of its rows.

@@ -1,4 +1,4 @@
-"""Native code lies in headers: all are included and listed as what modules are built of, and any compiler takes them."""
+"""Native code lies in headers: each is included and listed as what modules are built of; any compiler takes them."""
 
 from __future__ import annotations
 

@@ -185,7 +185,7 @@ def one_more_argument(hooks):
 
 def another_struct(hooks):
     """A function that takes its arguments otherwise."""
-    return types.SimpleNamespace(forward=lambda bounds, arguments: hooks.forward(bounds, bounds))
+    return types.SimpleNamespace(forward=lambda bounds, _: hooks.forward(bounds, bounds))
 
 
 def one_that_does_nothing(hooks):
@@ -211,7 +211,7 @@ def test_another_version_of_warp_is_asked_for_recorded_launches(changed, asked_a
     assert asked_anew() is pipeline.RecordedCalls
 
 
-def test_a_picture_is_the_same_by_recorded_launches(calls, monkeypatch):
+def test_a_picture_is_the_same_by_both_ways(monkeypatch):
     hf = wd.gratings.fingers(size_um=6.4, seed=1)
     mesh = wd.meshes.tube(segments_along=24, segments_around=16)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)

@@ -49,7 +49,7 @@ class _Convention:
         """Launch it without effect, with arguments that Warp checks."""
         recorded = wp.launch(kernel, 1, values, device="cpu", record_cmd=True)
         hooks = getattr(recorded, "hooks", None)
-        self.call = getattr(hooks, "forward", None)
+        self.call: Any = getattr(hooks, "forward", None)
         # So that it is not unloaded; what the launch holds may go.
         self._code = getattr(recorded, "module_exec", None)
         if self.call is None or self._code is None:
@@ -60,10 +60,12 @@ class _Convention:
             recorded.launch()
         except (AttributeError, TypeError) as error:
             raise DoesNotFit from error
-        structs = [getattr(each, "_obj", None) for each in self._told or ()]
+        told: tuple[Any, ...] = self._told or ()
+        structs = [getattr(each, "_obj", None) for each in told]
         if len(structs) != 2 or not all(isinstance(each, ctypes.Structure) for each in structs):
             raise DoesNotFit
-        self.bounds, self._struct = structs[0], type(structs[1])
+        self.bounds: Any = structs[0]
+        self._struct: Any = type(structs[1])
         if [name for name, _ in self._struct._fields_] != [each.label for each in kernel.adj.args]:
             raise DoesNotFit
         self.function = int(ctypes.cast(self.call, ctypes.c_void_p).value or 0)
@@ -127,9 +129,7 @@ class NativeCalls:
 class _NativeSlices:
     """Slices of elements, of which any thread takes the next ones; what the native loop points at stays."""
 
-    def __init__(
-        self, calls: NativeCalls, rows: NDArray[np.int64], elements: range, size: int, at_a_time: int
-    ) -> None:
+    def __init__(self, calls: NativeCalls, rows: NDArray[np.int64], elements: range, size: int, at_a_time: int) -> None:
         self._calls, self._taken = calls, np.zeros(1, dtype=np.int32)
         values = [
             rows.ctypes.data, len(rows), elements.start, elements.stop, size, at_a_time, self._taken.ctypes.data,

@@ -28,10 +28,9 @@ from warpdiff.tables import coefficient_table, colour_table, polar_layout
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    import warp as wp
     from numpy.typing import NDArray
 
-    from warpdiff.optics.coherence import Coherence
+    from warpdiff.planning.request import Request
     from warpdiff.planning.trial import Trial
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
@@ -84,37 +83,26 @@ _HOPELESS_FACTOR = 10.0
 _COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_COPIES_FACTOR = 340.0, 16.0, 20.0, 280.0
 
 
-def begin_to_load(
-    hf: HeightField,
-    method: str,
-    coherence: Coherence,
-    max_w: float,
-    *,
-    footprint: bool,
-    tolerance: float,
-    device: wp.Device,
-) -> None:
+def begin_to_load(request: Request, method: str, max_w: float) -> None:
     """Begin to load what a search for a fitted basis is likely to take, before its directions are known.
 
     A wrong guess is compiled in vain, a second of one thread, once; what is needed in its place comes that much later.
 
     Args:
-        hf: The height field.
+        request: What is asked for.
         method: That of plans.
-        coherence: The window, source or copies.
         max_w: An estimate of the largest |w|.
-        footprint: Whether pixels show means, which takes a table.
-        tolerance: Of the plan.
-        device: Where.
     """
-    terms = low_rank_basis.series_terms(hf, DirectionRange(0.0, 0.0, 0.0, max_w).kappas)
+    coherence = request.coherence
+    terms = low_rank_basis.series_terms(request.hf, DirectionRange(0.0, 0.0, 0.0, max_w).kappas)
     if terms > _MOST_GUESSED:
         return
     needed = [each.integrate for each in kernels_tried(terms, method, coefficient_table.LANES, coherence)]
-    if footprint and coherence.kind == "averaged" and _AT_TOLERANCES[0] <= tolerance <= _AT_TOLERANCES[1]:
+    is_likely = _AT_TOLERANCES[0] <= request.tolerance <= _AT_TOLERANCES[1]
+    if request.footprint and coherence.kind == "averaged" and is_likely:
         # It takes the longest; the table's others are asked for behind those that come first.
         needed.append(colour_table.kernel_of_look_ups(_LIKELY_FUNCTIONS, coherence))
-    load(needed, device)
+    load(needed, request.device)
 
 
 def wavelength_count(plan: Plan, lateral_reach: float, w: float) -> float:
