@@ -69,6 +69,7 @@ class Sanitized:
         # What Warp itself answers, such as a check that fails, is not to be called.
         stubs = folder / "stubs.c"
         texts = [path.read_text(encoding="utf-8") for path in (Path(wp.__file__).parent / "native").glob("*.h")]
+        texts.append(source.read_text(encoding="utf-8"))
         names = {name for text in texts for name in re.findall(r"\b_?wp_\w+", text)}
         stubs.write_text("".join(f"void {name}(void) {{ __builtin_trap(); }}\n" for name in sorted(names)))
         objects = folder / "stubs.o"

@@ -61,7 +61,7 @@ class _Convention:
         except (AttributeError, TypeError) as error:
             raise DoesNotFit from error
         told: tuple[Any, ...] = self._told or ()
-        structs = [getattr(each, "_obj", None) for each in told]
+        structs: list[Any] = [getattr(each, "_obj", None) for each in told]
         if len(structs) != 2 or not all(isinstance(each, ctypes.Structure) for each in structs):
             raise DoesNotFit
         self.bounds: Any = structs[0]
