@@ -18,7 +18,7 @@ import types
 
 import warp as wp
 
-from warpdiff.kernels import compile_options
+from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.structs import Footprint
 
 # Loops that stay loops compile faster.
@@ -34,7 +34,7 @@ _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
-    *(math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** j for j in range(FILTER_REACH + 1))
+    *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
 # Rows that a blur adds at a time.
 _TAPS = 8
@@ -53,6 +53,12 @@ class FootprintTaps:
     lengths: wp.array(dtype=wp.int32)  # how many of them count, from the first one on
     per_variance: wp.float32  # entries per unit of the variance, in distances of spokes squared
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
+
+
+@wp.func
+def spline(away: wp.float32) -> wp.vec3f:
+    """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
+    return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 
 @wp.func

@@ -27,12 +27,6 @@ LOG_2 = wp.constant(wp.float32(math.log(2.0)))
 
 
 @wp.func
-def spline(away: wp.float32) -> wp.vec3f:
-    """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
-    return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
-
-
-@wp.func
 def turns_of(u: wp.float32, v: wp.float32) -> wp.float32:
     """An angle from 0 to 1."""
     turns = wp.atan2(v, u) / (2.0 * wp.PI)
@@ -107,14 +101,14 @@ def lookup(functions: int, source: bool = False) -> Any:
         octaves = table.spokes.shape[1]
         place = wp.min(node_of(table, u, v), wp.float32(octaves * table.nodes - 2))
         middle = wp.int32(wp.rint(place))
-        of_nodes = spline(place - wp.float32(middle))
+        of_nodes = colour_lookup.spline(place - wp.float32(middle))
         row_sum = row_t()
         for m in range(3):
             node = middle - 1 + m
             octave = node // table.nodes
             position = turns_of(u, v) * wp.float32(table.spokes[0, octave])
             spoke = wp.int32(wp.rint(position))
-            of_spokes = spline(position - wp.float32(spoke))
+            of_spokes = colour_lookup.spline(position - wp.float32(spoke))
             for j in range(3):
                 row = table.first_rows[0, octave] + (spoke - 1 + j) * table.nodes + node - octave * table.nodes
                 row_sum += of_nodes[m] * of_spokes[j] * table.rows[row]

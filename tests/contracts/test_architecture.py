@@ -62,7 +62,9 @@ def test_kernels_import_nothing_but_kernels():
 
 
 # Attributes of Warp's objects that are in no reference of its.
-UNDOCUMENTED = r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
+UNDOCUMENTED = (
+    r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
+)
 
 
 def test_only_one_file_uses_what_warp_does_not_document():

@@ -21,7 +21,7 @@ from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
 from warpdiff.kernels import cell_levels
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.planning import search, trial
+from warpdiff.planning import cost_model, search, trial
 from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample, hemisphere_pairs, lateral, stratified
 from warpdiff.plans.plan import AUTOMATIC, LABELS, Plan, has_table
@@ -93,7 +93,6 @@ _SEED = 0
 _HEMISPHERE_DIRECTIONS = 8192
 # A tolerance for which a plan only tells what is bright.
 _COARSE_TOLERANCE = 0.5
-_SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 
 
 def plan(
@@ -318,7 +317,7 @@ def _with_cost(plan: Plan, hf: HeightField, sample: DirectionSample) -> Plan:
     places = stratified(len(sample), _DIRECTIONS_FOR_COST)
     deflections, to_lights = sample.deflections[places], sample.to_lights[places]
     reaches = lateral(hf, plan.coherence, deflections, to_lights)
-    return replace(plan, multiply_adds=search.mean_cost(hf, plan, reaches, np.abs(deflections[:, 2])))
+    return replace(plan, multiply_adds=cost_model.sampling_multiply_adds(hf, plan, reaches, np.abs(deflections[:, 2])))
 
 
 def _fewest_searched(coherence: Coherence) -> int:
@@ -333,7 +332,7 @@ def _most_making(hf: HeightField, plan: Plan, count: float) -> float:
         return 0.0
     smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
     saved = _EXPECTED_REPEATS * count * plan.multiply_adds / _SEARCH_SAVES_FACTOR
-    return saved if saved > polar_layout.making_multiply_adds(hf, smallest) else 0.0
+    return saved if saved > cost_model.making_multiply_adds(hf, smallest) else 0.0
 
 
 def _ample(
@@ -385,7 +384,7 @@ def _ample(
         _check_neighbours(hf, result)
     if colour:
         result = _with_wavelengths(hf, result)
-    dearest = search.mean_cost(hf, result, np.array([scope.max_lateral]), np.array([scope.max_w]))
+    dearest = cost_model.sampling_multiply_adds(hf, result, np.array([scope.max_lateral]), np.array([scope.max_w]))
     return replace(result, multiply_adds=dearest)
 
 
@@ -408,8 +407,8 @@ def _bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tu
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, as they are.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
-    wider = log_band * 1e3 / LAMBDA_MIN_NM / _SPAN
-    lateral = per_deviation / coherence.spread * log_band / _SPAN
+    wider = log_band * 1e3 / LAMBDA_MIN_NM / cost_model.SPAN
+    lateral = per_deviation / coherence.spread * log_band / cost_model.SPAN
     return lateral, wider * cycles * hf.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 
 
@@ -432,7 +431,7 @@ def _check_neighbours(hf: HeightField, plan: Plan) -> None:
 
 def _with_wavelengths(hf: HeightField, plan: Plan) -> Plan:
     """The plan with as many wavelengths as its bandwidth asks for."""
-    count = coefficient_table.set_size(search.wavelength_count(plan, plan.max_lateral, plan.max_w))
+    count = coefficient_table.set_size(cost_model.wavelength_count(plan, plan.max_lateral, plan.max_w))
     copies = plan.coherence.copies
     divisions = 1
     if copies is not None:
@@ -441,12 +440,12 @@ def _with_wavelengths(hf: HeightField, plan: Plan) -> Plan:
         "source": f"angular_diameter_deg={plan.coherence.angular_diameter_deg}",
         "replicas": f"copies={copies} of {hf.size_um[0]:g} × {hf.size_um[1]:g} µm",
     }.get(plan.coherence.kind, f"sigma_um={plan.coherence.sigma_um or 0.0:g}")
-    facing = search.wavelength_count(plan, plan.max_uv, plan.max_w)
+    facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:
         # Near the horizon a source is foreshortened without end; such directions take the largest set there is.
         count = coefficient_table.set_size(_MOST_GRAZING)
         per_lateral, per_w, constant = plan.bandwidth_um
-        lateral = (count / _SPAN - per_w * plan.max_w - constant) / per_lateral
+        lateral = (count / cost_model.SPAN - per_w * plan.max_w - constant) / per_lateral
         plan = replace(plan, max_lateral=max(lateral, plan.max_uv))
     if count > _MOST_WAVELENGTHS or count * divisions > _MOST_SAMPLES:
         raise ValueError(
