@@ -448,3 +448,11 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     wd.plan(hf, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
     assert len(coefficient_table.kept(hf).fitted_to) == 0
+
+
+def test_views_of_a_plan_are_all_of_its_fields(rough):
+    plan = wd.plan(rough, UP, UP)
+    views = [plan.request, plan.kernel_numbers, plan.valid_range, plan.predicted_errors, plan.findings]
+    assert sum(map(len, views)) == len(dataclasses.fields(plan))
+    assert {name: value for view in views for name, value in view.items()} == dataclasses.asdict(plan) | plan.request
+    assert plan.error == sum(plan.predicted_errors.values())

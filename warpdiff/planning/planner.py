@@ -496,9 +496,8 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
     }
     if plan.nodes:
         sources["quadrature"] = (sources["quadrature"][0], "use method='auto'")
-    worst = max(sources, key=lambda name: float(getattr(plan, name)))
-    why, remedy = sources[worst]
-    largest = float(getattr(plan, worst))
+    worst = max(sources, key=plan.predicted_errors.__getitem__)
+    (why, remedy), largest = sources[worst], plan.predicted_errors[worst]
     digits = ", so that no digit need be right" if largest >= 1.0 else ""
     how = f"measured on {plan.judged} directions" if plan.searched else "by its bound"
     message = (
