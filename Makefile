@@ -41,6 +41,9 @@ lint: $(LINT_STAMP) ## check style and types
 	$(BIN)/python -m ruff check
 	$(BIN)/python -m ruff format --check
 	$(BIN)/python -m mypy
+	$(BIN)/clang-format --dry-run --Werror kernels/native/*.h
+	$(BIN)/clang-tidy --quiet kernels/native/*.h -- -x c++ -std=c++17 -include builtin.h \
+	    -isystem "$$($(BIN)/python -c 'import warp; print(warp.__path__[0])')/native"
 
 bench: $(BENCH_STAMP) ## chart speed against accuracy into bench_results/, in a quarter of an hour
 	$(BIN)/warpdiff bench --output bench_results

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import warpdiff as wd
+from warpdiff.core.data_folder import data_folder
 
 HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data beside a checkout"
 
 
 def folder(given: str | Path | None = None) -> Path:
     """The folder with real inputs, which need not exist."""
-    found = given or os.environ.get("WARPDIFF_DATA")
-    return Path(found) if found else Path(__file__).resolve().parents[2] / "shared" / "data"
+    return data_folder(given) or Path("shared", "data")
 
 
 def scan(given: str | Path | None = None) -> wd.HeightField | None:

@@ -18,7 +18,7 @@ import types
 
 import warp as wp
 
-from warpdiff.kernels import compile_options
+from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.structs import Footprint
 
 # Loops that stay loops compile faster.
@@ -34,7 +34,7 @@ _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
-    *(math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** j for j in range(FILTER_REACH + 1))
+    *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
 # Rows that a blur adds at a time.
 _TAPS = 8
@@ -53,6 +53,12 @@ class FootprintTaps:
     lengths: wp.array(dtype=wp.int32)  # how many of them count, from the first one on
     per_variance: wp.float32  # entries per unit of the variance, in distances of spokes squared
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
+
+
+@wp.func
+def spline(away: wp.float32) -> wp.vec3f:
+    """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
+    return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 
 @wp.func
@@ -150,12 +156,12 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             starts = starts_t()
             for j in range(wp.static(2 * FILTER_REACH + 1)):
                 starts[j] = cyclic(spoke + j - wp.static(FILTER_REACH), spokes) * nodes
-            for l in range(nodes):
-                total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + l]
+            for node in range(nodes):
+                total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + node]
                 for j in range(1, wp.static(FILTER_REACH + 1)):
-                    before = values[starts[wp.static(FILTER_REACH) - j] + l]
-                    total += wp.static(_FILTER)[j] * (before + values[starts[wp.static(FILTER_REACH) + j] + l])
-                rows_out[at + l] = total
+                    before = values[starts[wp.static(FILTER_REACH) - j] + node]
+                    total += wp.static(_FILTER)[j] * (before + values[starts[wp.static(FILTER_REACH) + j] + node])
+                rows_out[at + node] = total
 
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
@@ -188,8 +194,8 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             total = wp.float32(0.0)
             for j in range(-reach, reach + 1):
                 total += gaussian(wp.float32(nearest + j) - place, variance)
-            for l in range(nodes):
-                values_out[spoke * nodes + l] = row_t()
+            for node in range(nodes):
+                values_out[spoke * nodes + node] = row_t()
             # A few at a time, as what is written is read again.
             starts = starts_t()
             weights = weights_t()
@@ -200,11 +206,11 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
                     weights[i] = wp.where(
                         begin + i <= reach, gaussian(wp.float32(at) - place, variance) / total, wp.float32(0.0)
                     )
-                for l in range(nodes):
-                    sum = values_out[spoke * nodes + l]
+                for node in range(nodes):
+                    total_of_node = values_out[spoke * nodes + node]
                     for i in range(wp.static(_TAPS)):
-                        sum += weights[i] * table.rows[starts[i] + l]
-                    values_out[spoke * nodes + l] = sum
+                        total_of_node += weights[i] * table.rows[starts[i] + node]
+                    values_out[spoke * nodes + node] = total_of_node
 
     @wp.func_native(
         f"warpdiff::look_up_points<{functions}, {RUN}, {_AHEAD}>(table, deflections, gains, begin, end, xyz_out);"

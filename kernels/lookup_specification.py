@@ -27,12 +27,6 @@ LOG_2 = wp.constant(wp.float32(math.log(2.0)))
 
 
 @wp.func
-def spline(away: wp.float32) -> wp.vec3f:
-    """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
-    return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
-
-
-@wp.func
 def turns_of(u: wp.float32, v: wp.float32) -> wp.float32:
     """An angle from 0 to 1."""
     turns = wp.atan2(v, u) / (2.0 * wp.PI)
@@ -67,13 +61,13 @@ def lookup(functions: int, source: bool = False) -> Any:
         )
 
     @wp.func
-    def colour_of(table: Colours, sum: row_t, w: wp.float32) -> wp.vec3f:
+    def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
         """XYZ of a sum of rows; projected colour curves have shallow negative lobes."""
         at_w = functions_at(table, w)
         result = wp.vec3f()
         for c in range(3):
             for k in range(wp.static(functions)):
-                result[c] += sum[c * wp.static(functions) + k] * at_w[k]
+                result[c] += row_sum[c * wp.static(functions) + k] * at_w[k]
             result[c] = wp.max(result[c], 0.0)
         return result
 
@@ -107,18 +101,18 @@ def lookup(functions: int, source: bool = False) -> Any:
         octaves = table.spokes.shape[1]
         place = wp.min(node_of(table, u, v), wp.float32(octaves * table.nodes - 2))
         middle = wp.int32(wp.rint(place))
-        of_nodes = spline(place - wp.float32(middle))
-        sum = row_t()
+        of_nodes = colour_lookup.spline(place - wp.float32(middle))
+        row_sum = row_t()
         for m in range(3):
             node = middle - 1 + m
             octave = node // table.nodes
             position = turns_of(u, v) * wp.float32(table.spokes[0, octave])
             spoke = wp.int32(wp.rint(position))
-            of_spokes = spline(position - wp.float32(spoke))
+            of_spokes = colour_lookup.spline(position - wp.float32(spoke))
             for j in range(3):
                 row = table.first_rows[0, octave] + (spoke - 1 + j) * table.nodes + node - octave * table.nodes
-                sum += of_nodes[m] * of_spokes[j] * table.rows[row]
-        return colour_of(table, sum, w)
+                row_sum += of_nodes[m] * of_spokes[j] * table.rows[row]
+        return colour_of(table, row_sum, w)
 
     @wp.func
     def to_polar(table: Colours, u: wp.float32, v: wp.float32, covariance: wp.mat22f) -> wp.mat22f:
@@ -207,7 +201,7 @@ def lookup(functions: int, source: bool = False) -> Any:
             end = first + taps.lengths[step]
             fractions = taps.weights.shape[1]
             fraction = wp.clamp(wp.int32((start - wp.float32(first) + 0.5) * wp.float32(fractions)), 0, fractions - 1)
-        sum = row_t()
+        row_sum = row_t()
         total = wp.float32(0.0)
         begin = (wp.max(first, 0) + apart - 1) // apart * apart
         for node in range(begin, wp.min(end, octaves * table.nodes), apart):
@@ -218,11 +212,11 @@ def lookup(functions: int, source: bool = False) -> Any:
             # Further out a straight footprint is as wide, and less of an angle.
             nearer = wp.exp(-(wp.float32(node) - place) / table.per_log + 0.5 * ratio2)
             turns = turns_of(u, v) + turn_per_node * table.per_log * (1.0 - nearer) / (2.0 * wp.PI)
-            sum += weight * sum_of_spokes(table, taps, node, turns, aside2 * nearer * nearer, aside2)
+            row_sum += weight * sum_of_spokes(table, taps, node, turns, aside2 * nearer * nearer, aside2)
             total += weight
         if tabulated:
             total = wp.float32(1.0)
-        return colour_of(table, sum, w) / wp.max(total, 1.0e-6)
+        return colour_of(table, row_sum, w) / wp.max(total, 1.0e-6)
 
     @wp.func
     def is_left_out(

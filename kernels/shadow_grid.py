@@ -152,7 +152,8 @@ def fill(
 
 # Places and cells are found as by ``seen`` and ``cell_of``, and sides of edges as by ``left_of``, which make the lists.
 @wp.func_native(
-    f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, hidden_out);"
+    f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, "
+    "hidden_out);"
 )
 def look_up(
     grid: ShadowGrid,

@@ -13,10 +13,11 @@ from typing import Any
 import warp as wp
 
 from warpdiff.kernels import compile_options, spectral_sum
-from warpdiff.kernels.colour_lookup import FILTER_REACH, OPTIONS, lookup
+from warpdiff.kernels.colour_lookup import FILTER_REACH, OPTIONS, lookup, spline
 
 _SAMPLING_OPTIONS = compile_options.options("spectrum_sampling.h", max_unroll=1)
 _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=1)
+
 
 @functools.cache
 def resampler(lanes: int, powers: bool, nodes: int) -> Any:
@@ -134,13 +135,13 @@ def gatherer(lanes: int) -> Any:
         for j in range(begins[ray], ends[ray]):
             away = (angles[j] - angle) / blur
             node = wp.int32(wp.rint(places[j]))
-            f = places[j] - wp.float32(node)
+            of_nodes = spline(places[j] - wp.float32(node))
             value = (scale * weights[j] * wp.exp(-0.5 * away * away)) * coefficients[lines[j]]
             if node > 0:
-                values_out[start + node - 1] += (0.5 * (0.5 - f) * (0.5 - f)) * value
-            values_out[start + node] += (0.75 - f * f) * value
+                values_out[start + node - 1] += of_nodes[0] * value
+            values_out[start + node] += of_nodes[1] * value
             if node + 1 < nodes:
-                values_out[start + node + 1] += (0.5 * (0.5 + f) * (0.5 + f)) * value
+                values_out[start + node + 1] += of_nodes[2] * value
 
     return types.SimpleNamespace(row=row_t, gather=gather)
 

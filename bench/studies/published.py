@@ -35,6 +35,7 @@ from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.optics import reflectance_factors
 from warpdiff.planning import planner
+from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.render.frame import Frame as Picture
 from warpdiff.scene.mesh_import import prepare_surface
@@ -171,10 +172,12 @@ class Automatic:
         hf, (deflections, to_lights, gains) = frame.hf, frame.all
         scope = DirectionRange.of(hf, coherence, deflections, to_lights, gains > 0.0)
         begin = time.perf_counter()
-        self.plan = planner.plan_for(
-            hf, scope, DirectionSample.among(deflections, to_lights, gains), tolerance=tolerance, method="auto",
-            coherence=coherence, strict=True, count=float(frame.lit), device=frame.device, threads=frame.threads,
+        request = Request.checked(
+            hf, tolerance=tolerance, method="auto", coherence=coherence, ior=1.5, masking=True, strict=True,
+            device=frame.device, threads=frame.threads,
         )  # fmt: skip
+        sample = DirectionSample.among(deflections, to_lights, gains)
+        self.plan = planner.plan_for(request, scope, sample, float(frame.lit))
         self.seconds = time.perf_counter() - begin
         self._integrator = Integrator(hf, self.plan, scope, device=frame.device, threads=frame.threads)
 

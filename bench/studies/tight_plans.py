@@ -35,7 +35,7 @@ from warpdiff.fourier.low_rank_basis import METHODS, POWER_METHODS
 from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.planning import search
+from warpdiff.planning import cost_model
 from warpdiff.plans.direction_range import DirectionRange, lateral
 from warpdiff.tables import coefficient_table
 
@@ -266,7 +266,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Found]:
 
     def per_wavelength(plan: wd.Plan) -> float:
         many = dataclasses.replace(plan, wavelengths=1000, adaptive=False)
-        return search.mean_cost(given.hf, many, call.lateral, call.w) / 1000.0
+        return cost_model.sampling_multiply_adds(given.hf, many, call.lateral, call.w) / 1000.0
 
     def near(plan: wd.Plan) -> bool:
         """Whether a plan's kernel, with the fewest wavelengths found so far, could be among the best."""
@@ -382,9 +382,11 @@ def judge(given: Configuration, *, rounds: int, threads: int | None) -> tuple[st
     at = int(np.argmin(times[1:]))
     best = plans[at]
     # How the loss divides: samples in the mean, and all that each of them costs.
-    costs = [search.mean_cost(given.hf, each, call.lateral, call.w) for each in (automatic, best)]
+    costs = [cost_model.sampling_multiply_adds(given.hf, each, call.lateral, call.w) for each in (automatic, best)]
     bare = [
-        search.mean_cost(given.hf, dataclasses.replace(each, wavelengths=1000, adaptive=False), call.lateral, call.w)
+        cost_model.sampling_multiply_adds(
+            given.hf, dataclasses.replace(each, wavelengths=1000, adaptive=False), call.lateral, call.w
+        )
         / 1000.0
         for each in (automatic, best)
     ]

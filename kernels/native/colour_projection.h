@@ -2,6 +2,7 @@
 
 #pragma once
 
+#include "quadratic_spline.h"
 #include "simd.h"
 
 namespace warpdiff {
@@ -81,7 +82,7 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
 template <int TERMS>
 WARPDIFF_INLINE void filter_to_spline(typename Spoke<TERMS>::Vector* rows, int length)
 {
-    constexpr float POLE = -0.171572875f, GAIN = 1.41421356f * (1.0f - POLE * POLE);
+    constexpr float POLE = SPLINE_POLE, GAIN = 1.41421356f * (1.0f - POLE * POLE);
     constexpr int ROW = Spoke<TERMS>::VECTORS;
     typedef typename Spoke<TERMS>::Vector Vector;
     for (int l = 0; l < ROW; ++l) {

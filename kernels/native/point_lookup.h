@@ -4,6 +4,7 @@
 
 #include "colour_of_w.h"
 #include "fast_math.h"
+#include "quadratic_spline.h"
 #include "simd.h"
 
 namespace warpdiff {
@@ -58,14 +59,6 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
         for (int l = 0; l < 3 * WIDTH; l += 16) prefetch(row + l);
         prefetch(row + 3 * WIDTH - 1);
     }
-}
-
-// Weights of three neighbours by the quadratic B-spline, a place away from the middle one.
-WARPDIFF_INLINE void quadratic_spline(float away, float* weights)
-{
-    weights[0] = 0.5f * (0.5f - away) * (0.5f - away);
-    weights[1] = 0.75f - away * away;
-    weights[2] = 0.5f * (0.5f + away) * (0.5f + away);
 }
 
 // The sum of a point's nine rows.

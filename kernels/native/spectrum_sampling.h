@@ -4,6 +4,7 @@
 #pragma once
 
 #include "fast_math.h"
+#include "quadratic_spline.h"
 #include "simd.h"
 
 namespace warpdiff {
@@ -127,9 +128,11 @@ struct SplineSums {
     // A sample `f` of a node's distance from the middle one.
     WARPDIFF_INLINE void add(const Row<NODES>& value, float f, float scale)
     {
-        before.add(0.5f * scale * (0.5f - f) * (0.5f - f), value);
-        here.add(scale * (0.75f - f * f), value);
-        behind.add(0.5f * scale * (0.5f + f) * (0.5f + f), value);
+        float weights[3];
+        quadratic_spline(f, weights);
+        before.add(scale * weights[0], value);
+        here.add(scale * weights[1], value);
+        behind.add(scale * weights[2], value);
     }
 
     WARPDIFF_INLINE void move_on()

@@ -61,6 +61,17 @@ def test_kernels_import_nothing_but_kernels():
             assert {graph.room_of(each.module) for each in ours(name)} <= {"kernels"}, name
 
 
+# Attributes of Warp's objects that are in no reference of its.
+UNDOCUMENTED = (
+    r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
+)
+
+
+def test_only_one_file_uses_what_warp_does_not_document():
+    using = {name for name in PACKAGE if re.search(UNDOCUMENTED, graph.modules()[name].read_text(encoding="utf-8"))}
+    assert using == {"warpdiff.compute.warp_internals"}
+
+
 def test_modules_import_in_no_circle():
     graph.order(
         {

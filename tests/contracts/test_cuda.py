@@ -32,7 +32,7 @@ SMS = (80, 90)
 FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
 CPU_ONLY = {"launch_slices", "lookup_specification"}
 # Numbers that hosts need, too.
-WITHOUT_WARP = {"cell_levels", "limits"}
+WITHOUT_WARP = {"cell_levels", "limits", "quadratic_spline"}
 KERNELS = {
     "bvh": {"trace_bvh"},
     "ray_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},

@@ -1,4 +1,4 @@
-"""Native code lies in headers: all are included and listed as what modules are built of, and any compiler takes them."""
+"""Native code lies in headers: each is included and listed as what modules are built of; any compiler takes them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,14 @@ def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
     assert used == set(HEADERS)
     build = compile_options.options("footprint_lookup.h", "point_lookup.h")["extra_build_options"]
     names = [path.name for path in build.extra_build_dependencies]
-    assert sorted(names) == ["colour_of_w.h", "fast_math.h", "footprint_lookup.h", "point_lookup.h", "simd.h"]
+    assert sorted(names) == [
+        "colour_of_w.h",
+        "fast_math.h",
+        "footprint_lookup.h",
+        "point_lookup.h",
+        "quadratic_spline.h",
+        "simd.h",
+    ]
 
 
 def test_a_native_function_in_python_is_one_call_of_a_header():

@@ -366,7 +366,7 @@ def test_few_tables_are_kept(rough, builds):
     scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
     for each in scopes:
         wd.reflectance(hf, UP, UP, plan=each)
-    assert len(coefficient_table._cache[hf].coefficients) == coefficient_table.KEPT
+    assert len(coefficient_table._cache[hf].coefficients) == coefficient_table._MOST_KEPT
     assert len(builds) == 1 + len(scopes)
     # The oldest went.
     wd.reflectance(hf, UP, UP, plan=scopes[-1])
@@ -447,4 +447,12 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     hf = wd.HeightField.of_known_scale(surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um)
     wd.plan(hf, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
-    assert coefficient_table.kept(hf).fitted_to == {}
+    assert len(coefficient_table.kept(hf).fitted_to) == 0
+
+
+def test_views_of_a_plan_are_all_of_its_fields(rough):
+    plan = wd.plan(rough, UP, UP)
+    views = [plan.request, plan.kernel_numbers, plan.valid_range, plan.predicted_errors, plan.findings]
+    assert sum(map(len, views)) == len(dataclasses.fields(plan))
+    assert {name: value for view in views for name, value in view.items()} == dataclasses.asdict(plan) | plan.request
+    assert plan.error == sum(plan.predicted_errors.values())

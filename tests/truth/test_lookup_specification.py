@@ -52,7 +52,7 @@ def test_native_look_ups_are_those_of_the_specification(coherence, footprints_ar
         xyz, left_out = wp.zeros(COUNT, dtype=wp.vec3f, device="cpu"), wp.zeros(COUNT, dtype=wp.float32, device="cpu")
         look_up = integrator.steps(*given, "D65", xyz, seen, left_out)[0]
         if kind == "plain":
-            functions = look_up.inputs[0].functions.dtype._length_
+            functions = len(look_up.inputs[0].functions.dtype())
             kernel = lookup_specification.lookup(functions, coherence.kind == "source")
             look_up = dataclasses.replace(look_up, kernel=kernel)
         launch_pipeline([look_up], COUNT, device=wp.get_device("cpu"), threads=2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from warpdiff import gratings, meshes
 from warpdiff.core import checks, file_writing
+from warpdiff.core.data_folder import data_folder
 from warpdiff.evaluate.directions import brdf_map
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.render.shade import shade
@@ -18,6 +18,7 @@ from warpdiff.scene.lights import DirectionalLight
 from warpdiff.surface.heightfield import HeightField
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable
 
     from warpdiff.image.image import Image
@@ -44,18 +45,6 @@ class Picture:
     what: str
     make: Callable[..., Image]
     stops: float = 0.0
-
-
-def data_folder(given: str | os.PathLike[str] | None = None) -> Path | None:
-    """The folder with the real inputs: given, or in ``WARPDIFF_DATA``, or ``../shared/data`` beside a checkout."""
-    named = given or os.environ.get("WARPDIFF_DATA")
-    if named:
-        folder = Path(named)
-        if not folder.is_dir():
-            raise FileNotFoundError(f"the data folder {folder} does not exist; check --data or WARPDIFF_DATA")
-        return folder
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    return beside if beside.is_dir() else None
 
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:

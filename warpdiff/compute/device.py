@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 import tempfile
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpdiff.compute.warp_internals import codegen_lock
 from warpdiff.core import checks, fork_safety
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.core.thread_pool import cores
@@ -84,7 +84,7 @@ def _loaders() -> ThreadPoolExecutor:
 
 def _load(module: Any, device: wp.Device) -> None:
     try:
-        module.load(device, 1)
+        wp.load_module(module, device, block_dim=1)
     except OSError as error:
         raise _unkept(error) from error
 
@@ -119,23 +119,14 @@ def _refuse_cut_off() -> None:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {fork_safety.REMEDY}")
 
 
-def _warp_lock() -> Any:
-    """The lock that Warp, once it is imported, holds while it looks at kernels; None where a version has no such one.
-
-    Warp documents none. Without it a child may be forked while another thread looks at kernels, and wait.
-    """
-    found = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
-    return found if hasattr(found, "acquire") and hasattr(found, "release") else None
-
-
-# That, in a fork.
+# Warp's lock, in a fork.
 _held: list[Any] = []
 
 
 def _before_fork() -> None:
     """Wait a little for what is being loaded."""
     wait(_loading.values(), timeout=_MOST_WAIT_S)
-    lock = _warp_lock()
+    lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
         _held.append(lock)
 
@@ -150,7 +141,7 @@ def _in_child() -> None:
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in fork_safety.importing())
     _release()
-    lock = _warp_lock()
+    lock = codegen_lock()
     if not all(loaded.done() for loaded in _loading.values()) or (lock and not lock.acquire(blocking=False)):
         _cut_off.append("compiled kernels")
     elif lock:

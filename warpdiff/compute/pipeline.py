@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
+import functools
 import math
+import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import warp as wp
 
 from warpdiff.compute.device import load_now, resolve_device
+from warpdiff.compute.warp_internals import DoesNotFit, NativeCalls
 from warpdiff.core.thread_pool import Work
 from warpdiff.kernels import launch_slices
 
@@ -43,110 +44,96 @@ class KernelCall:
     outputs: list[Any]
     in_runs: bool = False
     block: int = 1
-    _native: list[tuple[list[int], Any, _Call]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _prepared: dict[type, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
         """Launch it for each index by itself."""
-        inputs = self._inputs(elements.start // self.block)
+        inputs = self.arguments(elements.start // self.block, 1)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
-    def _inputs(self, first: int) -> list[Any]:
-        return [*self.inputs, first, 1] if self.in_runs else [*self.inputs, first]
+    def arguments(self, first: int, run: int) -> list[Any]:
+        """All inputs, from the index of the first thread on."""
+        return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
-    def native(self) -> list[int]:
-        """The numbers that :mod:`warpdiff.kernels.launch_slices` takes on the CPU; what they point at stays."""
-        if not self._native:
-            values = [*self._inputs(0), *self.outputs]
-            call = _call_of(self.kernel, values)
-            arguments = call.arguments(values)
-            of_run = call.offset("run") if self.in_runs else -1
-            row = [
-                call.function, ctypes.addressof(call.bounds), ctypes.addressof(arguments), ctypes.sizeof(arguments),
-                call.offset("first"), of_run, self.block,
-            ]  # fmt: skip
-            self._native.append((row, arguments, call))
-        return self._native[0][0]
+    def prepared(self, kind: type) -> Any:
+        """What a way of calling kernels makes of it, once; it stays as long as this."""
+        if kind not in self._prepared:
+            self._prepared[kind] = kind(self)
+        return self._prepared[kind]
 
 
-class _Call:
-    """How Warp calls a kernel for one index on the CPU, which a launch tells.
+class RecordedCall:
+    """Launches of one kernel call that Warp has recorded, as many as threads take at a time."""
 
-    Attributes:
-        call: The function, which takes pointers to two structs, bounds and arguments.
-        function: Its address.
-        bounds: The struct for one index.
-    """
+    def __init__(self, step: KernelCall) -> None:
+        self._kernel, self._values = step.kernel, [*step.arguments(0, 1), *step.outputs]
+        self._block, self._in_runs, self._first = step.block, step.in_runs, len(step.inputs)
+        self._free: list[Any] = []
 
-    def __init__(self, kernel: Any, values: Sequence[Any]) -> None:
-        """Launch it without effect, with arguments that Warp checks."""
-        recorded = wp.launch(kernel, 1, values, device=resolve_device(None), record_cmd=True)
-        hooks, recorded.hooks = recorded.hooks, self
+    def run(self, begin: int, end: int) -> None:
+        """Launch it over elements."""
+        first, behind = begin // self._block, -(-end // self._block)
+        try:
+            recorded = self._free.pop()
+        except IndexError:
+            recorded = wp.launch(self._kernel, 1, self._values, device="cpu", record_cmd=True)
+        recorded.set_param_at_index_from_ctype(self._first, first)
+        if self._in_runs:
+            recorded.set_param_at_index_from_ctype(self._first + 1, behind - first)
+        else:
+            recorded.set_dim(behind - first)
         recorded.launch()
-        self.call = hooks.forward
-        self.function = int(ctypes.cast(self.call, ctypes.c_void_p).value or 0)
-        # So that it is not unloaded; what the launch holds may go.
-        self._code = recorded.module_exec
-
-    def forward(self, bounds: Any, arguments: Any) -> None:
-        """Called by Warp in place of the function."""
-        self.bounds, self._struct = bounds._obj, type(arguments._obj)
-
-    def arguments(self, values: Sequence[Any]) -> Any:
-        """The struct of arguments of the same types."""
-        result = self._struct()
-        for (name, _), value in zip(self._struct._fields_, values, strict=True):
-            if value is not None:
-                setattr(result, name, value.__ctype__() if hasattr(value, "__ctype__") else value)
-        return result
-
-    def offset(self, name: str) -> int:
-        """The offset of an argument among all of them [bytes]."""
-        found: int = getattr(self._struct, name).offset
-        return found
+        self._free.append(recorded)
 
 
-# By the kernel, and the types of arguments that Warp has checked.
-_calls: dict[tuple[Any, ...], _Call] = {}
+class RecordedCalls:
+    """Kernel calls one after the other, by recorded launches: what Warp documents."""
+
+    def __init__(self, steps: Sequence[KernelCall]) -> None:
+        self._calls: list[RecordedCall] = [step.prepared(RecordedCall) for step in steps]
+
+    def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
+        """What takes the next slices of elements, so many of them, on any thread."""
+        begins, lock = iter(elements[::size]), threading.Lock()
+
+        def take() -> None:
+            for _ in range(at_a_time):
+                with lock:
+                    begin = next(begins, None)
+                if begin is None:
+                    return
+                for call in self._calls:
+                    call.run(begin, min(begin + size, elements.stop))
+
+        return take
 
 
-def _call_of(kernel: Any, values: Sequence[Any]) -> _Call:
-    """How a kernel is called with values: to ask Warp takes longer than a launch."""
-    types = tuple((each.dtype, each.ndim) if isinstance(each, wp.array) else type(each) for each in values)
-    key = kernel, types
-    # Of two threads that ask at once, both get the first one's.
-    return _calls.get(key) or _calls.setdefault(key, _Call(kernel, values))
+@functools.cache
+def _calls() -> type[RecordedCalls] | type[NativeCalls]:
+    """By what kernels are called on the CPU: a native loop, if it does what it is to do with this version of Warp."""
+    counts = wp.zeros(3, dtype=wp.int32, device="cpu")
+    try:
+        NativeCalls([KernelCall(launch_slices.count_visits, [counts], [])]).slices(range(1, 3), 1, 3)()
+    except DoesNotFit:
+        return RecordedCalls
+    return NativeCalls if counts.numpy().tolist() == [0, 1, 1] else RecordedCalls
 
 
 class Pipeline:
-    """Kernel calls one after the other on the CPU, without the interpreter in between."""
+    """Kernel calls one after the other on the CPU."""
 
     def __init__(self, steps: Sequence[KernelCall]) -> None:
         """Get ready to call them, once they are compiled."""
         load_now([step.kernel for step in steps], resolve_device(None))
-        self.count = len(steps)
-        self._steps, self._rows = steps, np.array([step.native() for step in steps], dtype=np.int64)
-        self.address = self._rows.ctypes.data
+        self._calls = _calls()(steps)
 
     def launch(self, elements: range) -> None:
         """Launch them over elements on this thread."""
-        _Slices(self, elements, slice_size=len(elements), at_a_time=1).take(0)
+        self._calls.slices(elements, len(elements), 1)()
 
-
-class _Slices:
-    """Slices of elements, of which any thread takes the next ones through a pipeline."""
-
-    def __init__(self, pipeline: Pipeline, elements: range, *, slice_size: int, at_a_time: int) -> None:
-        self._pipeline, self._taken = pipeline, np.zeros(1, dtype=np.int32)
-        values = [
-            pipeline.address, pipeline.count, elements.start, elements.stop, slice_size, at_a_time,
-            self._taken.ctypes.data,
-        ]  # fmt: skip
-        self._call = _call_of(launch_slices.run, values)
-        self._arguments = self._call.arguments(values)
-
-    def take(self, _: int) -> None:
-        """Take so many slices, those that none has taken."""
-        self._call.call(ctypes.byref(self._call.bounds), ctypes.byref(self._arguments))
+    def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
+        """What takes the next slices of elements through them, so many of them, on any thread."""
+        return self._calls.slices(elements, size, at_a_time)
 
 
 def launch(
@@ -212,10 +199,10 @@ def begin_pipeline(
     size = -(-slice_size // block) * block
     slices = -(-len(among) // size)
     at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TURNS_PER_THREAD * threads)), 1)
-    taken = _Slices(Pipeline(steps), among, slice_size=size, at_a_time=at_a_time)
+    take = Pipeline(steps).slices(among, size, at_a_time)
     # Whoever has taken so many helps those that have not.
     times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
-    return Work(taken.take, range(times), threads=threads, progress=progress, joins=joins)
+    return Work(lambda _: take(), range(times), threads=threads, progress=progress, joins=joins)
 
 
 _NOTHING = Work(lambda _: None, [], threads=1)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
@@ -18,9 +17,9 @@ from warpdiff.image.image import Image, relative_errors
 from warpdiff.kernels.limits import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
-from warpdiff.planning.planner import broadcast_directions, check_request, plan_for, warn_outside
+from warpdiff.planning.planner import broadcast_directions, plan_for, warn_outside
+from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample
-from warpdiff.plans.plan import Plan
 from warpdiff.tables.coefficient_table import table_for
 from warpdiff.tables.integrator import Integrator
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
 # The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
@@ -82,17 +82,13 @@ def spectral_reflectance(
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
         at or below the horizon.
     """
-    check_call(
-        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
-        threads=threads, progress=progress,
+    request = Request.checked(
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
+        strict=strict, device=device, threads=threads, progress=progress, wavelengths_nm=wavelengths_nm,
     )  # fmt: skip
-    wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
     with allocations.named("spectral_reflectance()", _REMEDY):
-        call = _Call(
-            hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-            plan=plan, strict=strict, device=device, threads=threads, wavelengths_nm=wavelengths,
-        )  # fmt: skip
-        return call.single(call.spectra(wavelengths, progress=progress))
+        call = _Call(request, to_light, to_view)
+        return call.single(call.spectra(progress=progress))
 
 
 def reflectance(
@@ -136,17 +132,13 @@ def reflectance(
         CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
         normal incidence gives the illuminant's white, Y = 1.
     """
-    check_call(
-        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
-        threads=threads, progress=progress,
+    request = Request.checked(
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
+        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
     )  # fmt: skip
-    colorimetry.check_illuminant(illuminant)
     with allocations.named("reflectance()", _REMEDY):
-        call = _Call(
-            hf, to_light, to_view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-            plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
-        )  # fmt: skip
-        return call.single(call.colours(illuminant, progress=progress))
+        call = _Call(request, to_light, to_view)
+        return call.single(call.colours(progress=progress))
 
 
 def brdf_map(
@@ -195,11 +187,10 @@ def brdf_map(
         ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
         MemoryError: More memory than is free; the message says what fits.
     """
-    check_call(
-        hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
-        threads=threads, progress=progress,
+    request = Request.checked(
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
+        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
     )  # fmt: skip
-    colorimetry.check_illuminant(illuminant)
     light, single = checks.directions(to_light, "to_light")
     if not single:
         raise ValueError(f"to_light must have shape (3,) for a map, got {np.shape(to_light)}")
@@ -224,12 +215,9 @@ def brdf_map(
         radius2 = x * x + y * y
         inside = radius2 < 1.0
         views = np.stack([x[inside], y[inside], np.sqrt(1.0 - radius2[inside])], axis=1)
-        call = _Call(
-            hf, light, views, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-            plan=plan, strict=strict, device=device, threads=threads, illuminant=illuminant,
-        )  # fmt: skip
+        call = _Call(request, light, views)
         colours = np.zeros((count, count, 3), dtype=np.float32)
-        colours[inside] = call.colours(illuminant, progress=progress)
+        colours[inside] = call.colours(progress=progress)
     xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
     coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
     mask = coverage > 0.0
@@ -292,130 +280,78 @@ def brdf(
     return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))
 
 
-def check_call(
-    hf: Any,
-    *,
-    tolerance: Any,
-    method: Any,
-    coherence: Any,
-    masking: Any,
-    strict: Any,
-    device: Any,
-    threads: Any,
-    progress: Any,
-) -> None:
-    """Refuse what the evaluating functions have in common, before anything is computed."""
-    check_request(hf, tolerance=tolerance, method=method, coherence=coherence, strict=strict)
-    checks.flag(masking, "masking")
-    checks.callback(progress, "progress")
-    resolve_threads(threads)
-    resolve_device(device)
-
-
-def check_plan(plan: Plan, coherence: Coherence | None, *, colour: bool) -> Plan:
-    """Return an explicit plan if the call can use it."""
-    if not isinstance(plan, Plan):
-        raise TypeError(f"plan must be a warpdiff.Plan, such as warpdiff.plan(hf) returns, got {type(plan).__name__}")
-    if coherence is not None and coherence != plan.coherence:
-        raise ValueError("coherence differs from the one in plan=; give one of them, or dataclasses.replace the plan's")
-    if colour and plan.wavelengths == 0:
-        raise ValueError("plan has no wavelengths, it was made for given ones; make one with warpdiff.plan(hf)")
-    return plan
-
-
 class _Call:
     """Pairs of directions with the plan for them."""
 
-    def __init__(
-        self,
-        hf: HeightField,
-        to_light: ArrayLike,
-        to_view: ArrayLike,
-        *,
-        tolerance: float,
-        method: str,
-        coherence: Coherence | None,
-        ior: float,
-        masking: bool,
-        plan: Plan | None,
-        strict: bool,
-        device: Any,
-        threads: int | None,
-        illuminant: str = "D65",
-        wavelengths_nm: NDArray[np.float64] | None = None,
-    ) -> None:
+    def __init__(self, request: Request, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
         directions = len(self._lights)
-        values = 0 if wavelengths_nm is None else len(wavelengths_nm)
+        values = 0 if request.wavelengths_nm is None else len(request.wavelengths_nm)
         free_memory.require(
             directions * (_BYTES_A_DIRECTION + _BYTES_A_VALUE * values),
             f"a call of {directions} directions" + f" at {values} wavelengths" * (values > 0),
             "take at most {share} of them at a time",
         )
-        self._hf = hf
-        self._device, self._threads = resolve_device(device), resolve_threads(threads)
-        if plan is not None:
-            check_plan(plan, coherence, colour=wavelengths_nm is None)
-        window = plan.coherence if plan is not None else coherence or Coherence()
+        self._request = request
+        self._where = {"device": request.device, "threads": request.threads}
         self._deflections = -self._lights - self._views
-        normal, per_cosine = reflectance_factors.normal_reflectance(ior), window.kind == "source"
         self._gains = reflectance_factors.gain(
-            self._lights, self._views, normal=normal, masking=masking, per_light_cosine=per_cosine
-        )
+            self._lights, self._views, normal=request.normal_reflectance, masking=request.masking,
+            per_light_cosine=request.coherence.kind == "source",
+        )  # fmt: skip
         lit = self._gains > 0.0
-        self._scope = DirectionRange.of(hf, window, self._deflections, self._lights, lit, wavelengths_nm)
-        if plan is None:
+        self._scope = DirectionRange.of(
+            request.hf, request.coherence, self._deflections, self._lights, lit, request.wavelengths_nm
+        )
+        if request.plan is None:
             sample = DirectionSample.among(self._deflections, self._lights, self._gains)
-            plan = plan_for(
-                hf, self._scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict,
-                count=float(np.count_nonzero(lit)), illuminants=(illuminant,), wavelengths_nm=wavelengths_nm,
-                device=self._device, threads=self._threads,
-            )  # fmt: skip
+            self.plan = plan_for(request, self._scope, sample, float(np.count_nonzero(lit)))
         else:
-            warn_outside(plan, hf, self._scope)
-        self.plan = plan
+            self.plan = request.plan
+            warn_outside(self.plan, request.hf, self._scope)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
         """The values of a pair of single directions without the axis of directions."""
         return np.asarray(values[0]) if self._is_single else values
 
-    def spectra(self, wavelengths_nm: NDArray[np.float64], *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+    def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """ρ, shape (n, m)."""
+        hf, wavelengths_nm = self._request.hf, np.asarray(self._request.wavelengths_nm)
         if self.plan.method == "direct":
             result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
             lit = self._gains > 0.0
             power = direct_sum.window_power(
-                self._hf, self.plan.coherence, self._deflections[lit], wavelengths_nm * 1e-3,
-                to_lights=self._lights[lit], progress=progress,
+                hf, self.plan.coherence, self._deflections[lit], wavelengths_nm * 1e-3, to_lights=self._lights[lit],
+                progress=progress,
             )  # fmt: skip
             result[lit] = self._gains[lit, None] * power
             return result
-        table = table_for(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
-        wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._device)
-        values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._device)
-        launch(
-            table.sample, len(self._lights), [table.arguments, *self._deflect(), wavenumbers], [values],
-            device=self._device, threads=self._threads, progress=progress,
-        )  # fmt: skip
+        table = table_for(hf, self.plan, self._scope, **self._where)
+        wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._request.device)
+        values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._request.device)
+        inputs = [table.arguments, *self._deflect(), wavenumbers]
+        launch(table.sample, len(self._lights), inputs, [values], progress=progress, **self._where)
         return np.asarray(values.numpy())
 
-    def colours(self, illuminant: str, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+    def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """XYZ, shape (n, 3)."""
+        hf, (illuminant,) = self._request.hf, self._request.illuminants
         if self.plan.method == "direct":
             return direct_colour(
-                self._hf, self._deflections, self._lights, self._gains, self.plan, illuminant, progress=progress
+                hf, self._deflections, self._lights, self._gains, self.plan, illuminant, progress=progress
             )
-        integrator = Integrator(self._hf, self.plan, self._scope, device=self._device, threads=self._threads)
-        xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._device)
+        integrator = Integrator(hf, self.plan, self._scope, **self._where)
+        xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._request.device)
         integrator.add(*self._deflect(), illuminant, xyz, progress=progress)
         return np.asarray(xyz.numpy())
 
     def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
         """Deflections, directions to the light and gains on the device."""
+        device = self._request.device
         return (
-            wp.array(self._deflections, dtype=wp.vec3d, device=self._device),
-            wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=self._device),
-            wp.array(self._gains.astype(np.float32), dtype=wp.float32, device=self._device),
+            wp.array(self._deflections, dtype=wp.vec3d, device=device),
+            wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=device),
+            wp.array(self._gains.astype(np.float32), dtype=wp.float32, device=device),
         )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from warpdiff.core import checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.fourier import chebyshev
 from warpdiff.kernels.limits import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.surface.heightfield import check_whole
@@ -121,15 +122,12 @@ def _coefficients(hf: HeightField, indices: NDArray[np.int64], kappas: NDArray[n
     # As a function of κ the exponential is that of Jacobi and Anger, whose Chebyshev terms end beyond its argument.
     argument = math.pi * half * hf.height_range_um
     count = _term_count(argument)
-    nodes = np.cos(math.pi * (np.arange(count) + 0.5) / count)
-    chebyshev = np.polynomial.chebyshev.chebvander
-    terms = chebyshev(np.clip((kappas - middle) / half, -1.0, 1.0), count - 1) * (2.0 / count)
-    terms[:, 0] /= 2.0
-    weights = terms @ chebyshev(nodes, count - 1).T
+    low, high = middle - half, middle + half
+    weights = chebyshev.cardinals(kappas, low, high, count)
     rows, columns = (indices % hf.shape).T
     result = np.zeros(len(kappas), dtype=np.complex128)
-    for node, weight in zip(nodes, weights.T, strict=True):
-        spectra = np.fft.ifft2(np.exp(2j * math.pi * (middle + half * node) * heights))
+    for node, weight in zip(chebyshev.nodes(low, high, count), weights.T, strict=True):
+        spectra = np.fft.ifft2(np.exp(2j * math.pi * node * heights))
         result += weight * spectra[rows, columns]
     return result
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import fork_safety
+from warpdiff.fourier import chebyshev
 from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.fourier.transforms import series_coefficients
 
@@ -170,12 +171,11 @@ def fitted(
     high = kappas[1]
     step, table_kappas = _table_kappas(hf, kappas)
     # Chebyshev nodes over the table's whole range, so that nothing is extrapolated.
-    middle, half = (table_kappas[-1] + table_kappas[0]) / 2.0, (table_kappas[-1] - table_kappas[0]) / 2.0
+    first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
-    bandwidth = half * _radians_per_kappa(hf) * (1.0 if powers else 0.5)
+    bandwidth = (last - first) / 2.0 * _radians_per_kappa(hf) * (1.0 if powers else 0.5)
     count = math.ceil(bandwidth + 6.0 * bandwidth ** (1.0 / 3.0) + 10.0)
-    angles = math.pi * (np.arange(count) + 0.5) / count
-    nodes = middle + half * np.cos(angles)
+    nodes = chebyshev.nodes(first, last, count)
     values = _values_at(hf, series, nodes)
     if powers:
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
@@ -187,11 +187,9 @@ def fitted(
     noise = weights.max() * (_NOISE_POWER if powers else math.sqrt(_NOISE_POWER))
     scales = np.maximum(scales, noise)[:, None, None]
     strongest = np.argsort(-scales[:, 0, 0])[:_STRONGEST]
-    to_series = np.cos(np.outer(angles, np.arange(count))) * (2.0 / count)
-    to_series[:, 0] /= 2.0
     if method == "power":
-        principal = to_series
-        back = np.cos(np.outer(np.arange(count), angles))
+        principal = chebyshev.to_series(count)
+        back = chebyshev.terms(count)
     else:
         functions = _principal_functions(values, weights, scales, strongest)
         principal = weights[:, None] * functions
@@ -201,9 +199,7 @@ def fitted(
     left_out = _left_out(sample, principal, back, weights)
     kept = int(np.argmax(left_out <= _LEAST_LEFT_OUT)) if left_out.min() <= _LEAST_LEFT_OUT else count
     kept = min(max(kept, 1), MAX_TERMS)
-    position = np.clip((table_kappas - middle) / half, -1.0, 1.0)
-    chebyshev = np.cos(np.arccos(position)[:, None] * np.arange(count))
-    basis = chebyshev @ (back[:kept] @ to_series).T
+    basis = chebyshev.cardinals(table_kappas, first, last, count) @ back[:kept].T
     rows = values.reshape(-1, count) @ principal[:, :kept].astype(np.float32)
     return Coefficients(rows.reshape(shape), basis.astype(np.float32), kappas[0], step, left_out[: kept + 1])
 

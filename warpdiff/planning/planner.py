@@ -13,27 +13,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import allocations, checks
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.fourier.low_rank_basis import holds_powers
 from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
 from warpdiff.kernels import cell_levels
-from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.optics.coherence import Coherence
+from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.planning import search, trial
+from warpdiff.planning import cost_model, search, trial
+from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample, hemisphere_pairs, lateral, stratified
-from warpdiff.plans.plan import AUTOMATIC, LABELS, METHODS, Plan, check_method, check_tolerance, has_table
+from warpdiff.plans.plan import AUTOMATIC, LABELS, Plan, has_table
 from warpdiff.surface import aliasing, scalar_validity
-from warpdiff.surface.heightfield import check_whole
 from warpdiff.tables import coefficient_table, polar_layout
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.optics.coherence import Coherence
     from warpdiff.surface.heightfield import HeightField
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
@@ -95,7 +93,6 @@ _SEED = 0
 _HEMISPHERE_DIRECTIONS = 8192
 # A tolerance for which a plan only tells what is bright.
 _COARSE_TOLERANCE = 0.5
-_SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 
 
 def plan(
@@ -133,18 +130,13 @@ def plan(
     Returns:
         The plan; ``print(plan)`` explains it.
     """
-    check_request(hf, tolerance=tolerance, method=method, coherence=coherence, strict=strict)
-    colorimetry.check_illuminant(illuminant)
-    checks.flag(masking, "masking")
-    normal = reflectance_factors.normal_reflectance(ior)
-    window = coherence or Coherence()
-    target, workers = resolve_device(device), resolve_threads(threads)
+    request = Request.checked(
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, strict=strict,
+        device=device, threads=threads, illuminants=(illuminant,),
+    )  # fmt: skip
     with allocations.named("plan()", "take a larger tolerance, or a smaller hf"):
-        scope, sample, count = directions_of(hf, to_light, to_view, coherence=window, normal=normal, masking=masking)
-        result = plan_for(
-            hf, scope, sample, tolerance=tolerance, method=method, coherence=window, strict=strict, count=count,
-            illuminants=(illuminant,), device=target, threads=workers,
-        )  # fmt: skip
+        scope, sample, count = directions_of(request, to_light, to_view)
+        result = plan_for(request, scope, sample, count)
     if result.scalar_error >= scalar_validity.UNTRUSTED:
         warnings.warn(
             f"scalar diffraction is {scalar_validity.told(result.scalar_error)}; hf has a standard deviation of "
@@ -157,18 +149,13 @@ def plan(
 
 
 def directions_of(
-    hf: HeightField,
-    to_light: ArrayLike | None = None,
-    to_view: ArrayLike | None = None,
-    *,
-    coherence: Coherence,
-    normal: float,
-    masking: bool,
+    request: Request, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
 ) -> tuple[DirectionRange, DirectionSample, float]:
     """The scope of directions, some of them, and their number; None is the whole hemisphere.
 
     A plan for directions that are not yet known is made for many.
     """
+    hf, coherence = request.hf, request.coherence
     some_lights, some_views = hemisphere_pairs(_HEMISPHERE_DIRECTIONS, _SEED)
     if to_light is not None and to_view is not None:
         lights, views, _ = broadcast_directions(to_light, to_view)
@@ -182,8 +169,9 @@ def directions_of(
         given = views if to_light is None else lights
         scope = _any_direction(hf, coherence, scope, None if to_light is None and to_view is None else given)
     gains = reflectance_factors.gain(
-        lights, views, normal=normal, masking=masking, per_light_cosine=coherence.kind == "source"
-    )
+        lights, views, normal=request.normal_reflectance, masking=request.masking,
+        per_light_cosine=coherence.kind == "source",
+    )  # fmt: skip
     return scope, DirectionSample.among(deflections, lights, gains), count
 
 
@@ -212,16 +200,6 @@ def _any_direction(
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
 
-def check_request(hf: Any, *, tolerance: Any, method: Any, coherence: Any, strict: Any) -> None:
-    """Refuse what no plan can be made for, before anything is computed."""
-    check_whole(hf)
-    check_tolerance(tolerance)
-    checks.choice(method, "method", METHODS)
-    checks.instance(coherence, Coherence, "coherence", optional=True)
-    check_method(method, coherence or Coherence())
-    checks.flag(strict, "strict")
-
-
 def broadcast_directions(
     to_light: ArrayLike, to_view: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
@@ -237,35 +215,20 @@ def broadcast_directions(
 
 
 @on_one_thread()
-def plan_for(
-    hf: HeightField,
-    scope: DirectionRange,
-    sample: DirectionSample,
-    *,
-    tolerance: float,
-    method: str,
-    coherence: Coherence,
-    strict: bool,
-    count: float,
-    footprint: bool = False,
-    illuminants: tuple[str, ...] = ("D65",),
-    wavelengths_nm: NDArray[np.float64] | None = None,
-    device: wp.Device,
-    threads: int,
-) -> Plan:
+def plan_for(request: Request, scope: DirectionRange, sample: DirectionSample, count: float) -> Plan:
     """The plan for all directions of a scope, searched for on a sample of them.
 
     The directions are ``count`` in number, or of means over pixels some of them; a table, which takes time to make, is
-    for many, and for the footprints of what adds as powers. With
-    ``wavelengths_nm`` there is no integral over λ, and only those wavelengths need be served.
+    for many, and for the footprints of what adds as powers. With wavelengths there is no integral over λ, and only
+    those need be served.
     """
-    tolerance = check_tolerance(tolerance)
-    method, _, integration = method.partition("/")
-    if wavelengths_nm is not None and integration == "table":
+    hf, tolerance, coherence, footprint = request.hf, request.tolerance, request.coherence, request.footprint
+    method, _, integration = request.method.partition("/")
+    if not request.integrates and integration == "table":
         raise ValueError(f"method='{method}/table' integrates over λ, and wavelengths_nm asks for a spectrum")
     check_cycles(hf, scope.kappas[1])
     pitch = aliasing.coarsest_pitch_um(hf)
-    colour = wavelengths_nm is None
+    colour = request.integrates
     ample = _ample(hf, scope, tolerance=tolerance, method=method, coherence=coherence, colour=colour)
     between = coherence.centre_um is not None and method != "direct"
     _warn_of_aliasing(scope, pitch, coefficient_table.radius(ample) if between else 0.0)
@@ -291,54 +254,44 @@ def plan_for(
     found = ample
     if ample.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
-            hf, ample.method, coherence, scope, coefficient_table.reach(ample, hf), terms=ample.terms, threads=threads
-        )
+            hf, ample.method, coherence, scope, coefficient_table.reach(ample, hf), terms=ample.terms,
+            threads=request.threads,
+        )  # fmt: skip
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(ample, terms=terms, truncation=float(basis.left_out[terms]))
     found = replace(found, aliasing=aliasing.folded_power(hf, scope.max_uv * 1e3 / scope.lambda_min_nm))
     if is_searched:
-        found = _by_trial(
-            found, hf, scope, sample, method=method, integration=integration, footprint=blurs,
-            most_making=most_making, cut_short=cut_short, illuminants=illuminants,
-            wavelengths_nm=wavelengths_nm, device=device, threads=threads,
-        )  # fmt: skip
+        found = _by_trial(found, request, scope, sample, footprint=blurs, most_making=most_making, cut_short=cut_short)
     else:
         found = _with_cost(found, hf, sample)
     if ample.truncation > tolerance * _AMPLITUDE_MARGIN:
         # The series that all bases are made from, and judged by, ends too soon.
         found = replace(found, terms=ample.terms, truncation=max(found.truncation, ample.truncation))
-    _check_error(hf, found, strict=strict)
+    _check_error(hf, found, strict=request.strict)
     return replace(found, footprint=footprint)
 
 
 def _by_trial(
     plan: Plan,
-    hf: HeightField,
+    request: Request,
     scope: DirectionRange,
     sample: DirectionSample,
     *,
-    method: str,
-    integration: str,
     footprint: bool,
     most_making: float,
     cut_short: bool,
-    illuminants: tuple[str, ...],
-    wavelengths_nm: NDArray[np.float64] | None,
-    device: wp.Device,
-    threads: int,
 ) -> Plan:
     """The plan that a search finds from that of bounds, which is left where all is dark.
 
     A table may take ``most_making`` multiply-adds to make; 0 is none.
     """
-    tolerance, colour = plan.tolerance, wavelengths_nm is None
+    hf, tolerance, colour = request.hf, plan.tolerance, request.integrates
+    method, _, integration = request.method.partition("/")
     coarse = _ample(hf, scope, tolerance=_COARSE_TOLERANCE, method=method, coherence=plan.coherence, colour=colour)
     # Half the wavelengths of bounds, which are ample, tell as well what is bright.
     coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
     coarse = replace(coarse, terms=min(coarse.terms, coefficient_table.LANES)) if method not in EXPANSIONS else coarse
-    tried = trial.Trial(
-        plan, hf, scope, sample, illuminants, wavelengths_nm, coarse=coarse, device=device, threads=threads
-    )
+    tried = trial.Trial(plan, request, scope, sample, coarse=coarse)
     if not tried.any_light and not cut_short:
         return plan
     explicit = integration == "table"
@@ -364,7 +317,7 @@ def _with_cost(plan: Plan, hf: HeightField, sample: DirectionSample) -> Plan:
     places = stratified(len(sample), _DIRECTIONS_FOR_COST)
     deflections, to_lights = sample.deflections[places], sample.to_lights[places]
     reaches = lateral(hf, plan.coherence, deflections, to_lights)
-    return replace(plan, multiply_adds=search.mean_cost(hf, plan, reaches, np.abs(deflections[:, 2])))
+    return replace(plan, multiply_adds=cost_model.sampling_multiply_adds(hf, plan, reaches, np.abs(deflections[:, 2])))
 
 
 def _fewest_searched(coherence: Coherence) -> int:
@@ -379,7 +332,7 @@ def _most_making(hf: HeightField, plan: Plan, count: float) -> float:
         return 0.0
     smallest = replace(plan, nodes=rung[0], rays_per_width=rung[1])
     saved = _EXPECTED_REPEATS * count * plan.multiply_adds / _SEARCH_SAVES_FACTOR
-    return saved if saved > polar_layout.making_multiply_adds(hf, smallest) else 0.0
+    return saved if saved > cost_model.making_multiply_adds(hf, smallest) else 0.0
 
 
 def _ample(
@@ -431,7 +384,7 @@ def _ample(
         _check_neighbours(hf, result)
     if colour:
         result = _with_wavelengths(hf, result)
-    dearest = search.mean_cost(hf, result, np.array([scope.max_lateral]), np.array([scope.max_w]))
+    dearest = cost_model.sampling_multiply_adds(hf, result, np.array([scope.max_lateral]), np.array([scope.max_w]))
     return replace(result, multiply_adds=dearest)
 
 
@@ -454,8 +407,8 @@ def _bandwidth_um(hf: HeightField, coherence: Coherence, tolerance: float) -> tu
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, as they are.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
-    wider = log_band * 1e3 / LAMBDA_MIN_NM / _SPAN
-    lateral = per_deviation / coherence.spread * log_band / _SPAN
+    wider = log_band * 1e3 / LAMBDA_MIN_NM / cost_model.SPAN
+    lateral = per_deviation / coherence.spread * log_band / cost_model.SPAN
     return lateral, wider * cycles * hf.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 
 
@@ -478,7 +431,7 @@ def _check_neighbours(hf: HeightField, plan: Plan) -> None:
 
 def _with_wavelengths(hf: HeightField, plan: Plan) -> Plan:
     """The plan with as many wavelengths as its bandwidth asks for."""
-    count = coefficient_table.set_size(search.wavelength_count(plan, plan.max_lateral, plan.max_w))
+    count = coefficient_table.set_size(cost_model.wavelength_count(plan, plan.max_lateral, plan.max_w))
     copies = plan.coherence.copies
     divisions = 1
     if copies is not None:
@@ -487,12 +440,12 @@ def _with_wavelengths(hf: HeightField, plan: Plan) -> Plan:
         "source": f"angular_diameter_deg={plan.coherence.angular_diameter_deg}",
         "replicas": f"copies={copies} of {hf.size_um[0]:g} × {hf.size_um[1]:g} µm",
     }.get(plan.coherence.kind, f"sigma_um={plan.coherence.sigma_um or 0.0:g}")
-    facing = search.wavelength_count(plan, plan.max_uv, plan.max_w)
+    facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:
         # Near the horizon a source is foreshortened without end; such directions take the largest set there is.
         count = coefficient_table.set_size(_MOST_GRAZING)
         per_lateral, per_w, constant = plan.bandwidth_um
-        lateral = (count / _SPAN - per_w * plan.max_w - constant) / per_lateral
+        lateral = (count / cost_model.SPAN - per_w * plan.max_w - constant) / per_lateral
         plan = replace(plan, max_lateral=max(lateral, plan.max_uv))
     if count > _MOST_WAVELENGTHS or count * divisions > _MOST_SAMPLES:
         raise ValueError(
@@ -543,9 +496,8 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
     }
     if plan.nodes:
         sources["quadrature"] = (sources["quadrature"][0], "use method='auto'")
-    worst = max(sources, key=lambda name: float(getattr(plan, name)))
-    why, remedy = sources[worst]
-    largest = float(getattr(plan, worst))
+    worst = max(sources, key=plan.predicted_errors.__getitem__)
+    (why, remedy), largest = sources[worst], plan.predicted_errors[worst]
     digits = ", so that no digit need be right" if largest >= 1.0 else ""
     how = f"measured on {plan.judged} directions" if plan.searched else "by its bound"
     message = (

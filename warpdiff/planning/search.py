@@ -16,10 +16,8 @@ import numpy as np
 
 from warpdiff.compute.device import load
 from warpdiff.fourier import low_rank_basis
-from warpdiff.fourier.low_rank_basis import holds_powers
 from warpdiff.fourier.phase_series import EXPANSIONS
-from warpdiff.kernels import spectral_sum
-from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.planning import cost_model
 from warpdiff.planning.trial import kernels_tried
 from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.plans.plan import FUNCTIONS
@@ -28,15 +26,12 @@ from warpdiff.tables import coefficient_table, colour_table, polar_layout
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    import warp as wp
     from numpy.typing import NDArray
 
-    from warpdiff.optics.coherence import Coherence
+    from warpdiff.planning.request import Request
     from warpdiff.planning.trial import Trial
     from warpdiff.plans.plan import Plan
-    from warpdiff.surface.heightfield import HeightField
 
-_SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # The sample stands for the call, whose error may be this much larger.
 SAFETY = 1.6
 # Shares of what is left of the tolerance.
@@ -79,48 +74,28 @@ _LEAST_PREDICTED_SHARE = 0.1
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
 _HOPELESS_FACTOR = 10.0
-# What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
-# neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
-_COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_COPIES_FACTOR = 340.0, 16.0, 20.0, 280.0
 
 
-def begin_to_load(
-    hf: HeightField,
-    method: str,
-    coherence: Coherence,
-    max_w: float,
-    *,
-    footprint: bool,
-    tolerance: float,
-    device: wp.Device,
-) -> None:
+def begin_to_load(request: Request, method: str, max_w: float) -> None:
     """Begin to load what a search for a fitted basis is likely to take, before its directions are known.
 
     A wrong guess is compiled in vain, a second of one thread, once; what is needed in its place comes that much later.
 
     Args:
-        hf: The height field.
+        request: What is asked for.
         method: That of plans.
-        coherence: The window, source or copies.
         max_w: An estimate of the largest |w|.
-        footprint: Whether pixels show means, which takes a table.
-        tolerance: Of the plan.
-        device: Where.
     """
-    terms = low_rank_basis.series_terms(hf, DirectionRange(0.0, 0.0, 0.0, max_w).kappas)
+    coherence = request.coherence
+    terms = low_rank_basis.series_terms(request.hf, DirectionRange(0.0, 0.0, 0.0, max_w).kappas)
     if terms > _MOST_GUESSED:
         return
     needed = [each.integrate for each in kernels_tried(terms, method, coefficient_table.LANES, coherence)]
-    if footprint and coherence.kind == "averaged" and _AT_TOLERANCES[0] <= tolerance <= _AT_TOLERANCES[1]:
+    is_likely = _AT_TOLERANCES[0] <= request.tolerance <= _AT_TOLERANCES[1]
+    if request.footprint and coherence.kind == "averaged" and is_likely:
         # It takes the longest; the table's others are asked for behind those that come first.
         needed.append(colour_table.kernel_of_look_ups(_LIKELY_FUNCTIONS, coherence))
-    load(needed, device)
-
-
-def wavelength_count(plan: Plan, lateral_reach: float, w: float) -> float:
-    """How many wavelengths a direction takes."""
-    per_lateral, per_w, constant = plan.bandwidth_um
-    return _SPAN * (per_lateral * lateral_reach + per_w * w + constant) + 1.0
+    load(needed, request.device)
 
 
 def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
@@ -160,7 +135,7 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         neighbourhood=share * neighbourhood,
         quadrature=share * quadrature,
         rounding=share * rounding,
-        multiply_adds=mean_cost(trial.hf, plan, *trial.rates),
+        multiply_adds=cost_model.sampling_multiply_adds(trial.hf, plan, *trial.rates),
         searched=True,
         judged=len(trial.jury),
     )
@@ -200,7 +175,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         nodes, rays_per_width = likely.pop(0)
         tried = dataclasses.replace(plan, nodes=nodes, rays_per_width=rays_per_width, functions=functions)
         tried = trial.with_functions(tried)
-        making = polar_layout.making_multiply_adds(trial.hf, tried)
+        making = cost_model.making_multiply_adds(trial.hf, tried)
         if polar_layout.megabytes(tried) > polar_layout.MOST_MEGABYTES or making > most_making:
             break
         trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
@@ -223,7 +198,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
                 neighbourhood=0.0,
                 quadrature=max(0.0, told - truncation),
                 rounding=0.0,
-                multiply_adds=polar_layout.multiply_adds(tried),
+                multiply_adds=cost_model.look_up_multiply_adds(tried),
                 table_multiply_adds=making,
                 searched=True,
                 judged=len(trial.jury),
@@ -322,38 +297,6 @@ def _longer(plan: Plan, trial: Trial) -> Plan | None:
     return dataclasses.replace(plan, terms=terms) if terms > plan.terms else None
 
 
-def mean_cost(
-    hf: HeightField,
-    plan: Plan,
-    lateral_reaches: NDArray[np.float64],
-    w: NDArray[np.float64],
-    weights: NDArray[np.float64] | None = None,
-) -> float:
-    """Predicted multiply-adds of a direction, in the mean over directions of some lateral and |w|."""
-    lanes = coefficient_table.lanes_of(plan.terms)
-    parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
-    samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
-    if plan.adaptive and plan.wavelengths:
-        needed = [
-            wavelength_count(plan, float(reach), float(each)) for reach, each in zip(lateral_reaches, w, strict=True)
-        ]
-        samples = np.minimum(samples, np.asarray(needed) * 2.0 ** (0.5 / 4.0))
-    if plan.coherence.kind == "replicas":
-        neighbours: float = spectral_sum.TAPS**2 if hf.shape[0] > 1 else spectral_sum.TAPS
-    else:
-        radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
-        widths = [2.0 * radius * length if n > 1 else 1.0 for n, length in zip(hf.shape, hf.size_um, strict=True)]
-        neighbours = math.prod(widths)
-    each = (
-        _COST_OF_WAVELENGTH
-        + _COST_OF_TERM * lanes * min(1.0, neighbours)
-        + neighbours * (_COST_OF_NEIGHBOUR + parts * lanes)
-    )
-    if plan.coherence.kind == "replicas":
-        each += _COST_OF_COPIES_FACTOR * plan.subdivisions
-    return float(np.average(samples, weights=weights) * each)
-
-
 def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
     """The least exponent whose neighbourhood is within its share, by bisection, and the error that it leaves."""
     if plan.coherence.kind == "replicas":
@@ -415,9 +358,9 @@ def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, fl
     for bandwidth in _bandwidths(plan, trial, share, exact):
         a, b, c = bandwidth
         # As many wavelengths serve a grazing source, for which bounds were cut short, nearer to the horizon.
-        reach = min(((plan.wavelengths - 1.0) / _SPAN - b * plan.max_w - c) / a, trial.max_lateral)
+        reach = min(((plan.wavelengths - 1.0) / cost_model.SPAN - b * plan.max_w - c) / a, trial.max_lateral)
         adapted = dataclasses.replace(plan, bandwidth_um=bandwidth, max_lateral=max(plan.max_lateral, reach))
-        most = wavelength_count(adapted, adapted.max_lateral, adapted.max_w)
+        most = cost_model.wavelength_count(adapted, adapted.max_lateral, adapted.max_w)
         adapted = dataclasses.replace(
             adapted, wavelengths=coefficient_table.set_size(min(most, 2.0 * plan.wavelengths))
         )
@@ -442,7 +385,7 @@ def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[
 
     exact, error = against_twice(plan)
     # For a source at the horizon bounds were cut short: what is too sparse to see an order need not err less at once.
-    bound = wavelength_count(plan, float(trial.lateral.max()), float(trial.w.max()))
+    bound = cost_model.wavelength_count(plan, float(trial.lateral.max()), float(trial.w.max()))
     for _ in range(_WIDENINGS):
         if error <= share:
             break
@@ -480,7 +423,9 @@ def _bandwidths(
     lateral_steps = _LATERAL_STEPS if known_to else _LATERAL_STEPS[_LATERAL_STEPS >= _LEAST_LATERAL_STEP]
     factors = np.stack(np.meshgrid(lateral_steps, _HEIGHT_STEPS, _COLOUR_STEPS, indexing="ij"), axis=-1)
     parts = 2.0 ** factors.reshape(-1, 3) * plan.bandwidth_um
-    counts = 1.0 + _SPAN * (np.outer(parts[:, 0], trial.lateral) + np.outer(parts[:, 1], trial.w) + parts[:, 2:])
+    counts = 1.0 + cost_model.SPAN * (
+        np.outer(parts[:, 0], trial.lateral) + np.outer(parts[:, 1], trial.w) + parts[:, 2:]
+    )
     # Rounded down to a size that was tried; nothing below the smallest was.
     which = len(sizes) - np.searchsorted(sizes[::-1], counts, side="right")
     known = which.max(axis=1) < len(sizes)

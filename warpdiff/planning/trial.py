@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.planning.request import Request
     from warpdiff.plans.direction_range import DirectionRange, DirectionSample
     from warpdiff.plans.plan import Plan
-    from warpdiff.surface.heightfield import HeightField
 
 # Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
 _LUCKY_BRIGHTEST = 4
@@ -83,26 +83,22 @@ class Group:
 class Trial:
     """Some directions of a call on a device, and what the finest plan makes of them.
 
-    Args of its constructor: the plan from bounds, the height field, the range of the call, a sample of its directions,
-    its illuminants, of which the worst counts, given wavelengths in place of an integral, the plan from bounds for a
-    tolerance so large that it only tells what is bright, and where to try.
+    Args of its constructor: the plan from bounds, the request, the range of the call, a sample of its directions, and
+    the plan from bounds for a tolerance so large that it only tells what is bright.
     """
 
     def __init__(
         self,
         plan: Plan,
-        hf: HeightField,
+        request: Request,
         scope: DirectionRange,
         sample: DirectionSample,
-        illuminants: tuple[str, ...],
-        wavelengths_nm: NDArray[np.float64] | None,
         *,
         coarse: Plan,
-        device: wp.Device,
-        threads: int,
     ) -> None:
-        self.hf, self._scope, self._device, self._threads = hf, scope, device, threads
-        self._illuminants = illuminants
+        self.hf, self._scope, self._device, self._threads = request.hf, scope, request.device, request.threads
+        hf, device, threads, wavelengths_nm = request.hf, request.device, request.threads, request.wavelengths_nm
+        self._illuminants = request.illuminants
         self._wavenumbers, self._points = None, 1
         self.integrates = wavelengths_nm is None
         if wavelengths_nm is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpdiff.core import checks
 from warpdiff.fourier.low_rank_basis import METHODS as EXPANDED
@@ -14,6 +14,9 @@ from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.colorimetry import LONGEST_NM, SHORTEST_NM
 from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.surface import scalar_validity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 INTEGRATIONS = ("sampled", "table")
 METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
@@ -36,9 +39,16 @@ _SCOPE = {
     **dict.fromkeys(("max_lateral", "height_range_um"), (0.0, checks.MOST)),
     **dict.fromkeys(("lambda_min_nm", "lambda_max_nm"), (SHORTEST_NM, LONGEST_NM)),
 }
-_PREDICTED = (
-    *("split", "unsettled", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing", "scalar_error"),
-    *("multiply_adds", "table_multiply_adds"),
+# Fields by what they are.
+_REQUEST = ("method", "coherence", "tolerance", "footprint")
+_NUMBERS = (
+    *("terms", "least_weight", "wavelengths", "subdivisions", "bandwidth_um", "adaptive"),
+    *("nodes", "rays_per_width", "functions"),
+)
+_ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
+_FINDINGS = (
+    *("split", "unsettled", "errors", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"),
+    *("searched", "judged"),
 )
 
 
@@ -46,7 +56,8 @@ _PREDICTED = (
 class Plan:
     """The numbers of a computation, and why. ``dataclasses.replace(plan, terms=9)`` changes one; pass it as ``plan=``.
 
-    Errors are relative ones of XYZ, as ``tolerance`` is.
+    Errors are relative ones of XYZ, as ``tolerance`` is. ``request``, ``kernel_numbers``, ``valid_range``,
+    ``predicted_errors`` and ``findings`` are views of the fields by what they are.
 
     Attributes:
         method: One of ``low_rank_basis.METHODS``, or ``"direct"``.
@@ -148,7 +159,7 @@ class Plan:
             raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
         for name, (least, most) in _SCOPE.items():
             checks.number(getattr(self, name), name, least=least, most=most)
-        for name in _PREDICTED:
+        for name in {*_ERRORS, *_FINDINGS} - {"errors", "searched", "judged"}:
             # Bounds of what diverges are of any size.
             checks.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         errors = checks.finite_array(self.errors, "errors")
@@ -167,7 +178,35 @@ class Plan:
     @property
     def error(self) -> float:
         """Predicted error of the call: all sources but aliasing."""
-        return self.truncation + self.neighbourhood + self.quadrature + self.rounding
+        return float(sum(self.predicted_errors.values()))
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """What was asked for, by field."""
+        return self._view(_REQUEST)
+
+    @property
+    def kernel_numbers(self) -> dict[str, Any]:
+        """What kernels and tables take, by field."""
+        return self._view(_NUMBERS)
+
+    @property
+    def valid_range(self) -> dict[str, Any]:
+        """What these numbers hold for, by field."""
+        return self._view(_SCOPE)
+
+    @property
+    def predicted_errors(self) -> dict[str, float]:
+        """The error from each source, by field; their sum is ``error``."""
+        return self._view(_ERRORS)
+
+    @property
+    def findings(self) -> dict[str, Any]:
+        """What else was found of the surface, the search and the picture, by field."""
+        return self._view(_FINDINGS)
+
+    def _view(self, names: Iterable[str]) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in names}
 
     @property
     def blurs(self) -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpdiff.core import checks
-from warpdiff.planning.planner import directions_of, warn_outside
+from warpdiff.planning.planner import directions_of, plan_for, warn_outside
 from warpdiff.render.frame import load_kernels
 from warpdiff.render.shade import PictureRequest, check_lights, memory_named, warn_unsettled
 from warpdiff.scene.camera import View
@@ -86,18 +86,17 @@ class Renderer:
         )  # fmt: skip
         if (method if plan is None else plan.method) == "direct":
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
-        load_kernels(wanted.device)
-        self._hf, self._wanted = hf, wanted
+        request = wanted.request
+        load_kernels(request.device)
+        self._wanted = wanted
         with memory_named(view):
             surface = prepare_surface(mesh, tangents=tangents)
-            scope, sample, count = directions_of(
-                hf, coherence=wanted.window, normal=wanted.normal, masking=wanted.masking
-            )
-            if wanted.plan is not None:
-                warn_outside(wanted.plan, hf, scope)
-            self.plan = wanted.plan or wanted.plan_for(hf, scope, sample, count)
-            self._integrator = Integrator(hf, self.plan, scope, device=wanted.device, threads=wanted.threads)
-            self._recorded = records(wanted.device)
+            scope, sample, count = directions_of(request)
+            if request.plan is not None:
+                warn_outside(request.plan, hf, scope)
+            self.plan = request.plan or plan_for(request, scope, sample, count)
+            self._integrator = Integrator(hf, self.plan, scope, device=request.device, threads=request.threads)
+            self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
                 wanted.lights,
@@ -136,7 +135,7 @@ class Renderer:
                 mine.view = view
                 mine.frame.set_view(view)
             mine.lights = lights
-            self._wanted.set_lights(mine.frame, self._hf, lights)
+            self._wanted.set_lights(mine.frame, lights)
             if self._recorded:
                 self._replay(mine)
             else:
@@ -151,7 +150,7 @@ class Renderer:
         with self._turn:
             image = self._mine.frame.image(self.plan)
         warn_unsettled(image.plan)
-        if not self._wanted.device.is_cpu:
+        if not self._wanted.request.device.is_cpu:
             return image
         return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
 
@@ -172,7 +171,7 @@ class Renderer:
         mine.frame.invalidate_gbuffer()
         self._launch(mine)
         mine.frame.invalidate_gbuffer()
-        with wp.ScopedCapture(device=self._wanted.device, force_module_load=False) as capture:
+        with wp.ScopedCapture(device=self._wanted.request.device, force_module_load=False) as capture:
             self._launch(mine)
         mine.graph, mine.graph_is_for = capture.graph, needed
 

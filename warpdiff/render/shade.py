@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
-from warpdiff.evaluate.directions import check_call, check_plan
 from warpdiff.kernels import cell_levels
-from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.optics.coherence import Coherence
+from warpdiff.optics import colorimetry
 from warpdiff.planning import search
 from warpdiff.planning.planner import FEWEST_SEARCHED, plan_for, warn_outside
-from warpdiff.plans.plan import AUTOMATIC, Plan
+from warpdiff.planning.request import Request
+from warpdiff.plans.plan import AUTOMATIC
 from warpdiff.render.frame import Frame, load_kernels
 from warpdiff.render.layers import check_layers, layers_of
 from warpdiff.scene.camera import View
@@ -30,11 +28,11 @@ if TYPE_CHECKING:
     import contextlib
     from collections.abc import Callable, Collection
 
-    import warp as wp
     from numpy.typing import ArrayLike
 
     from warpdiff.image.image import Image
-    from warpdiff.plans.direction_range import DirectionRange, DirectionSample
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.plans.plan import Plan
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
@@ -111,35 +109,37 @@ def shade(
         FileNotFoundError: ``mesh`` is a path to nothing.
         MemoryError: More memory than is free; the message says what fits.
     """
-    checks.callback(progress, "progress")
     layers = check_layers(layers)
     wanted = PictureRequest.checked(
         hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
         pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
-        refine=refine, plan=plan, strict=strict, device=device, threads=threads,
+        refine=refine, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
     )  # fmt: skip
-    load_kernels(wanted.device)
+    request = wanted.request
+    load_kernels(request.device)
     if plan is None:
-        wanted.load_likely_kernels(hf, view)
+        wanted.load_likely_kernels(view)
     with memory_named(view):
         surface = prepare_surface(mesh, tangents=tangents)
         picture = wanted.frame(surface, view)
-        wanted.set_lights(picture, hf, wanted.lights)
-        scope, count, sample = picture.measure_directions(hf, wanted.window, sampled=wanted.plan is None)
-        found = wanted.plan
+        wanted.set_lights(picture, wanted.lights)
+        scope, count, sample = picture.measure_directions(hf, request.coherence, sampled=request.plan is None)
+        found = request.plan
         if found is not None:
             warn_outside(found, hf, scope)
         else:
-            found = wanted.plan_for(hf, scope, sample, count)
+            found = plan_for(request, scope, sample, count)
         names = [each.illuminant for each in wanted.lights]
         if found.method == "direct":
             picture.sum_directly(hf, found, names, progress=progress)
         else:
-            integrator = Integrator(hf, found, scope, device=wanted.device, threads=wanted.threads)
+            integrator = Integrator(hf, found, scope, device=request.device, threads=request.threads)
             picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
         image = picture.image(found)
         if layers:
-            told = layers_of(surface, view, layers, smooth=wanted.smooth, device=wanted.device, threads=wanted.threads)
+            told = layers_of(
+                surface, view, layers, smooth=wanted.smooth, device=request.device, threads=request.threads
+            )
             image = replace(image, layers=told)
     warn_unsettled(image.plan)
     return image
@@ -158,40 +158,22 @@ class PictureRequest:
     """A checked request for pictures.
 
     Attributes:
+        request: What it has in common with other requests.
         lights: One or several.
-        tolerance: Error of XYZ.
-        method: A legal name.
-        window: The coherence.
-        normal: R(0).
-        masking: Whether V-cavity masking is included.
         pigment: Strength of the base colour.
         shadows: Whether the mesh may hide the lights.
         smooth: Whether vertex normals are interpolated.
-        footprint: Whether pixels show means over what they see.
         samples: Rays a pixel.
         refine: Whether pixels are split until they keep the tolerance.
-        plan: An explicit one.
-        strict: Whether a tolerance that cannot be met is an error.
-        device: The Warp device.
-        threads: Threads on the CPU.
     """
 
+    request: Request
     lights: list[DirectionalLight]
-    tolerance: float
-    method: str
-    window: Coherence
-    normal: float
-    masking: bool
     pigment: float
     shadows: bool
     smooth: bool
-    footprint: bool
     samples: int
     refine: bool
-    plan: Plan | None
-    strict: bool
-    device: wp.Device
-    threads: int
 
     @classmethod
     def checked(
@@ -200,108 +182,83 @@ class PictureRequest:
         light: Any,
         view: Any,
         *,
-        tolerance: Any,
-        method: Any,
-        coherence: Any,
-        ior: Any,
-        masking: Any,
         pigment: Any,
         shadows: Any,
         smooth: Any,
         footprint: Any,
         samples_per_pixel: Any,
         refine: Any,
-        plan: Any,
-        strict: Any,
-        device: Any,
-        threads: Any,
+        **common: Any,
     ) -> PictureRequest:
-        """Refuse what is no such thing, before anything is computed."""
-        check_call(
-            hf, tolerance=tolerance, method=method, coherence=coherence, masking=masking, strict=strict, device=device,
-            threads=threads, progress=None,
-        )  # fmt: skip
+        """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
+        request = Request.checked(hf, **common)
         lights = check_lights(light)
         checks.instance(view, View, "view")
         checks.flag(shadows, "shadows")
         checks.flag(smooth, "smooth")
-        normal = reflectance_factors.normal_reflectance(ior)
         pigment = checks.number(pigment, "pigment", least=0.0)
         samples = checks.count(samples_per_pixel, "samples_per_pixel")
         if samples > _MOST_SAMPLES:
             raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
-        if plan is not None:
-            check_plan(plan, coherence, colour=True)
-        on = resolve_device(device)
-        if on.is_cpu:
+        if request.device.is_cpu:
             free_memory.require(
                 _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
                 "take a view of at most {side} times the width and height",
             )  # fmt: skip
-        window = plan.coherence if plan is not None else coherence or Coherence()
-        blurred = _takes_footprints(footprint, method, window, plan)
+        blurred = _takes_footprints(footprint, request)
         most = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         if blurred and samples > most:
             raise ValueError(
                 f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
                 "footprint=False takes more points"
             )
-        return cls(
-            lights, tolerance, method, window, normal, masking, pigment, shadows, smooth, blurred, samples,
-            checks.flag(refine, "refine"),
-            plan if plan is None or plan.footprint == blurred else replace(plan, footprint=blurred), strict,
-            on,
-            resolve_threads(threads),
-        )  # fmt: skip
+        plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
+        illuminants = tuple(dict.fromkeys(each.illuminant for each in lights))
+        request = replace(request, plan=plan, footprint=blurred, illuminants=illuminants)
+        return cls(request, lights, pigment, shadows, smooth, samples, checks.flag(refine, "refine"))
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
         """The arrays of a picture, whose faces begin to find their pixels."""
         result = Frame(
-            surface, view, smooth=self.smooth, samples=self.samples, means=self.footprint, device=self.device,
-            threads=self.threads, **options,
+            surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint,
+            device=self.request.device, threads=self.request.threads, **options,
         )  # fmt: skip
         result.set_view(view)
         return result
 
-    def set_lights(self, picture: Frame, hf: HeightField, lights: list[DirectionalLight]) -> None:
+    def set_lights(self, picture: Frame, lights: list[DirectionalLight]) -> None:
         """Set a picture's lights."""
+        request = self.request
         picture.set_lights(
-            lights, self.window, hf.size_um[0] * hf.size_um[1], normal=self.normal, masking=self.masking,
-            pigment=self.pigment, shadows=self.shadows,
+            lights, request.coherence, request.hf.size_um[0] * request.hf.size_um[1],
+            normal=request.normal_reflectance, masking=request.masking, pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
 
-    def plan_for(self, hf: HeightField, scope: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """The plan for directions."""
-        names = tuple(dict.fromkeys(each.illuminant for each in self.lights))
-        return plan_for(
-            hf, scope, sample, tolerance=self.tolerance, method=self.method, coherence=self.window, strict=self.strict,
-            count=count, footprint=self.footprint, illuminants=names, device=self.device, threads=self.threads,
-        )  # fmt: skip
-
-    def load_likely_kernels(self, hf: HeightField, view: View) -> None:
+    def load_likely_kernels(self, view: View) -> None:
         """Begin to load what the plan is likely to take: threads that compile would wait until rays have been cast."""
-        if self.method.partition("/")[0] not in ("auto", AUTOMATIC):
+        request = self.request
+        if request.method.partition("/")[0] not in ("auto", AUTOMATIC):
             return
-        if not self.footprint and view.width * view.height < FEWEST_SEARCHED:
+        if not request.footprint and view.width * view.height < FEWEST_SEARCHED:
             # What its bounds will ask for is not known.
             return
         # What looks halfway between light and eye has the largest |w|.
         back = view.frame().back
         max_w = max(float(np.linalg.norm(np.add(each.to_light, back))) for each in self.lights)
-        search.begin_to_load(
-            hf, AUTOMATIC, self.window, max_w, footprint=self.footprint, tolerance=self.tolerance, device=self.device
-        )
+        search.begin_to_load(request, AUTOMATIC, max_w)
 
 
-def _takes_footprints(footprint: bool | None, method: str, window: Coherence, plan: Plan | None) -> bool:
+def _takes_footprints(footprint: bool | None, request: Request) -> bool:
     """Whether pixels show means over what they see."""
+    plan = request.plan
+    method = request.method if plan is None else plan.method
     if footprint is not None:
         footprint = checks.flag(footprint, "footprint")
-    if footprint and (method if plan is None else plan.method) == "direct":
+    if footprint and method == "direct":
         raise ValueError("footprint=True is not for method='direct', which sums single directions: use another method")
     if footprint is not None:
         return footprint
-    return plan.footprint if plan is not None else window.adds_powers and method != "direct"
+    return plan.footprint if plan is not None else request.coherence.adds_powers and method != "direct"
 
 
 def memory_named(view: View) -> contextlib.AbstractContextManager[None]:

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core import fork_safety
+from warpdiff.core.lru_cache import LruCache
 from warpdiff.kernels.structs import Camera, SurfaceArrays
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 _LEAF = 4
 # A hierarchy is built once, by one thread.
 _once = fork_safety.lock()
-_kept: weakref.WeakKeyDictionary[Surface, dict[Any, SceneArrays]] = weakref.WeakKeyDictionary()
+_kept: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
+# Of the last lights.
+_MOST_GRIDS = 4
 
 
 class SceneArrays:
@@ -57,8 +60,8 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        self._built: dict[bool, tuple[wp.Mesh, Any]] = {}
-        self.grids: dict[tuple[float, ...], Any] = {}
+        self._built: LruCache[tuple[wp.Mesh, Any]] = LruCache()
+        self.grids: LruCache[Any] = LruCache(_MOST_GRIDS)
 
     def with_hierarchy(self, *, few: bool = False) -> Any:
         """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it.
@@ -67,30 +70,29 @@ class SceneArrays:
         it take up to 1.7 times as long. What was asked for before does not matter: each finds its own.
         """
         quick = few and bool(self.bare.positions.device.is_cpu)
+
+        def build() -> tuple[wp.Mesh, Any]:
+            constructor, leaf = ("cubql", _LEAF) if quick else (None, None)
+            mesh = wp.Mesh(
+                points=self.bare.positions,
+                indices=self.bare.faces.flatten(),
+                bvh_constructor=constructor,
+                bvh_leaf_size=leaf,
+            )
+            arrays = SurfaceArrays()
+            for name in SurfaceArrays.vars:
+                setattr(arrays, name, getattr(self.bare, name))
+            arrays.mesh_id = mesh.id
+            return mesh, arrays
+
         with _once:
-            if quick not in self._built:
-                constructor, leaf = ("cubql", _LEAF) if quick else (None, None)
-                mesh = wp.Mesh(
-                    points=self.bare.positions,
-                    indices=self.bare.faces.flatten(),
-                    bvh_constructor=constructor,
-                    bvh_leaf_size=leaf,
-                )
-                arrays = SurfaceArrays()
-                for name in SurfaceArrays.vars:
-                    setattr(arrays, name, getattr(self.bare, name))
-                arrays.mesh_id = mesh.id
-                self._built[quick] = mesh, arrays
-            return self._built[quick][1]
+            return self._built.get_or_make(quick, build)[1]
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
     """The arrays of a surface, made or found again."""
-    kept = _kept.setdefault(surface, {})
-    key = (str(device), smooth)
-    if key not in kept:
-        kept[key] = SceneArrays(surface, smooth=smooth, device=device)
-    return kept[key]
+    kept = _kept.setdefault(surface, LruCache())
+    return kept.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
 
 def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:

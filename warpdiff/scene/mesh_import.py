@@ -14,6 +14,7 @@ import numpy as np
 
 from warpdiff.core import checks
 from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.core.lru_cache import LruCache
 from warpdiff.optics.colorimetry import srgb_decode
 from warpdiff.scene import mesh_files
 from warpdiff.scene.mesh_geometry import (
@@ -120,20 +121,32 @@ def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surfac
     given = None if tangents is None else checks.finite_array(tangents, "tangents")
     if given is not None:
         told_by.append(given)
-    for index, (known, surface) in enumerate(_kept):
-        if len(known) == len(told_by) and all(map(np.array_equal, known, told_by)):
-            _kept.append(_kept.pop(index))
-            return surface
+    found = _kept.get(_Contents(told_by))
+    if found is not None:
+        return found
     part = _join([_named_part(each) for each in geometries])
     _check_tangents(part, given)
     surface = _build(part, given)
-    _kept.append(([each.copy() for each in told_by], surface))
-    del _kept[:-_MOST_KEPT]
+    _kept.put(_Contents([each.copy() for each in told_by]), surface)
     return surface
 
 
-# What was told by what, the last one asked for at the end.
-_kept: list[tuple[list[NDArray[Any]], Surface]] = []
+class _Contents:
+    """Arrays as a key: to compare them takes less time than to digest them."""
+
+    def __init__(self, arrays: list[NDArray[Any]]) -> None:
+        self._arrays = arrays
+
+    def __hash__(self) -> int:
+        return hash(tuple(each.shape for each in self._arrays))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Contents) or len(other._arrays) != len(self._arrays):
+            return False
+        return all(map(np.array_equal, self._arrays, other._arrays))
+
+
+_kept: LruCache[Surface] = LruCache(_MOST_KEPT)
 
 
 def _told_by(mesh: Any) -> list[Any]:

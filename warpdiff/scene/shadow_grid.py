@@ -11,7 +11,6 @@ import warp as wp
 
 from warpdiff.compute.pipeline import launch
 from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.lru_cache import get_or_make
 from warpdiff.kernels import shadow_grid
 
 if TYPE_CHECKING:
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Faces of a slice.
 _SLICE = 4096
-# A view that moves needs the same lights' grids.
-_MOST_KEPT = 4
 
 
 def grid_pays(faces: int, rays: int) -> bool:
@@ -52,7 +49,7 @@ def grid_for(
     That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
     """
     make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
-    return get_or_make(scene.grids, tuple(to_light), make, most=_MOST_KEPT)
+    return scene.grids.get_or_make(tuple(to_light), make)
 
 
 def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:

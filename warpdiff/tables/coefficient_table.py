@@ -13,7 +13,7 @@ import warp as wp
 
 from warpdiff.core import disk_cache, free_memory
 from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.lru_cache import get_or_make
+from warpdiff.core.lru_cache import LruCache
 from warpdiff.fourier import kaiser_bessel, low_rank_basis, transforms
 from warpdiff.fourier.low_rank_basis import Coefficients
 from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
@@ -42,8 +42,9 @@ _BYTES_A_WAVELENGTH = 370.0
 # The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
 # itself and for each thread.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_A_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
-# What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths.
-KEPT = 4
+# What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths; of
+# tables of colours, some for other lights and views, or a search's last attempts.
+_MOST_KEPT, _MOST_TABLE_BYTES = 4, 1e9
 _cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
 
 
@@ -51,13 +52,16 @@ class _Kept:
     """Coefficients of one height field, and their copies on devices, the last ones asked for."""
 
     def __init__(self) -> None:
-        self.coefficients: dict[Any, Coefficients] = {}
+        self.coefficients: LruCache[Coefficients] = LruCache(_MOST_KEPT)
         # The series that the last basis was fitted to, until the next series is asked for, which may be the same.
-        self.fitted_to: dict[Any, Coefficients] = {}
-        self.rows: dict[Any, tuple[Any, Any, Coefficients]] = {}
-        self.prepared: dict[Any, tuple[Any, dict[str, Any]]] = {}
-        self.spectra: dict[Any, Any] = {}
-        self.colours: dict[Any, tuple[Any, Any, float]] = {}
+        self.fitted_to: LruCache[Coefficients] = LruCache(1)
+        self.rows: LruCache[tuple[Any, Any, Coefficients]] = LruCache(_MOST_KEPT)
+        self.prepared: LruCache[tuple[Any, dict[str, Any]]] = LruCache(_MOST_KEPT)
+        self.spectra: LruCache[Any] = LruCache(1)
+        # With their sizes [MB].
+        self.colours: LruCache[tuple[Any, Any, float]] = LruCache(
+            most_bytes=_MOST_TABLE_BYTES, bytes_of=lambda each: 1e6 * each[2]
+        )
 
 
 def kept(hf: HeightField) -> _Kept:
@@ -174,14 +178,14 @@ def coefficients_for(
 
     held, fitted_to = kept(hf).coefficients, kept(hf).fitted_to
     if to_fit and key not in held:
-        return get_or_make(fitted_to, key, make, most=1), block, grid
+        return fitted_to.get_or_make(key, make), block, grid
     if method in EXPANSIONS and key not in held:
         series = fitted_to.get(key)
         if series is not None:
-            held[key] = series
+            held.put(key, series)
         # Memory of it would be on top of that of all tables.
         fitted_to.clear()
-    return get_or_make(held, key, make, most=KEPT), block, grid
+    return held.get_or_make(key, make), block, grid
 
 
 def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
@@ -227,7 +231,7 @@ def table_for(hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.
         )
 
     # With the rows those that they are of are kept, so that no others get their number.
-    table.rows, table.basis, _ = get_or_make(kept(hf).rows, key, make, most=KEPT)
+    table.rows, table.basis, _ = kept(hf).rows.get_or_make(key, make)
     table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin

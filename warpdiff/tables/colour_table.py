@@ -13,8 +13,8 @@ import warp as wp
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import free_memory
-from warpdiff.core.lru_cache import get_or_make
-from warpdiff.kernels import colour_lookup, spectrum_sampling
+from warpdiff.fourier import chebyshev
+from warpdiff.kernels import colour_lookup, quadratic_spline, spectrum_sampling
 from warpdiff.optics import colorimetry
 from warpdiff.tables import coefficient_table, line_spectrum
 from warpdiff.tables.colour_projection import Projection, Terms, projection, spline
@@ -38,7 +38,7 @@ _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 _TAP_RADIUS_SIGMAS, _OWN_BLUR_SPACINGS = 2.5, 1.1
 _TAP_RADIUS_SIGMAS_OF_LINES = 3.1
 # A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
-_PREFILTER = math.sqrt(2.0) * (2.0 * math.sqrt(2.0) - 3.0) ** np.abs(np.arange(-8, 9))
+_PREFILTER = np.array(quadratic_spline.prefilter(8))
 _TAP_POSITIONS = 64
 # Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
 # second node takes for none, and so many deviations from what else is in them.
@@ -55,8 +55,6 @@ _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
 _MIRROR_ENTRIES, _MIRROR_WAVELENGTHS = 2048, 40
 _ROWS_OF_SLICE = 32
-# What a height field keeps of tables: some for other lights and views, or a search's last attempts.
-_MOST_KEPT_MEGABYTES = 1000.0
 
 
 @dataclass(frozen=True)
@@ -134,23 +132,20 @@ def table_for(
             if rows is None:
                 # The last one serves other illuminants.
                 spectra.clear()
-                rows = spectra[source.key] = (
+                rows = (
                     line_spectrum.of_table(source.base.arguments, source.layout.highest)
                     if source.is_lines
                     else _sampled(source, **options)
                 )
-            found = held[sharp] = _coloured(source, how, rows, illuminant, **options)
+                spectra.put(source.key, rows)
+            found = _coloured(source, how, rows, illuminant, **options)
+            held.put(sharp, found)
         if wanted != sharp:
             # Levels are added to colours that have none, whose rows both then have.
             kernel, table, _ = found
-            held[sharp] = kernel, table, 0.0
+            held.put(sharp, (kernel, table, 0.0))
             found = _blurred(source.layout.with_mip_levels(), table, is_lines=source.is_lines, **options)
-    held.pop(wanted, None)
-    held[wanted] = found
-    for oldest in list(held)[:-1]:
-        if sum(megabytes for _, _, megabytes in list(held.values())) <= _MOST_KEPT_MEGABYTES:
-            break
-        held.pop(oldest, None)
+        held.put(wanted, found)
     return found[:2]
 
 
@@ -196,7 +191,7 @@ def _prepared(
     def make() -> tuple[_Source, dict[str, Projection]]:
         return _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
 
-    source, projections = get_or_make(coefficient_table.kept(hf).prepared, key, make, most=coefficient_table.KEPT)
+    source, projections = coefficient_table.kept(hf).prepared.get_or_make(key, make)
     if illuminant not in projections:
         projections[illuminant] = projection(plan, source.terms, illuminant)
     return source, projections[illuminant]
@@ -230,8 +225,15 @@ def _source(
     else:
         # Amplitudes of the mean plane and of others do not come apart.
         mirror = np.zeros(0, dtype=np.float32)
-        nodes = _chebyshev_kappas(hf, kappas)
-        terms = Terms(lambda at: _cardinals(at, nodes), kappas, np.ones(len(nodes)), _CARDINALS_SHARE)
+        # As many nodes as a power's oscillations take.
+        argument = math.pi * (kappas[1] - kappas[0]) * hf.height_range_um
+        count_of_nodes = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
+        nodes = chebyshev.nodes(*kappas, count_of_nodes)
+
+        def cardinals_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
+            return chebyshev.cardinals(at, *kappas, count_of_nodes)
+
+        terms = Terms(cardinals_at, kappas, np.ones(count_of_nodes), _CARDINALS_SHARE)
         at_kappas = np.zeros((coefficient_table.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
     layout = Layout.of(plan, reached.frequency)
@@ -333,7 +335,7 @@ def _megabytes(layout: Layout, functions: int) -> float:
 
 def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
     """A table with mip levels, from one without, whose rows have room for them."""
-    count = sharp.functions.dtype._length_
+    count = len(sharp.functions.dtype())
     target = colour_lookup.lookup(count, is_lines)
     table = target.Colours()
     for name in target.Colours.vars:
@@ -475,24 +477,3 @@ def _is_smooth(illuminant: str, per_log: float) -> bool:
 def _kappas(reached: coefficient_table.Reached) -> tuple[float, float]:
     """The range of |κ| of the basis."""
     return max(reached.kappa_low, _SMALLEST_KAPPA * reached.kappa_high), reached.kappa_high
-
-
-def _chebyshev_kappas(hf: HeightField, kappas: tuple[float, float]) -> NDArray[np.float64]:
-    """The |κ| between which a power is a polynomial: Chebyshev's nodes, as many as its oscillations take."""
-    low, high = kappas
-    argument = math.pi * (high - low) * hf.height_range_um
-    count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
-    angles = math.pi * (np.arange(count) + 0.5) / count
-    return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * np.cos(angles))
-
-
-def _cardinals(kappas: NDArray[np.float64], nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Polynomials that are 1 at one of Chebyshev's nodes and 0 at the others, shape (len(kappas), len(nodes))."""
-    count = len(nodes)
-    order = np.arange(count)
-    half = (nodes.max() - nodes.min()) / (2.0 * math.cos(math.pi / (2 * count))) if count > 1 else 1.0
-    middle = (nodes.max() + nodes.min()) / 2.0
-    transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
-    transform[0] /= 2.0
-    position = np.clip((kappas - middle) / half, -1.0, 1.0)
-    return np.asarray(np.cos(np.arccos(position)[:, None] * order) @ transform)

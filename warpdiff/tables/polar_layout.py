@@ -1,4 +1,4 @@
-"""Tables of colours in polar coordinates of (u, v): for what they serve, where their nodes lie, and what they cost.
+"""Tables of colours in polar coordinates of (u, v): for what they serve, and where their nodes lie.
 
 The spectrum under a window, averaged or centred, is smooth: its Fourier transform is the surface's autocorrelation
 under exp(−r²/4σ²). A table that resolves it, in logarithmic polar coordinates, holds the integral over λ of any number
@@ -42,18 +42,11 @@ MIDDLE_UM = 0.55
 _LINE_BLUR_SPACINGS = 0.8
 # ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
 _MORE_RAYS_OF_SOURCES = 1.5
-# Rays and nodes that a line shows on.
-_RAYS_OF_LINE, _NODES_OF_LINE = 7.0, 3.0
 # In deviations of a source: within, its blur is no range of angles and ratios.
 _NEAR_IN_SPREADS = 30.0
 # Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
 _BLURRED_RAYS_PER_WIDTH = 1.2
 _WIDEST_BLUR_RAD = 0.4
-# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
-# part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
-_COST_OF_SAMPLE, _COST_OF_NEIGHBOUR, _COST_OF_LINE, _COST_OF_NUMBER = 150.0, 4.0, 20.0, 35.0
-# Multiply-adds of a projection, which are made of SIMD alone, in those of all other kernels.
-_COST_OF_DENSE_MULTIPLY_ADD = 0.2
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
 # Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
@@ -230,39 +223,12 @@ def smallest_rung(plan: Plan) -> tuple[int, float] | None:
     return next((rung for rung in rungs(plan.coherence) if expected_error(rung[0]) <= plan.tolerance), None)
 
 
-def making_multiply_adds(hf: HeightField, plan: Plan) -> float:
-    """The cost of making a table, in the multiply-adds of ``Plan``."""
-    layout = _layout(plan)
-    parts = 1 if plan.coherence.adds_powers else 2
-    lanes = coefficient_table.lanes_of(plan.terms)
-    if plan.coherence.kind == "source":
-        lines = 2.0 * math.pi * layout.highest**2 * math.prod(hf.size_um)
-        sampling = lines * _RAYS_OF_LINE * (_COST_OF_LINE + 2.0 * _NODES_OF_LINE * lanes)
-    else:
-        neighbours = (
-            math.pi
-            * -math.log(plan.least_weight)
-            / coefficient_table.falloff_um2(plan.coherence)
-            * math.prod(hf.size_um)
-        )
-        sampling = layout.samples * (parts * _COST_OF_SAMPLE + neighbours * (_COST_OF_NEIGHBOUR + parts * lanes))
-    # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
-    powers = parts * plan.terms
-    projection = layout.sharp_rows * node_count(plan.nodes) * powers * (powers + 3.0)
-    return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_NUMBER * layout.rows * 3.0 * powers
-
-
 def megabytes(plan: Plan) -> float:
     """Size of a table, of about as many functions of w as there are terms where these are not said."""
-    return _layout(plan).rows * 3 * (plan.functions or plan.terms) * 4e-6
+    return layout_of(plan).rows * 3 * (plan.functions or plan.terms) * 4e-6
 
 
-def _layout(plan: Plan) -> Layout:
+def layout_of(plan: Plan) -> Layout:
     """The layout of a plan's table, with its levels if it has any."""
     sharp = Layout.of(plan, coefficient_table.Reached.by(plan.scope).frequency)
     return sharp.with_mip_levels() if has_mip_levels(plan) else sharp
-
-
-def multiply_adds(plan: Plan) -> float:
-    """The multiply-adds of a look-up."""
-    return 9.0 * 3.0 * (plan.functions or coefficient_table.lanes_of(plan.terms))

@@ -1,0 +1,124 @@
+"""Native functions on real tables, under AddressSanitizer and UndefinedBehaviorSanitizer.
+
+::
+
+    python -m warpdiff.bench.studies.sanitize
+
+Warp's generated source of every module that a picture takes is compiled once more by the system's compiler, with both
+sanitizers, and called in place of what Warp compiled, for a tube and a snake, footprints, points, a source, copies of a
+patch, shadows and split pixels. Needs ``g++`` with its sanitizers, and Linux. What they find ends the process and names
+the header's line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from warpdiff.bench.studies import corpus
+from warpdiff.compute import warp_internals
+from warpdiff.kernels.compile_options import NATIVE
+
+CASES = ("footprints alone", "points", "source", "copies", "centred window", "snake", "box", "many directions")
+COMPILER = shutil.which("g++") or "g++"
+CHECKED = "address,undefined"
+FLAGS = (
+    "-std=c++17", "-O1", "-g", "-march=native", f"-fsanitize={CHECKED}", "-fno-sanitize-recover=all",
+    # Rows of floats are read as vectors that need not lie at multiples of their size; warnings are the tests'.
+    "-fno-sanitize=alignment", "-fno-omit-frame-pointer", "-fPIC", "-shared", "-w",
+)  # fmt: skip
+
+
+class Sanitized:
+    """Kernels' functions as the system's compiler makes them, by their modules."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._libraries = folder, {}
+        self.called: set[str] = set()
+
+    def function(self, kernel: Any) -> Any:
+        """That of a kernel."""
+        module = kernel.module
+        if module not in self._libraries:
+            self._libraries[module] = self._compiled(module)
+        library, source = self._libraries[module]
+        key = re.escape(kernel.key)
+        name = re.search(rf"\b({key}(_[0-9a-f]+)?_cpu_forward)\(", source)
+        if name is None:
+            raise RuntimeError(f"no function of {kernel.key} in what Warp made of its module")
+        self.called.add(kernel.key)
+        return getattr(library, name[1])
+
+    def _compiled(self, module: Any) -> tuple[ctypes.CDLL, str]:
+        """Warp's source of a module, and the library that is made of it."""
+        folder = self._folder / str(len(self._libraries))
+        wp.compile_aot_module(module, device="cpu", module_dir=folder)
+        (source,) = folder.glob("*.cpp")
+        library = folder / "sanitized.so"
+        paths = ["-isystem", Path(wp.__file__).parent / "native", "-I", NATIVE, source, "-o", library]
+        # What Warp itself answers, such as a check that fails, is not to be called.
+        stubs = folder / "stubs.c"
+        texts = [path.read_text(encoding="utf-8") for path in (Path(wp.__file__).parent / "native").glob("*.h")]
+        texts.append(source.read_text(encoding="utf-8"))
+        names = {name for text in texts for name in re.findall(r"\b_?wp_\w+", text)}
+        stubs.write_text("".join(f"void {name}(void) {{ __builtin_trap(); }}\n" for name in sorted(names)))
+        objects = folder / "stubs.o"
+        subprocess.run([COMPILER, "-x", "c", "-w", "-fPIC", "-c", stubs, "-o", objects], check=True)
+        subprocess.run([COMPILER, *FLAGS, *paths, objects], check=True)
+        return ctypes.CDLL(str(library)), source.read_text(encoding="utf-8")
+
+
+def run(folder: Path) -> None:
+    """Compute all cases by sanitized functions."""
+    sanitized = Sanitized(folder)
+    init = warp_internals._Convention.__init__
+
+    def make(self: Any, kernel: Any, values: Any) -> None:
+        init(self, kernel, values)
+        # The loop over slices calls the others, and is checked itself, too.
+        self.call = sanitized.function(kernel)
+        self.function = int(ctypes.cast(self.call, ctypes.c_void_p).value or 0)
+
+    warp_internals._Convention.__init__ = make  # type: ignore[method-assign]
+    for name in CASES:
+        corpus.CASES[name](2)
+        print(f"{name}: nothing found in {len(sanitized.called)} kernels so far", flush=True)
+    print("kernels:", *sorted(sanitized.called))
+
+
+def main() -> int:
+    """Start a process that the sanitizers' libraries are loaded in first."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--inside", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.inside:
+        run(Path(options.inside))
+        return 0
+    libraries = [
+        subprocess.run(
+            [COMPILER, f"-print-file-name={name}"], check=True, capture_output=True, text=True
+        ).stdout.strip()
+        for name in ("libasan.so", "libubsan.so")
+    ]
+    environment = os.environ | {
+        "LD_PRELOAD": ":".join(libraries), "WARPDIFF_CACHE_DIR": "",
+        # Python and its libraries keep what they have until the end; their own calls are not what is looked at.
+        "ASAN_OPTIONS": "detect_leaks=0:detect_stack_use_after_return=0", "UBSAN_OPTIONS": "print_stacktrace=1",
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-W", "ignore", "-m", "warpdiff.bench.studies.sanitize", "--inside", folder]
+        return subprocess.run(command, env=environment, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

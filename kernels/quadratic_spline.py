@@ -1,0 +1,11 @@
+"""The quadratic B-spline between equally spaced nodes; plain numbers, without Warp, for kernels and their hosts."""
+
+import math
+
+# Of the recursive filter that turns values into the coefficients of the spline through them.
+POLE = 2.0 * math.sqrt(2.0) - 3.0
+
+
+def prefilter(reach: int) -> list[float]:
+    """What values from ``reach`` nodes before to as many behind count for a coefficient."""
+    return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-reach, reach + 1)]

@@ -1,0 +1,111 @@
+"""A request: what the caller of any function asks for, checked once and carried from there on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.core import checks
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.coherence import Coherence
+from warpdiff.plans.plan import METHODS, Plan, check_method, check_tolerance
+from warpdiff.surface.heightfield import check_whole
+
+if TYPE_CHECKING:
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.surface.heightfield import HeightField
+
+
+@dataclass(frozen=True)
+class Request:
+    """How exactly, by what, under which light and where something is to be computed.
+
+    Attributes:
+        hf: Of what.
+        tolerance: Error of XYZ, or of ρ.
+        method: A legal name.
+        coherence: The window, source or copies: what was given, an explicit plan's, or the default.
+        normal_reflectance: R(0) of the index of refraction.
+        masking: Whether V-cavity masking is included.
+        plan: An explicit plan.
+        strict: Whether a tolerance that cannot be met is an error.
+        device: The Warp device.
+        threads: Threads on the CPU.
+        illuminants: Names, of which the worst counts.
+        wavelengths_nm: In place of an integral over λ.
+        footprint: Whether pixels show means over what they see.
+    """
+
+    hf: HeightField
+    tolerance: float
+    method: str
+    coherence: Coherence
+    normal_reflectance: float
+    masking: bool
+    plan: Plan | None
+    strict: bool
+    device: wp.Device
+    threads: int
+    illuminants: tuple[str, ...] = ("D65",)
+    wavelengths_nm: NDArray[Any] | None = None
+    footprint: bool = False
+
+    @classmethod
+    def checked(
+        cls,
+        hf: Any,
+        *,
+        tolerance: Any,
+        method: Any,
+        coherence: Any,
+        ior: Any,
+        masking: Any,
+        strict: Any,
+        device: Any,
+        threads: Any,
+        plan: Any = None,
+        progress: Any = None,
+        illuminants: tuple[Any, ...] = (),
+        wavelengths_nm: Any = None,
+    ) -> Request:
+        """Refuse what is no such thing, before anything is computed."""
+        check_whole(hf)
+        check_tolerance(tolerance)
+        checks.choice(method, "method", METHODS)
+        checks.instance(coherence, Coherence, "coherence", optional=True)
+        check_method(method, coherence or Coherence())
+        checks.flag(strict, "strict")
+        checks.flag(masking, "masking")
+        checks.callback(progress, "progress")
+        workers = resolve_threads(threads)
+        on = resolve_device(device)
+        for name in illuminants:
+            colorimetry.check_illuminant(name)
+        wavelengths = None if wavelengths_nm is None else colorimetry.check_wavelengths(wavelengths_nm)
+        normal = reflectance_factors.normal_reflectance(ior)
+        if plan is not None:
+            _check_plan(plan, coherence, colour=wavelengths_nm is None)
+        return cls(
+            hf=hf, tolerance=tolerance, method=method,
+            coherence=plan.coherence if plan is not None else coherence or Coherence(), normal_reflectance=normal,
+            masking=masking, plan=plan, strict=strict, device=on, threads=workers, illuminants=illuminants or ("D65",),
+            wavelengths_nm=wavelengths,
+        )  # fmt: skip
+
+    @property
+    def integrates(self) -> bool:
+        """Whether colours are asked for, which are integrals over λ."""
+        return self.wavelengths_nm is None
+
+
+def _check_plan(plan: Any, coherence: Coherence | None, *, colour: bool) -> None:
+    """Refuse an explicit plan that the call cannot use."""
+    if not isinstance(plan, Plan):
+        raise TypeError(f"plan must be a warpdiff.Plan, such as warpdiff.plan(hf) returns, got {type(plan).__name__}")
+    if coherence is not None and coherence != plan.coherence:
+        raise ValueError("coherence differs from the one in plan=; give one of them, or dataclasses.replace the plan's")
+    if colour and plan.wavelengths == 0:
+        raise ValueError("plan has no wavelengths, it was made for given ones; make one with warpdiff.plan(hf)")
