@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is about so many
-# distances of rays in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's lines, whose
-# flanks are seen for themselves.
+# Deviations of a blur that spokes or nodes reach at least: of a spectrum under a window, whose own blur is about so
+# many distances of spokes in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's
+# lines, whose flanks are seen for themselves.
 _TAP_RADIUS_SIGMAS, _OWN_BLUR_SPACINGS = 2.5, 1.1
 _TAP_RADIUS_SIGMAS_OF_LINES = 3.1
 # A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
@@ -91,7 +91,7 @@ class _Source:
 
     @property
     def sampled_bytes(self) -> float:
-        """What rows of the spectrum take; lines are gathered as they are needed."""
+        """Bytes of the spectrum's rows; lines are gathered as they are needed."""
         return 0.0 if self.is_lines else 4.0 * len(self.at_kappas) * float(self.layout.starts[-1])
 
     @property
@@ -252,17 +252,17 @@ def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
-    """The spectrum's rows, octave after octave, ray after ray."""
+    """The spectrum's rows, octave after octave, spoke after spoke."""
     layout, sampler = source.layout, source.sampler
     bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
-    for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
+    for octave, (spokes, divisions) in enumerate(zip(layout.spectrum_spokes, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
         inputs = [
-            source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            source.base.arguments, bases, spokes, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
-        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
+        launch(sampler.resample, spokes, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
     return values
 
 
@@ -300,29 +300,29 @@ def _coloured(
     curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
-    def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
+    def fill_from_lines(_level: int, octave: int, on_spokes: Any) -> None:
         begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
         given = layout.nodes + len(how.matrices) - 1 + 2 * colour_lookup.FILTER_REACH
         values = line_spectrum.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
-            rays=layout.rays[0][octave], blur=layout.blurs[octave], **options,
+            spokes=layout.spokes[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
         inputs = [values, matrices, curves, terms, layout.nodes, given]
-        launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
+        launch(projector.project_lines, layout.spokes[0][octave] // projector.abreast, inputs, [on_spokes], **options)
 
     if source.is_lines:
         _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
         return target.integrate, table, _megabytes(layout, count)
-    # Room for each ray, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
+    # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
     length = layout.nodes + len(how.matrices) - 1 + colour_lookup.FILTER_REACH
-    sequence = wp.empty(layout.rays[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
+    sequence = wp.empty(layout.spokes[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
     starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
-    rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
+    spokes = wp.array(layout.spectrum_spokes, dtype=wp.int32, device=device)
 
-    def fill(_level: int, octave: int, on_rays: Any) -> None:
-        inputs = [spectrum_rows, starts, rays, matrices, curves, terms, layout.nodes, octave, length, sequence]
-        groups = layout.rays[0][octave] // projector.abreast
-        launch(projector.project, groups, inputs, [on_rays], in_runs=True, **options)
+    def fill(_level: int, octave: int, on_spokes: Any) -> None:
+        inputs = [spectrum_rows, starts, spokes, matrices, curves, terms, layout.nodes, octave, length, sequence]
+        groups = layout.spokes[0][octave] // projector.abreast
+        launch(projector.project, groups, inputs, [on_spokes], in_runs=True, **options)
 
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -344,9 +344,9 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
 
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
-    def fill(level: int, octave: int, on_rays: Any) -> None:
+    def fill(level: int, octave: int, on_spokes: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
-        launch(target.blur, layout.rays[level][octave], inputs, [on_rays], in_runs=True, **options)
+        launch(target.blur, layout.spokes[level][octave], inputs, [on_spokes], in_runs=True, **options)
 
     _fill(table, target, layout, 1, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -362,17 +362,17 @@ def _fill(
     device: wp.Device,
     threads: int,
 ) -> None:
-    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the rays of a level and an octave."""
-    table.spokes = wp.array(layout.rays, dtype=wp.int32, device=device)
-    table.blurs = wp.array(layout.widths, dtype=wp.float32, device=device)
-    table.first_rows = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
+    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the spokes of a level and an octave."""
+    table.spokes = wp.array(layout.spokes, dtype=wp.int32, device=device)
+    table.blurs = wp.array(layout.level_blurs, dtype=wp.float32, device=device)
+    table.first_rows = wp.array(layout.first_rows[:-1].reshape(np.shape(layout.spokes)), dtype=wp.int32, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
-    on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
-    for level in range(first_level, len(layout.rays)):
-        for octave, rays in enumerate(layout.rays[level]):
-            fill(level, octave, on_rays)
-            inputs = [on_rays, table, level, octave]
-            repeated = rays + 2 * colour_lookup.REACH
+    on_spokes = wp.empty(max(layout.spokes[0]) * layout.nodes, dtype=target.row, device=device)
+    for level in range(first_level, len(layout.spokes)):
+        for octave, spokes in enumerate(layout.spokes[level]):
+            fill(level, octave, on_spokes)
+            inputs = [on_spokes, table, level, octave]
+            repeated = spokes + 2 * colour_lookup.REACH
             launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
 
 
@@ -408,9 +408,9 @@ def _parts(most: int) -> NDArray[np.float64]:
 def _blends(
     most: int, reached: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Weights of the rays around a place, (variances, fractions, most), and how many of them count.
+    """Weights of the spokes around a place, (variances, fractions, most), and how many of them count.
 
-    The fraction is how far the place lies from the middle of these. ``weigh`` takes the rays' places from there,
+    The fraction is how far the place lies from the middle of these. ``weigh`` takes the spokes' places from there,
     (n, m), and the blur's variance.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
