@@ -1,4 +1,4 @@
-"""Which pixels are split, what their cells give to the pixels around, and how far one level differs from the next."""
+"""Adaptive sampling: errors of pixels, cells splat to the pixels around, differences of levels, and what is split."""
 
 import warp as wp
 

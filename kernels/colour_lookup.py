@@ -1,14 +1,14 @@
 """Colours from a table: the integral over λ is done once, for every (u, v) and every function of w.
 
-As λ goes from red to blue, (u, v)/λ runs along a ray of the frequency plane, over one octave. The power spectrum is
-taken on rays, at nodes of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
+As λ goes from red to blue, (u, v)/λ runs along a spoke of the frequency plane, over one octave. The power spectrum is
+taken on spokes, at nodes of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
 ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's nodes, with weights that are the projection of the colour
-curves on the same splines, however many orders the ray passes. Where |(u, v)| takes the same ratios, these weights are
-the same at every node, and w comes in through a few functions that all share: the sum is done beforehand, and what is
-left of a colour is a spline between nodes and rays, and a scalar product with the functions at w.
+curves on the same splines, however many orders the spoke passes. Where |(u, v)| takes the same ratios, these weights
+are the same at every node, and w comes in through a few functions that all share: the sum is done beforehand, and what
+is left of a colour is a spline between nodes and spokes, and a scalar product with the functions at w.
 
 A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
-at all wavelengths: levels of the table are blurred in angle, with fewer rays, and in ratio look-ups take more nodes.
+at all wavelengths: levels of the table are blurred in angle, with fewer spokes, and in ratio look-ups take more nodes.
 A source does the same to the lines of an endless surface.
 """
 

@@ -1,4 +1,4 @@
-"""What the native look-ups compute, in plain Warp and pixel by pixel: slow, to be read and compared with.
+"""Specification of the native look-ups in plain Warp, pixel by pixel: slow, to be read and compared with.
 
 ``native/point_lookup.h`` and ``native/footprint_lookup.h`` do the same for many pixels side by side, with series in
 place of logarithms, exponentials and arc tangents.
@@ -75,7 +75,7 @@ def lookup(functions: int, source: bool = False) -> Any:
     def zeroth_order(
         table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, covariance: wp.mat22f, source2: wp.float32
     ) -> wp.vec3f:
-        """Its XYZ over a covariance of (u, v): a Gaussian at each wavelength."""
+        """XYZ of the zeroth order over a covariance of (u, v): a Gaussian at each wavelength."""
         result = wp.vec3f()
         entries = table.zeroth_order.shape[0]
         if entries == 0:

@@ -7,5 +7,5 @@ POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 
 def prefilter(reach: int) -> list[float]:
-    """What values from ``reach`` nodes before to as many behind count for a coefficient."""
+    """Weights, for a coefficient, of the values from ``reach`` nodes before to as many behind."""
     return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-reach, reach + 1)]

@@ -127,7 +127,7 @@ def rasterize(
     nearest_out: wp.array(dtype=wp.uint64),
     rows_out: wp.array(dtype=wp.int32),
 ):
-    """Which face each pixel's ray sees, or each cell's: on the CPU alone.
+    """Find the face that each pixel's ray sees, or each cell's, by rasterizing faces: on the CPU alone.
 
     A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
 

@@ -69,7 +69,7 @@ def scattering_vectors(
     # In:
     pixels: Pixels,
     lights: Lights,
-    which: wp.int32,
+    light_index: wp.int32,
     reflection: Reflection,
     weight: wp.float64,
     counted: wp.float64,
@@ -93,8 +93,8 @@ def scattering_vectors(
     from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these. ``hidden``
     says which pixels the light does not reach; empty is none.
     """
-    to_light = lights.to_lights[which]
-    strength = lights.strengths[which]
+    to_light = lights.to_lights[light_index]
+    strength = lights.strengths[light_index]
     scale = weight * strength[0]
     thread, _ = wp.tid()
     begin = first + thread * run
@@ -112,7 +112,7 @@ def scattering_vectors(
             cos_r = -deflections_out[i][2] - cos_i
             under = (one - schlick(cos_i, normal)) * (one - schlick(cos_r, normal)) * cos_i
             base = wp.vec3d(pixels.base_colour[i])
-            colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[which])
+            colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
             xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * under * colour)
 
 

@@ -171,7 +171,7 @@ def trace_shadow_rays(
     # In:
     grid: ShadowGrid,
     to_lights: wp.array(dtype=wp.vec3d),
-    which: wp.int32,
+    light_index: wp.int32,
     pixels: Pixels,
     first: wp.int32,
     run: wp.int32,
@@ -182,7 +182,7 @@ def trace_shadow_rays(
 
     ``grid`` is that of the same light.
     """
-    towards = wp.vec3f(to_lights[which])
+    towards = wp.vec3f(to_lights[light_index])
     thread, _ = wp.tid()
     begin = first + thread * run
     if grid.starts.shape[0] > 0:

@@ -303,7 +303,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def set_for(quadrature: Quadrature, deflection: wp.vec3d, to_light: wp.vec3f) -> wp.int32:
-        """Which set of wavelengths a direction takes."""
+        """The set of wavelengths that a direction takes."""
         u = wp.float32(deflection[0])
         v = wp.float32(deflection[1])
         if wp.static(form == "source"):

@@ -1,6 +1,6 @@
-"""The power spectrum on rays, and its integral over λ for every (u, v) and every function of w.
+"""The power spectrum on spokes, and its integral over λ for every (u, v) and every function of w.
 
-Rays are sampled at nodes of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
+Spokes are sampled at nodes of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
 t = |(u, v)|/λ. A colour is a sum over an octave's nodes, whose weights are the same wherever |(u, v)| takes the same
 ratios: ``colour_lookup`` has the rest.
 """
@@ -21,7 +21,7 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 @functools.cache
 def resampler(lanes: int, powers: bool, nodes: int) -> Any:
-    """The kernel that samples the power spectrum of a height field's coefficients on rays, and the type of its rows.
+    """The kernel that samples the power spectrum of a height field's coefficients on spokes, and the type of its rows.
 
     Args:
         lanes: Terms of a row of coefficients.
@@ -52,14 +52,14 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         begin: wp.int32,
         values_out: wp.array(dtype=out_t),
     ):
-        """Integrals along a ray in this direction, in coefficients, from the node ``begin`` on."""
+        """Integrals along a spoke in this direction, in coefficients, from the node ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
         # In:
         table: coefficients_t,
         bases: wp.array(dtype=out_t),
-        rays: wp.int32,
+        spokes: wp.int32,
         nodes_an_octave: wp.int32,
         log_low: wp.float64,
         divisions: wp.int32,
@@ -70,20 +70,20 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         # Out:
         values_out: wp.array(dtype=out_t),
     ):
-        """Integrals of the power spectrum along a ray under the splines of an octave's nodes.
+        """Integrals of the power spectrum along a spoke under the splines of an octave's nodes.
 
-        The first node lies at the logarithm ``log_low`` of the frequency, and the row of ray 0 at ``start``. The
+        The first node lies at the logarithm ``log_low`` of the frequency, and the row of spoke 0 at ``start``. The
         spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``, without the
         coefficient ``left_out``. Amplitudes are multiplied by ``bases``, term by term.
         """
-        ray = first + wp.tid()
-        angle = wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(rays)
+        spoke = first + wp.tid()
+        angle = wp.float64(2.0 * wp.PI) * wp.float64(spoke) / wp.float64(spokes)
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(nodes_an_octave * divisions)
         # A node's spline begins one and a half nodes before it.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
         sample_spoke(
             table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, nodes_an_octave, first_t,
-            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), left_out, start + ray * nodes_an_octave,
+            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), left_out, start + spoke * nodes_an_octave,
             values_out,
         )  # fmt: skip
 
@@ -92,7 +92,7 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
 
 @functools.cache
 def gatherer(lanes: int) -> Any:
-    """The kernel that gathers coefficients as lines of a spectrum on rays, and the type of its rows."""
+    """The kernel that gathers coefficients as lines of a spectrum on spokes, and the type of its rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -111,7 +111,7 @@ def gatherer(lanes: int) -> Any:
         # Out:
         values_out: wp.array(dtype=row_t),
     ):
-        """Integrals along a ray, under the splines of its nodes, of lines that are blurred in angle.
+        """Integrals along a spoke, under the splines of its nodes, of lines that are blurred in angle.
 
         Args:
             coefficients: Powers.
@@ -119,20 +119,20 @@ def gatherer(lanes: int) -> Any:
             angles: Theirs, from 0 to a turn and a little beyond either end.
             places: Where they lie among the nodes.
             weights: What they count.
-            begins: For each ray the first line that reaches it.
+            begins: For each spoke the first line that reaches it.
             ends: And the one behind the last.
-            nodes: Nodes of a ray.
+            nodes: Nodes of a spoke.
             blur: Standard deviation of the angle.
-            first: The first thread's ray.
-            values_out: Ray after ray, node by node.
+            first: The first thread's spoke.
+            values_out: Spoke after spoke, node by node.
         """
-        ray = first + wp.tid()
-        start = ray * nodes
+        spoke = first + wp.tid()
+        start = spoke * nodes
         for k in range(nodes):
             values_out[start + k] = row_t()
-        angle = wp.float32(wp.float64(2.0 * wp.PI) * wp.float64(ray) / wp.float64(begins.shape[0]))
+        angle = wp.float32(wp.float64(2.0 * wp.PI) * wp.float64(spoke) / wp.float64(begins.shape[0]))
         scale = 1.0 / (wp.sqrt(2.0 * wp.PI) * blur)
-        for j in range(begins[ray], ends[ray]):
+        for j in range(begins[spoke], ends[spoke]):
             away = (angles[j] - angle) / blur
             node = wp.int32(wp.rint(places[j]))
             of_nodes = spline(places[j] - wp.float32(node))
@@ -156,25 +156,25 @@ def projector(lanes: int, functions: int) -> Any:
     abreast = 4 if functions <= 8 else 2
 
     @wp.func_native(
-        f"warpdiff::join_octaves<{lanes}, {abreast}>(values, starts, rays, nodes, octave, first_ray, sequence, at, "
+        f"warpdiff::join_octaves<{lanes}, {abreast}>(values, starts, spokes, nodes, octave, first_spoke, sequence, at, "
         "length);"
     )
     def join_octaves(
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
-        rays: wp.array(dtype=wp.int32),
+        spokes: wp.array(dtype=wp.int32),
         nodes: wp.int32,
         octave: wp.int32,
-        first_ray: wp.int32,
+        first_spoke: wp.int32,
         sequence: wp.array(dtype=values_t),
         at: wp.int32,
         length: wp.int32,
     ):
-        """Rows of a few rays from one before an octave on, ``length`` of them for each ray."""
+        """Rows of a few spokes from one before an octave on, ``length`` of them for each spoke."""
 
     @wp.func_native(
         f"warpdiff::project_spokes<{lanes}, {functions}, {abreast}>(sequence, at, length, skipped, matrices, weights, "
-        "terms, nodes, first_ray, rows_out);"
+        "terms, nodes, first_spoke, rows_out);"
     )
     def project_spokes(
         sequence: wp.array(dtype=values_t),
@@ -185,17 +185,17 @@ def projector(lanes: int, functions: int) -> Any:
         weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
         nodes: wp.int32,
-        first_ray: wp.int32,
+        first_spoke: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few rays from their ``length`` rows; that of the first node begins behind those skipped."""
+        """Colours along a few spokes from their ``length`` rows; that of the first node begins behind those skipped."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
         # In:
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
-        rays: wp.array(dtype=wp.int32),
+        spokes: wp.array(dtype=wp.int32),
         matrices: wp.array(dtype=functions_t),
         weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
@@ -208,16 +208,16 @@ def projector(lanes: int, functions: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few rays at a time, at the nodes of an octave of |(u, v)|.
+        """Colours along a few spokes at a time, at the nodes of an octave of |(u, v)|.
 
-        Their red end lies in the same octave of frequencies, which has as many rays as the next or half of them, and
-        their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each ray.
+        Their red end lies in the same octave of frequencies, which has as many spokes as the next or half of them, and
+        their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each spoke.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
-            first_ray = (first + wp.tid() * run + k) * wp.static(abreast)
-            join_octaves(values, starts, rays, nodes, octave, first_ray, sequence, at, length)
-            project_spokes(sequence, at, length, 0, matrices, weights, terms, nodes, first_ray, rows_out)
+            first_spoke = (first + wp.tid() * run + k) * wp.static(abreast)
+            join_octaves(values, starts, spokes, nodes, octave, first_spoke, sequence, at, length)
+            project_spokes(sequence, at, length, 0, matrices, weights, terms, nodes, first_spoke, rows_out)
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project_lines(
@@ -232,13 +232,13 @@ def projector(lanes: int, functions: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """The same where each ray has all ``given`` nodes that its own take, and those that the filter takes besides.
+        """Colours along a few spokes that have all ``given`` nodes, those that the filter takes besides among them.
 
         The filter changes them.
         """
-        first_ray = (first + wp.tid()) * wp.static(abreast)
-        at = first_ray * given
+        first_spoke = (first + wp.tid()) * wp.static(abreast)
+        at = first_spoke * given
         skipped = wp.static(FILTER_REACH)
-        project_spokes(values, at, given, skipped, matrices, weights, terms, nodes, first_ray, rows_out)
+        project_spokes(values, at, given, skipped, matrices, weights, terms, nodes, first_spoke, rows_out)
 
     return types.SimpleNamespace(functions=functions_t, project=project, project_lines=project_lines, abreast=abreast)

@@ -26,7 +26,7 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Which of how many samples of every pixel; a single one lies in the pixel's centre. Or cells of some pixels."""
+    """Sample of every pixel, of how many, a single one in the pixel's centre; or cells of some pixels."""
 
     sample: wp.int32
     samples: wp.int32

@@ -170,7 +170,16 @@ def plan_of_the_house() -> str:
             f"- `{each.removeprefix(package)}`: {first_line(each)}" for each in modules() if each.startswith(package)
         ]
         blocks.append("\n".join([head, "", *files]))
+    native = [f"- `{path.name}`: {first_sentence(path)}" for path in sorted((ROOT / "kernels" / "native").glob("*.h"))]
+    blocks.append("\n".join(["**kernels/native/** C++ that kernels call, an algorithm each.", "", *native]))
     return "\n\n".join(blocks)
+
+
+def first_sentence(path: Path) -> str:
+    """The first sentence of a header's first comment."""
+    text = path.read_text(encoding="utf-8").partition("\n\n")[0].partition("\n//\n")[0]
+    comment = text.replace("\n// ", " ").removeprefix("// ")
+    return re.split(r"(?<=[.:]) ", comment)[0].rstrip(":.") + "."
 
 
 def first_line(name: str) -> str:

@@ -62,7 +62,10 @@ class Sanitized:
     def _compiled(self, module: Any) -> tuple[ctypes.CDLL, str]:
         """Warp's source of a module, and the library that is made of it."""
         folder = self._folder / str(len(self._libraries))
+        # As launches on the CPU take it, one thread after the other.
+        block_dim, module.options["block_dim"] = module.options["block_dim"], 1
         wp.compile_aot_module(module, device="cpu", module_dir=folder)
+        module.options["block_dim"] = block_dim
         (source,) = folder.glob("*.cpp")
         library = folder / "sanitized.so"
         paths = ["-isystem", Path(wp.__file__).parent / "native", "-I", NATIVE, source, "-o", library]
@@ -71,7 +74,8 @@ class Sanitized:
         texts = [path.read_text(encoding="utf-8") for path in (Path(wp.__file__).parent / "native").glob("*.h")]
         texts.append(source.read_text(encoding="utf-8"))
         names = {name for text in texts for name in re.findall(r"\b_?wp_\w+", text)}
-        stubs.write_text("".join(f"void {name}(void) {{ __builtin_trap(); }}\n" for name in sorted(names)))
+        lines = [f'void {name}(void) {{ puts("{name} was called"); abort(); }}' for name in sorted(names)]
+        stubs.write_text("\n".join(["#include <stdio.h>", "#include <stdlib.h>", *lines]))
         objects = folder / "stubs.o"
         subprocess.run([COMPILER, "-x", "c", "-w", "-fPIC", "-c", stubs, "-o", objects], check=True)
         subprocess.run([COMPILER, *FLAGS, *paths, objects], check=True)

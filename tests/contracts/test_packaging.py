@@ -135,7 +135,8 @@ def check_wheel(wheel: Path) -> None:
 def test_wheel(tree, tmp_path):
     wheel = build("wheel", tree, tmp_path / "dist")
     check_wheel(wheel)
-    target = install(wheel, tmp_path / "target")
+    # Kernels include headers from there.
+    target = install(wheel, tmp_path / "Pakete für mich")
     check_installed(target, target, tmp_path / "outside")
 
 

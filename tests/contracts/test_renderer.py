@@ -131,17 +131,17 @@ def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
 
 def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"], threads=2)
-    native = KernelCall.native
+    prepared = KernelCall.prepared
 
-    def fail(step):
+    def fail(step, kind):
         if step.kernel.key == "rasterize":
             raise MemoryError
-        return native(step)
+        return prepared(step, kind)
 
-    monkeypatch.setattr(KernelCall, "native", fail)
+    monkeypatch.setattr(KernelCall, "prepared", fail)
     with pytest.raises(MemoryError):
         drawn.draw(view=view(0.3))
-    monkeypatch.setattr(KernelCall, "native", native)
+    monkeypatch.setattr(KernelCall, "prepared", prepared)
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
 

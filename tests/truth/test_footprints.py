@@ -16,6 +16,7 @@ from warpdiff.kernels.structs import Footprint
 from warpdiff.render.frame import Frame
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
+from warpdiff.tables.footprint_taps import footprint_taps
 from warpdiff.tables.integrator import Integrator
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -232,7 +233,7 @@ def test_few_rays_blur_a_line(is_lines, own, worst):
 
     Of a source's lines that spline itself is 3 % of their peak off.
     """
-    made = colour_table.blending("cpu", is_lines=is_lines)
+    made = footprint_taps("cpu", is_lines=is_lines)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
     variances = np.arange(len(weights)) / made.per_variance
     np.testing.assert_allclose(weights.sum(axis=2), 1.0, atol=1e-6)

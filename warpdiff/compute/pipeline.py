@@ -52,11 +52,11 @@ class KernelCall:
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
     def arguments(self, first: int, run: int) -> list[Any]:
-        """All inputs, from the index of the first thread on."""
+        """All inputs for threads from the index ``first`` on."""
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def prepared(self, kind: type) -> Any:
-        """What a way of calling kernels makes of it, once; it stays as long as this."""
+        """Make what a way of calling kernels takes of it, once; it stays as long as this."""
         if kind not in self._prepared:
             self._prepared[kind] = kind(self)
         return self._prepared[kind]
@@ -93,7 +93,7 @@ class RecordedCalls:
         self._calls: list[RecordedCall] = [step.prepared(RecordedCall) for step in steps]
 
     def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
-        """What takes the next slices of elements, so many of them, on any thread."""
+        """A function that takes the next slices of elements, so many of them, on any thread."""
         begins, lock = iter(elements[::size]), threading.Lock()
 
         def take() -> None:
@@ -132,7 +132,7 @@ class Pipeline:
         self._calls.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
-        """What takes the next slices of elements through them, so many of them, on any thread."""
+        """A function that takes the next slices of elements through them, so many of them, on any thread."""
         return self._calls.slices(elements, size, at_a_time)
 
 

@@ -1,4 +1,4 @@
-"""What of Warp is used that its documentation does not name: how it calls compiled kernels, and a lock of its own.
+"""Undocumented parts of Warp: how it calls compiled kernels, and a lock of its own.
 
 Nothing needs it. Where a version of Warp does not fit what is asked here, calls of kernels are recorded launches, which
 take the interpreter for each slice (see :mod:`warpdiff.compute.pipeline`), and a fork waits for no lock.
@@ -122,7 +122,7 @@ class NativeCalls:
         self._rows = np.array([call.row for call in self._calls], dtype=np.int64)
 
     def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
-        """What takes the next slices of elements, so many of them, on any thread."""
+        """A function that takes the next slices of elements, so many of them, on any thread."""
         return _NativeSlices(self, self._rows, elements, size, at_a_time).take
 
 

@@ -82,9 +82,10 @@ def spectral_reflectance(
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
         at or below the horizon.
     """
+    wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
     request = Request.checked(
         hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
-        strict=strict, device=device, threads=threads, progress=progress, wavelengths_nm=wavelengths_nm,
+        strict=strict, device=device, threads=threads, progress=progress, wavelengths_nm=wavelengths,
     )  # fmt: skip
     with allocations.named("spectral_reflectance()", _REMEDY):
         call = _Call(request, to_light, to_view)

@@ -68,7 +68,7 @@ _LEAST = 1e-30
 
 @dataclass(frozen=True)
 class Gamut:
-    """What a display's primaries are, and what OpenColorIO and OpenImageIO call it.
+    """A display's primaries, and its names in OpenColorIO and OpenImageIO.
 
     Attributes:
         xyz_to_rgb: Its linear components of XYZ, shape (3, 3).
@@ -94,7 +94,7 @@ GAMUTS = {
 
 
 def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> NDArray[np.float64]:
-    """What a display shows of colours, encoded as sRGB is, 0 to 1.
+    """Transform colours to what a display shows, encoded as sRGB is, 0 to 1.
 
     Args:
         xyz: Linear CIE XYZ, exposed, shape (..., 3).
@@ -118,7 +118,7 @@ def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> ND
 
 
 def description(display: str, gamut: str) -> str:
-    """What has been done to the colours of a file, in words."""
+    """Describe in words what has been done to the colours of a file."""
     to = GAMUTS[gamut]
     if display == "aces":
         return f"{to.view}, {to.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"

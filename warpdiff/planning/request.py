@@ -13,6 +13,7 @@ from warpdiff.plans.plan import METHODS, Plan, check_method, check_tolerance
 from warpdiff.surface.heightfield import check_whole
 
 if TYPE_CHECKING:
+    import numpy as np
     import warp as wp
     from numpy.typing import NDArray
 
@@ -69,9 +70,9 @@ class Request:
         plan: Any = None,
         progress: Any = None,
         illuminants: tuple[Any, ...] = (),
-        wavelengths_nm: Any = None,
+        wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> Request:
-        """Refuse what is no such thing, before anything is computed."""
+        """Refuse what is no such thing, before anything is computed; wavelengths are checked by who takes them."""
         check_whole(hf)
         check_tolerance(tolerance)
         checks.choice(method, "method", METHODS)
@@ -84,7 +85,6 @@ class Request:
         on = resolve_device(device)
         for name in illuminants:
             colorimetry.check_illuminant(name)
-        wavelengths = None if wavelengths_nm is None else colorimetry.check_wavelengths(wavelengths_nm)
         normal = reflectance_factors.normal_reflectance(ior)
         if plan is not None:
             _check_plan(plan, coherence, colour=wavelengths_nm is None)
@@ -92,7 +92,7 @@ class Request:
             hf=hf, tolerance=tolerance, method=method,
             coherence=plan.coherence if plan is not None else coherence or Coherence(), normal_reflectance=normal,
             masking=masking, plan=plan, strict=strict, device=on, threads=workers, illuminants=illuminants or ("D65",),
-            wavelengths_nm=wavelengths,
+            wavelengths_nm=wavelengths_nm,
         )  # fmt: skip
 
     @property

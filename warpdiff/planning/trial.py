@@ -81,7 +81,7 @@ class Group:
 
 
 class Trial:
-    """Some directions of a call on a device, and what the finest plan makes of them.
+    """Trial of plans on some directions of a call, against what the finest plan makes of these.
 
     Args of its constructor: the plan from bounds, the request, the range of the call, a sample of its directions, and
     the plan from bounds for a tolerance so large that it only tells what is bright.

@@ -182,17 +182,17 @@ class Plan:
 
     @property
     def request(self) -> dict[str, Any]:
-        """What was asked for, by field."""
+        """The request that it answers, by field."""
         return self._view(_REQUEST)
 
     @property
     def kernel_numbers(self) -> dict[str, Any]:
-        """What kernels and tables take, by field."""
+        """The numbers that kernels and tables take, by field."""
         return self._view(_NUMBERS)
 
     @property
     def valid_range(self) -> dict[str, Any]:
-        """What these numbers hold for, by field."""
+        """The range that these numbers hold for, by field."""
         return self._view(_SCOPE)
 
     @property
@@ -202,7 +202,7 @@ class Plan:
 
     @property
     def findings(self) -> dict[str, Any]:
-        """What else was found of the surface, the search and the picture, by field."""
+        """Findings on the surface, the search and the picture, by field."""
         return self._view(_FINDINGS)
 
     def _view(self, names: Iterable[str]) -> dict[str, Any]:

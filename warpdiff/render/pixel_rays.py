@@ -92,7 +92,7 @@ class PixelRays:
         return KernelCall(scattering.pixel_footprints, inputs, [seen.footprints], in_runs=True)
 
     def shadow_grid(self, _to_light: Sequence[float], _samples: int) -> Any:
-        """What shadow rays of the pixels' own samples are asked of."""
+        """The grid, or none, for shadow rays of the pixels' own samples."""
         return no_grid(self._scene)
 
     def on_host(self, values: wp.array) -> NDArray[Any]:
@@ -104,7 +104,7 @@ class PixelRays:
 
 
 class RasterizedRays(PixelRays):
-    """The same on the CPU, where faces are rasterized first: a ray then meets one that is known, or none.
+    """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none.
 
     ``may_see`` are whole blocks, with a row more on either side, once faces have told.
     """
@@ -187,7 +187,7 @@ class RasterizedRays(PixelRays):
         return self._grid_for(to_light, samples * int(np.count_nonzero(self.on_host(self.seen.pixels.hit))))
 
     def shadow_grid_of_cells(self, to_light: Sequence[float], pixels: int) -> Any:
-        """The same for the cells of so many pixels that are split."""
+        """The grid, or none, for shadow rays of the cells of so many split pixels."""
         return self._grid_for(to_light, _SHADOW_RAYS_OF_CELLS * pixels)
 
     def _grid_for(self, to_light: Sequence[float], rays: int) -> Any:

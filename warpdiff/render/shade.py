@@ -262,7 +262,7 @@ def _takes_footprints(footprint: bool | None, request: Request) -> bool:
 
 
 def memory_named(view: View) -> contextlib.AbstractContextManager[None]:
-    """What tells of memory that a picture did not get."""
+    """A context that names the picture where memory for it fails."""
     remedy = "take a smaller view, mesh or hf, fewer samples_per_pixel, or a larger tolerance"
     return allocations.named(f"a picture of {view.width} × {view.height} pixels", remedy)
 

@@ -323,7 +323,7 @@ def _patches(
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
-    """All patches as one."""
+    """Join patches to one."""
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))

@@ -129,7 +129,7 @@ def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) ->
 
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which of 0 … count − 1 are there, in order, and the indices among these."""
+    """Numbers of 0 … count − 1 that are there, in order, and the indices among these."""
     taken = np.zeros(count, dtype=np.bool_)
     taken[indices] = True
     if taken.all():

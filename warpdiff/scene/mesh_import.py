@@ -150,7 +150,7 @@ _kept: LruCache[Surface] = LruCache(_MOST_KEPT)
 
 
 def _told_by(mesh: Any) -> list[Any]:
-    """All that a surface is made of: a mesh that moved in place is told by its values."""
+    """Arrays that a surface is made of: a mesh that moved in place is told by its values."""
     visual = mesh.visual
     found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache, _has_facets(mesh)]
     found += [getattr(visual, "uv", None), visual.kind]
@@ -408,7 +408,7 @@ def _damage(image: Any) -> str:
 
 
 def _join(parts: list[_Part]) -> _Part:
-    """All parts as one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
+    """Join parts to one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
     if len(parts) == 1:
         return parts[0]
     textures: list[NDArray[np.float32]] = []

@@ -238,7 +238,7 @@ class _Fit:
 def _orders_and_blocks(
     q: NDArray[np.float64], shape: tuple[int, ...], pitch: tuple[float, float]
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """Which harmonics are fitted, and to means over blocks of how many samples along y and x."""
+    """Choose the harmonics that are fitted, and to means over blocks of how many samples along y and x."""
     cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
     most = max(1, min(_MOST_HARMONICS, math.floor(0.5 * _OF_NYQUIST / max(cycles))))
     if math.hypot(*(each * n for each, n in zip(cycles, shape, strict=True))) < FEWEST_PERIODS:

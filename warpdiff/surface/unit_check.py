@@ -46,7 +46,7 @@ def warn_of_scale(hf: HeightField) -> None:
 
 
 def _likely(hf: HeightField) -> str:
-    """Which unit what is given is likely to be in."""
+    """The unit that a length is likely to be in."""
     pitch = max(hf.pitch_um)
     heights = hf.height_range_um
     if LEAST_RANGE_UM <= heights <= _MOST_RANGE_UM and pitch < LEAST_RANGE_UM:

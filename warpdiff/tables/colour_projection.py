@@ -1,4 +1,4 @@
-"""From rows of the power spectrum on rays to colours: colour curves on splines, and the functions of w they share."""
+"""From rows of the power spectrum on spokes to colours: colour curves on splines, and the functions of w they share."""
 
 from __future__ import annotations
 

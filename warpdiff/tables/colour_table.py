@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,10 +13,10 @@ from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import free_memory
 from warpdiff.fourier import chebyshev
-from warpdiff.kernels import colour_lookup, quadratic_spline, spectrum_sampling
+from warpdiff.kernels import colour_lookup, spectrum_sampling
 from warpdiff.optics import colorimetry
 from warpdiff.tables import coefficient_table, line_spectrum
-from warpdiff.tables.colour_projection import Projection, Terms, projection, spline
+from warpdiff.tables.colour_projection import Projection, Terms, projection
 from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_mip_levels, megabytes, near
 
 if TYPE_CHECKING:
@@ -30,21 +29,9 @@ if TYPE_CHECKING:
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
-# Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
-_REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Deviations of a blur that rays or nodes reach at least: of a spectrum under a window, whose own blur is about so many
-# distances of rays in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's lines, whose
-# flanks are seen for themselves.
-_TAP_RADIUS_SIGMAS, _OWN_BLUR_SPACINGS = 2.5, 1.1
-_TAP_RADIUS_SIGMAS_OF_LINES = 3.1
-# A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
-_PREFILTER = np.array(quadratic_spline.prefilter(8))
-_TAP_POSITIONS = 64
 # Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
 # second node takes for none, and so many deviations from what else is in them.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
-# Variance within one of several parts of a footprint, times their number.
-_VARIANCE_WITHIN_PARTS = 1.2
 # Of the largest |κ|: all but the mirror's coefficient vanish below.
 _SMALLEST_KAPPA = 1e-3
 # What functions of w may leave out where it is most, as a share of the tolerance: cardinal polynomials add up to less
@@ -91,7 +78,7 @@ class _Source:
 
     @property
     def sampled_bytes(self) -> float:
-        """What rows of the spectrum take; lines are gathered as they are needed."""
+        """Bytes of the spectrum's rows; lines are gathered as they are needed."""
         return 0.0 if self.is_lines else 4.0 * len(self.at_kappas) * float(self.layout.starts[-1])
 
     @property
@@ -252,17 +239,17 @@ def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
-    """The spectrum's rows, octave after octave, ray after ray."""
+    """The spectrum's rows, octave after octave, spoke after spoke."""
     layout, sampler = source.layout, source.sampler
     bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
-    for octave, (rays, divisions) in enumerate(zip(layout.spectrum_rays, layout.divisions, strict=True)):
+    for octave, (spokes, divisions) in enumerate(zip(layout.spectrum_spokes, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
         inputs = [
-            source.base.arguments, bases, rays, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            source.base.arguments, bases, spokes, layout.nodes, log_low, divisions, layout.highest, source.left_out,
             start,
         ]  # fmt: skip
-        launch(sampler.resample, rays, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
+        launch(sampler.resample, spokes, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
     return values
 
 
@@ -300,29 +287,29 @@ def _coloured(
     curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
-    def fill_from_lines(_level: int, octave: int, on_rays: Any) -> None:
+    def fill_from_lines(_level: int, octave: int, on_spokes: Any) -> None:
         begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
         given = layout.nodes + len(how.matrices) - 1 + 2 * colour_lookup.FILTER_REACH
         values = line_spectrum.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
-            rays=layout.rays[0][octave], blur=layout.blurs[octave], **options,
+            spokes=layout.spokes[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
         inputs = [values, matrices, curves, terms, layout.nodes, given]
-        launch(projector.project_lines, layout.rays[0][octave] // projector.abreast, inputs, [on_rays], **options)
+        launch(projector.project_lines, layout.spokes[0][octave] // projector.abreast, inputs, [on_spokes], **options)
 
     if source.is_lines:
         _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
         return target.integrate, table, _megabytes(layout, count)
-    # Room for each ray, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
+    # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
     length = layout.nodes + len(how.matrices) - 1 + colour_lookup.FILTER_REACH
-    sequence = wp.empty(layout.rays[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
+    sequence = wp.empty(layout.spokes[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
     starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
-    rays = wp.array(layout.spectrum_rays, dtype=wp.int32, device=device)
+    spokes = wp.array(layout.spectrum_spokes, dtype=wp.int32, device=device)
 
-    def fill(_level: int, octave: int, on_rays: Any) -> None:
-        inputs = [spectrum_rows, starts, rays, matrices, curves, terms, layout.nodes, octave, length, sequence]
-        groups = layout.rays[0][octave] // projector.abreast
-        launch(projector.project, groups, inputs, [on_rays], in_runs=True, **options)
+    def fill(_level: int, octave: int, on_spokes: Any) -> None:
+        inputs = [spectrum_rows, starts, spokes, matrices, curves, terms, layout.nodes, octave, length, sequence]
+        groups = layout.spokes[0][octave] // projector.abreast
+        launch(projector.project, groups, inputs, [on_spokes], in_runs=True, **options)
 
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -344,9 +331,9 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
 
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
-    def fill(level: int, octave: int, on_rays: Any) -> None:
+    def fill(level: int, octave: int, on_spokes: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
-        launch(target.blur, layout.rays[level][octave], inputs, [on_rays], in_runs=True, **options)
+        launch(target.blur, layout.spokes[level][octave], inputs, [on_spokes], in_runs=True, **options)
 
     _fill(table, target, layout, 1, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -362,108 +349,18 @@ def _fill(
     device: wp.Device,
     threads: int,
 ) -> None:
-    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the rays of a level and an octave."""
-    table.spokes = wp.array(layout.rays, dtype=wp.int32, device=device)
-    table.blurs = wp.array(layout.widths, dtype=wp.float32, device=device)
-    table.first_rows = wp.array(layout.firsts[:-1].reshape(np.shape(layout.rays)), dtype=wp.int32, device=device)
+    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the spokes of a level and an octave."""
+    table.spokes = wp.array(layout.spokes, dtype=wp.int32, device=device)
+    table.blurs = wp.array(layout.level_blurs, dtype=wp.float32, device=device)
+    table.first_rows = wp.array(layout.first_rows[:-1].reshape(np.shape(layout.spokes)), dtype=wp.int32, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
-    on_rays = wp.empty(max(layout.rays[0]) * layout.nodes, dtype=target.row, device=device)
-    for level in range(first_level, len(layout.rays)):
-        for octave, rays in enumerate(layout.rays[level]):
-            fill(level, octave, on_rays)
-            inputs = [on_rays, table, level, octave]
-            repeated = rays + 2 * colour_lookup.REACH
+    on_spokes = wp.empty(max(layout.spokes[0]) * layout.nodes, dtype=target.row, device=device)
+    for level in range(first_level, len(layout.spokes)):
+        for octave, spokes in enumerate(layout.spokes[level]):
+            fill(level, octave, on_spokes)
+            inputs = [on_spokes, table, level, octave]
+            repeated = spokes + 2 * colour_lookup.REACH
             launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
-
-
-@functools.cache
-def blending(device: str, *, is_lines: bool) -> Any:
-    """The struct ``FootprintTaps`` of the kernels for a source's lines or a spectrum, on the device of a name."""
-    result = colour_lookup.FootprintTaps()
-    reached, weigh = (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_lines else (_TAP_RADIUS_SIGMAS, _closest)
-    weights, lengths = _blends(2 * colour_lookup.REACH, reached, weigh)
-    result.weights = wp.array(weights, dtype=wp.float32, device=device)
-    result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
-    result.per_variance = (_REMAINING_BLURS - 1) / _MOST_REMAINING_VARIANCE
-    result.parts = wp.array(_parts(colour_lookup.MOST_PARTS), dtype=wp.float32, device=device)
-    return result
-
-
-@functools.cache
-def _parts(most: int) -> NDArray[np.float64]:
-    """The normal distribution as 1 … ``most`` narrower ones: their variance, places and weights, (most, 3, most).
-
-    Places and weights are those of Gauss and Hermite, so that moments up to 2 count − 1 are kept.
-    """
-    result = np.zeros((most, 3, most))
-    for count in range(1, most + 1):
-        within = min(1.0, _VARIANCE_WITHIN_PARTS / count)
-        places, weights = np.polynomial.hermite_e.hermegauss(count)
-        result[count - 1, 0] = within
-        result[count - 1, 1, :count] = math.sqrt(1.0 - within) * places
-        result[count - 1, 2, :count] = weights / weights.sum()
-    return result
-
-
-def _blends(
-    most: int, reached: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Weights of the rays around a place, (variances, fractions, most), and how many of them count.
-
-    The fraction is how far the place lies from the middle of these. ``weigh`` takes the rays' places from there,
-    (n, m), and the blur's variance.
-    """
-    fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
-    weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
-    lengths = np.zeros(_REMAINING_BLURS, dtype=np.int32)
-    for index in range(_REMAINING_BLURS):
-        variance = index / (_REMAINING_BLURS - 1) * _MOST_REMAINING_VARIANCE
-        count = min(math.ceil(2.0 * reached * math.sqrt(variance + 0.25)), most)
-        weights[index, :, :count] = weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
-        lengths[index] = count
-    return weights.astype(np.float32), lengths
-
-
-@np.errstate(under="ignore")
-def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Weights of the spline's coefficients under a Gaussian, which is cut off where they end."""
-    # So far out that the widest does not come round, as transforms do.
-    fine = np.arange(-1024, 1024) / 64.0
-    square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
-    blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
-    weights = np.interp(places, fine, blurred)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-
-def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Weights of these coefficients that make the best of a Gaussian of the spectrum's own blur, wherever it lies.
-
-    Its sum with the weights, a function of where it lies, is the Gaussian that is blurred as closely as can be (least
-    squares), and has its area, mean and variance.
-    """
-    # Products of a coefficient and of what is wanted, integrated over where the Gaussian lies.
-    inverse = _inverse_products(places.shape[1])
-    weights = _filtered(places, _PREFILTER, 2.0 * _OWN_BLUR_SPACINGS**2 + variance) @ inverse
-    powers = places[:, None, :] ** np.arange(3)[:, None]
-    lacking = np.array([1.0, 0.0, variance + 0.25]) - np.einsum("nm,nkm->nk", weights, powers)
-    changes = powers @ inverse
-    multipliers = np.linalg.solve(changes @ powers.transpose(0, 2, 1), lacking[..., None])
-    return np.asarray(weights + np.einsum("nk,nkm->nm", multipliers[..., 0], changes))
-
-
-@functools.cache
-def _inverse_products(count: int) -> NDArray[np.float64]:
-    """The inverse of the products of two of so many coefficients, integrated over where the Gaussian lies."""
-    order = np.arange(float(count))
-    products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN_BLUR_SPACINGS**2)
-    return np.asarray(np.linalg.inv(products), dtype=np.float64)
-
-
-def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """A Gaussian, once it has gone through filters."""
-    away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
-    gaussian = np.exp(-0.5 * away**2 / variance)
-    return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
 def _is_smooth(illuminant: str, per_log: float) -> bool:

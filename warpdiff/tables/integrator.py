@@ -10,6 +10,7 @@ from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import coefficient_table, colour_table
+from warpdiff.tables.footprint_taps import footprint_taps
 
 if TYPE_CHECKING:
     from warpdiff.plans.direction_range import DirectionRange
@@ -30,7 +31,7 @@ class Integrator:
         self._quadratures: dict[str, Any] = {}
         self._table: coefficient_table.Table | None = None
         if plan.nodes:
-            self._blending = colour_table.blending(device.alias, is_lines=plan.coherence.kind == "source")
+            self._taps = footprint_taps(device.alias, is_lines=plan.coherence.kind == "source")
             self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def add(
@@ -114,7 +115,7 @@ class Integrator:
         kernel, table = self._colours[illuminant]
         seen = self._no_footprints if footprints is None else footprints
         run = colour_lookup.RUN if self._device.is_cpu else 1
-        inputs = [table, deflections, to_lights, gains, seen, self._blending, run]
+        inputs = [table, deflections, to_lights, gains, seen, self._taps, run]
         return KernelCall(kernel, inputs, [left_out, xyz], block=run)
 
     def _sample(

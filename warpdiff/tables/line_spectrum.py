@@ -23,7 +23,7 @@ _FAR_IN_BLURS = 4.5
 
 @dataclass(frozen=True)
 class LineSpectrum:
-    """All but the mean plane's, in the order of their angles.
+    """Lines of a spectrum but for the zeroth order, in the order of their angles.
 
     Attributes:
         which: Where their coefficients lie among a table's rows.
@@ -64,12 +64,12 @@ def gathered(
     log_begin: float,
     per_log: float,
     nodes: int,
-    rays: int,
+    spokes: int,
     blur: float,
     device: wp.Device,
     **options: Any,
 ) -> wp.array:
-    """The density of lines over frequency on rays, ray after ray and node by node.
+    """The density of lines over frequency on spokes, spoke after spoke and node by node.
 
     Args:
         lines: What to gather.
@@ -77,8 +77,8 @@ def gathered(
         sampler: The namespace of :func:`warpdiff.kernels.spectrum_sampling.gatherer`.
         log_begin: ln |q| of the first node.
         per_log: Nodes per unit of ln |q|.
-        nodes: Of a ray.
-        rays: Their number.
+        nodes: Of a spoke.
+        spokes: Their number.
         blur: Standard deviation of a line's angle [rad].
         device: Where.
         options: Of ``launch``.
@@ -91,8 +91,8 @@ def gathered(
     after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
     turned = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
     again = some[np.concatenate([np.arange(before, len(some)), np.arange(len(some)), np.arange(after)])]
-    at = 2.0 * math.pi * np.arange(rays) / rays
-    values = wp.empty(rays * nodes, dtype=sampler.row, device=device)
+    at = 2.0 * math.pi * np.arange(spokes) / spokes
+    values = wp.empty(spokes * nodes, dtype=sampler.row, device=device)
     inputs = [
         coefficients,
         wp.array(lines.which[again], dtype=wp.int32, device=device),
@@ -104,5 +104,5 @@ def gathered(
         nodes,
         blur,
     ]
-    launch(sampler.gather, rays, inputs, [values], device=device, **options)
+    launch(sampler.gather, spokes, inputs, [values], device=device, **options)
     return values

@@ -28,27 +28,28 @@ if TYPE_CHECKING:
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
-# Samples along a ray, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of Gaussians
-# is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of some samples.
+# Samples along a spoke, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of
+# Gaussians is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of
+# some samples.
 _SAMPLE_SPACING_SIGMAS = 1.6
 # From node to node at least so many, or a node's spline is no integral.
 _FEWEST_DIVISIONS = 2.0
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT_WITHIN_SIGMAS = 0.02
-_FEWEST_RAYS = 16
+_FEWEST_SPOKES = 16
 # A wavelength in the middle [µm].
 MIDDLE_UM = 0.55
-# A source's lines are blurred by so many distances of rays, which makes them smooth splines, ...
+# A source's lines are blurred by so many distances of spokes, which makes them smooth splines, ...
 _LINE_BLUR_SPACINGS = 0.8
 # ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
-_MORE_RAYS_OF_SOURCES = 1.5
+_MORE_SPOKES_OF_SOURCES = 1.5
 # In deviations of a source: within, its blur is no range of angles and ratios.
 _NEAR_IN_SPREADS = 30.0
-# Rays of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
-_BLURRED_RAYS_PER_WIDTH = 1.2
+# Spokes of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
+_BLURRED_SPOKES_PER_WIDTH = 1.2
 _WIDEST_BLUR_RAD = 0.4
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
-# Nodes an octave and rays in a standard deviation of the blur, of which either errs as much as the other.
+# Nodes an octave and spokes in a standard deviation of the blur, of which either errs as much as the other.
 RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Errors fall with this power of the nodes.
 ORDER = 2.0
@@ -63,26 +64,26 @@ class Layout:
     """Where the nodes of a table lie.
 
     The spectrum is sampled on octaves of frequencies. A node of |(u, v)| has the number of the frequency at its red
-    end, and its octave's colours reach into the next one, whose rays it takes.
+    end, and its octave's colours reach into the next one, whose spokes it takes.
 
     Attributes:
         nodes: Nodes an octave.
         log_low: ln t of the first node.
-        spectrum_rays: Rays of each octave of frequencies: as many as the one before, or twice as many.
+        spectrum_spokes: Spokes of each octave of frequencies: as many as the one before, or twice as many.
         divisions: Samples from one node to the next, of each of them.
         blurs: Of each octave of |(u, v)|, the spectrum's own blur [rad].
-        rays: Rays of each level and octave of |(u, v)|.
-        widths: What these are blurred by besides [rad].
+        spokes: Spokes of each level and octave of |(u, v)|.
+        level_blurs: What these are blurred by besides [rad].
         highest: Largest frequency that is looked up [1/µm].
     """
 
     nodes: int
     log_low: float
-    spectrum_rays: tuple[int, ...]
+    spectrum_spokes: tuple[int, ...]
     divisions: tuple[int, ...]
     blurs: tuple[float, ...]
-    rays: tuple[tuple[int, ...], ...]
-    widths: tuple[tuple[float, ...], ...]
+    spokes: tuple[tuple[int, ...], ...]
+    level_blurs: tuple[tuple[float, ...], ...]
     highest: float
 
     @classmethod
@@ -99,9 +100,9 @@ class Layout:
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
         divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.rays_per_width
-        doublings = min(max(math.floor(math.log2(most / _FEWEST_RAYS)), 0), octaves - 1)
+        doublings = min(max(math.floor(math.log2(most / _FEWEST_SPOKES)), 0), octaves - 1)
         # A multiple of those that are projected side by side.
-        fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_RAYS)
+        fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_SPOKES)
         of_spectrum = fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)
         return cls(
             plan.nodes, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()),
@@ -118,65 +119,65 @@ class Layout:
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0) - LOG_RED)
-        rays = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_RAYS)
+        spokes = np.maximum(4 * np.ceil(2.0 * math.pi * tops / spread * plan.rays_per_width / 4.0), _FEWEST_SPOKES)
         # Whole numbers that are refused for their memory.
-        rays = np.minimum(rays, 2.0**60)
-        blurs = _LINE_BLUR_SPACINGS * 2.0 * math.pi / rays
-        counts = tuple(rays.astype(int).tolist())
+        spokes = np.minimum(spokes, 2.0**60)
+        blurs = _LINE_BLUR_SPACINGS * 2.0 * math.pi / spokes
+        counts = tuple(spokes.astype(int).tolist())
         return cls(plan.nodes, log_low, (), (), tuple(blurs.tolist()), (counts,), ((0.0,) * octaves,), highest)
 
     def with_mip_levels(self) -> Layout:
         """The layout with mip levels, for footprints and for sources."""
-        narrow = np.asarray(self.rays[0])
-        rays, widths = [narrow], [np.zeros(len(narrow))]
+        narrow = np.asarray(self.spokes[0])
+        spokes, level_blurs = [narrow], [np.zeros(len(narrow))]
         first = 2.0 * math.pi / narrow
         levels = math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1
         for level in range(levels):
             # An octave that is blurred enough already goes on as it is.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
-            fewer = np.ceil(2.0 * math.pi / total * _BLURRED_RAYS_PER_WIDTH)
-            rays.append(np.clip(fewer, _FEWEST_RAYS, narrow))
-            widths.append(blurred)
+            fewer = np.ceil(2.0 * math.pi / total * _BLURRED_SPOKES_PER_WIDTH)
+            spokes.append(np.clip(fewer, _FEWEST_SPOKES, narrow))
+            level_blurs.append(blurred)
         return replace(
             self,
-            rays=tuple(tuple(each.astype(int).tolist()) for each in rays),
-            widths=tuple(tuple(each.tolist()) for each in widths),
+            spokes=tuple(tuple(each.astype(int).tolist()) for each in spokes),
+            level_blurs=tuple(tuple(each.tolist()) for each in level_blurs),
         )
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """The row of each octave's ray 0 among the spectrum's samples, and at the end the number of all."""
-        return np.cumsum([0, *(rays * self.nodes for rays in self.spectrum_rays)])
+        """The row of each octave's spoke 0 among the spectrum's samples, and at the end the number of all."""
+        return np.cumsum([0, *(spokes * self.nodes for spokes in self.spectrum_spokes)])
 
     @property
-    def firsts(self) -> NDArray[np.int64]:
-        """The row of each level's and octave's ray 0, and at the end the number of all rows."""
-        counts = (np.asarray(self.rays).ravel() + 2 * REACH) * self.nodes
+    def first_rows(self) -> NDArray[np.int64]:
+        """The row of each level's and octave's spoke 0, and at the end the number of all rows."""
+        counts = (np.asarray(self.spokes).ravel() + 2 * REACH) * self.nodes
         first = np.append(np.full(len(counts), REACH * self.nodes), 0)
         return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
 
     def source(self, level: int, octave: int) -> int:
-        """The widest level that another can be made from: what it lacks of the blur spans its rays."""
-        width = self.widths[level][octave]
-        spacings = [2.0 * math.pi / rays[octave] for rays in self.rays[:level]]
-        lacking = [width**2 - each[octave] ** 2 for each in self.widths[:level]]
+        """The widest level that another can be made from: what it lacks of the blur spans its spokes."""
+        width = self.level_blurs[level][octave]
+        spacings = [2.0 * math.pi / spokes[octave] for spokes in self.spokes[:level]]
+        lacking = [width**2 - each[octave] ** 2 for each in self.level_blurs[:level]]
         return max((k for k in range(level) if lacking[k] >= spacings[k] ** 2), default=0)
 
     @property
     def rows(self) -> int:
         """Rows of the table, of any number."""
-        return sum((rays + 2 * REACH) * self.nodes for level in self.rays for rays in level)
+        return sum((spokes + 2 * REACH) * self.nodes for level in self.spokes for spokes in level)
 
     @property
     def sharp_rows(self) -> int:
         """Rows that are projected, from which levels are made."""
-        return sum(self.rays[0]) * self.nodes
+        return sum(self.spokes[0]) * self.nodes
 
     @property
     def samples(self) -> int:
         """Samples of the spectrum that fill it."""
-        return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_rays, self.divisions, strict=True))
+        return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_spokes, self.divisions, strict=True))
 
 
 def has_mip_levels(plan: Plan) -> bool:
@@ -213,9 +214,9 @@ def stand_apart(hf: HeightField, coherence: Coherence) -> bool:
 
 
 def rungs(coherence: Coherence) -> list[tuple[int, float]]:
-    """Nodes an octave and rays in a standard deviation of the blur that tables come in, the smallest first."""
-    factor = _MORE_RAYS_OF_SOURCES if coherence.kind == "source" else 1.0
-    return [(nodes, factor * rays) for nodes, rays in RUNGS]
+    """Nodes an octave and spokes in a standard deviation of the blur that tables come in, the smallest first."""
+    factor = _MORE_SPOKES_OF_SOURCES if coherence.kind == "source" else 1.0
+    return [(nodes, factor * spokes) for nodes, spokes in RUNGS]
 
 
 def smallest_rung(plan: Plan) -> tuple[int, float] | None:
