@@ -28,6 +28,29 @@ def test_bytes_are_bounded_but_for_the_last_one():
     assert len(cache) == 1
 
 
+def test_a_key_stays_the_one_that_was_put():
+    """Another that was equal when it was asked for may change."""
+    cache, put, asked = LruCache(2), Frozen(1), Frozen(1)
+    cache.put(put, "value")
+    assert cache.get(asked) == "value"
+    asked.number = 2
+    assert cache.get(Frozen(2)) is None
+    assert cache.get(Frozen(1)) == "value"
+
+
+class Frozen:
+    """A key that is not, compared by its number."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def __hash__(self):
+        return 0
+
+    def __eq__(self, other):
+        return self.number == other.number
+
+
 def test_threads_that_make_the_same_get_the_first_ones():
     cache, both = LruCache(4), threading.Barrier(2)
     found = []

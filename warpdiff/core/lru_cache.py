@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from warpdiff.core import fork_safety
@@ -26,7 +27,7 @@ class LruCache(Generic[_T]):
         self, most: float = math.inf, most_bytes: float = math.inf, bytes_of: Callable[[_T], float] = lambda _: 0.0
     ) -> None:
         self._most, self._most_bytes, self._bytes_of = most, most_bytes, bytes_of
-        self._held: dict[Any, _T] = {}
+        self._held: OrderedDict[Any, _T] = OrderedDict()
 
     def __contains__(self, key: Any) -> bool:
         return key in self._held
@@ -37,10 +38,11 @@ class LruCache(Generic[_T]):
     def get(self, key: Any) -> _T | None:
         """The value of a key, which is then the most recently used one; None if it is not there."""
         with _lock:
-            if key not in self._held:
-                return None
-            self._held[key] = result = self._held.pop(key)
-            return result
+            found = self._held.get(key)
+            if found is not None:
+                # The key stays the one that was put, for which the caller's need not stay as it is.
+                self._held.move_to_end(key)
+            return found
 
     def put(self, key: Any, value: _T) -> None:
         """Set the value of a key."""
