@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import checks
+from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.optics.colorimetry import srgb_decode
 from warpdiff.scene import mesh_files
@@ -124,9 +125,10 @@ def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surfac
         if len(known) == len(told_by) and all(map(np.array_equal, known, told_by)):
             _kept.append(_kept.pop(index))
             return surface
-    part = _join([_named_part(each) for each in geometries])
-    _check_tangents(part, given)
-    surface = _build(part, given)
+    with on_one_thread():
+        part = _join([_named_part(each) for each in geometries])
+        _check_tangents(part, given)
+        surface = _build(part, given)
     _kept.append(([each.copy() for each in told_by], surface))
     del _kept[:-_MOST_KEPT]
     return surface
