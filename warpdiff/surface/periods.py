@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from warpdiff.surface.heightfield import HeightField
 
+# Of a wave, over the field.
+_LEAST_CYCLES = 0.5
 # A wave of which the field holds fewer is waviness or form: it may as well be none.
 FEWEST_PERIODS = 3.0
 _MOST_HARMONICS = 16
@@ -185,8 +187,12 @@ class _Means:
         return [axis for axis in (0, 1) if self.shape[axis] > 1]
 
     def fitted(self) -> _Fit:
-        """Fit a wave with its harmonics and a tilt by Gauss and Newton's method, the amplitudes free at every step."""
+        """Fit a wave with its harmonics and a tilt by Gauss and Newton's method, the amplitudes free at every step.
+
+        In strong noise steps may lead away: it is the best of them that counts.
+        """
         q, root, count = self.q.copy(), np.sqrt(self.weights), len(self.orders)
+        best, least = None, math.inf
         relative = [(self.y, self.x)[axis] / self.sizes[axis] for axis in self.free]
         for _ in range(_STEPS):
             angles = 2.0 * np.pi * np.outer(q[0] * self.y + q[1] * self.x, self.orders)
@@ -196,15 +202,22 @@ class _Means:
             cosines, sines = fades * np.cos(angles), fades * np.sin(angles)
             columns = [*cosines.T, *sines.T, np.ones_like(self.values), *relative]
             linear = _solved(columns, self.values, root)
+            left = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
             slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
             # What a cycle more over the field adds.
             columns += [slope * place for place in relative]
+            if left < least:
+                best, least = _Fit(q.copy(), linear, columns, count), left
             step = np.clip(_solved(columns, self.values, root)[-len(relative) :], -0.5, 0.5)
             if np.max(np.abs(step)) < _SETTLED:
                 break
             for axis, change in zip(self.free, step, strict=True):
                 q[axis] += change / self.sizes[axis]
-        return _Fit(q, linear, columns, count)
+            if math.hypot(*(q * self.sizes)) < _LEAST_CYCLES:
+                # So little of a wave, and a tilt, are any form.
+                break
+        assert best is not None  # noqa: S101 - told to mypy; there is a first step
+        return best
 
 
 @dataclass
@@ -272,7 +285,7 @@ def _peak(heights: NDArray[np.float64], pitch: tuple[float, float]) -> NDArray[n
     along_y, along_x = np.fft.fftfreq(padded[0], pitch[0]), np.fft.rfftfreq(padded[1], pitch[1])
     cycles = np.hypot(along_y[:, None] * ny * pitch[0], along_x * nx * pitch[1])
     fastest = np.maximum(np.abs(along_y[:, None]) * pitch[0], along_x * pitch[1])
-    power[(cycles < 0.5) | (fastest > 0.5 * _OF_NYQUIST)] = 0.0
+    power[(cycles < _LEAST_CYCLES) | (fastest > 0.5 * _OF_NYQUIST)] = 0.0
     row, column = np.unravel_index(int(np.argmax(power)), power.shape)
     return np.array([along_y[row], along_x[column]])
 
