@@ -27,6 +27,8 @@ _SAMPLES_A_PERIOD = 4
 _MOST_NUMBERS = 4_000_000
 # Samples up to which the first guess is on the finer grid.
 _MOST_FINER = 2**18
+# Of the variance of a frequency, in ratios of noise to signal: by how much linear theory is wrong, as measured.
+_STRAYING = 24.0
 # Amplitudes in standard deviations of what noise has.
 _OVER_NOISE = 4.0
 _STEPS = 12
@@ -43,7 +45,7 @@ class Period:
     Attributes:
         period_um: Its length [µm].
         standard_error_um: Standard error of the period [µm], from the residual's power about its frequency: that of the
-            mean over the field, for noise that has no period itself.
+            mean over the field, for noise that has no period itself; of waviness, without what its own form adds.
         direction_deg: Direction of the wave vector, from x towards y, in (−90°, 90°].
         harmonics_um: Amplitudes of the fundamental, of twice its frequency, and so on [µm]: as far as they
             stand out of the noise, else 0; as the pitch can carry them, sixteen at most; of waviness the first.
@@ -96,8 +98,8 @@ def _strongest(
     fit = means.fitted()
     left = np.where(known, heights - fit.heights(means), 0.0)
     # Harmonics that are no more than noise carry the frequency away with them.
-    noise = 2.0 * float(np.mean(left[known] ** 2)) / np.count_nonzero(known)
-    heard = fit.amplitudes > _OVER_NOISE * math.sqrt(noise)
+    of_amplitudes = 2.0 * float(np.mean(left[known] ** 2)) / np.count_nonzero(known)
+    heard = fit.amplitudes > _OVER_NOISE * math.sqrt(of_amplitudes)
     heard[0] = True
     if not heard.all():
         means.q, means.orders = fit.q, means.orders[heard]
@@ -107,7 +109,10 @@ def _strongest(
     free = means.free
     normal = np.stack(fit.columns, axis=1)
     covariance = np.linalg.pinv((normal * means.weights[:, None]).T @ normal)[-len(free) :, -len(free) :]
-    covariance *= _noise(left, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
+    noise = _noise(left, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
+    # Where the wave's power is not far above the noise, a peak may lie beside it.
+    power = float(np.sum((means.orders * fit.amplitudes) ** 2)) * np.count_nonzero(known) / 4.0
+    covariance *= noise * (1.0 + _STRAYING * noise / max(power, 1e-300))
     frequency = float(np.hypot(*fit.q))
     along = np.array([fit.q[axis] / means.sizes[axis] for axis in free]) / frequency
     harmonics = np.zeros(means.orders[-1])
