@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import decimal
 import fractions
+import functools
 import math
 
 import numpy as np
@@ -213,6 +214,7 @@ _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "wa
 _NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
 
 
+@functools.cache
 def strategy(name: str) -> st.SearchStrategy:
     """What a parameter of a public callable is tried with.
 
@@ -224,6 +226,7 @@ def strategy(name: str) -> st.SearchStrategy:
     return st.one_of(st.sampled_from(anything), legal_kind(name), legal_kind(name))
 
 
+@functools.cache
 def legal_kind(name: str) -> st.SearchStrategy:
     """Values of a parameter's own kind, extreme ones among them."""
     kind = KIND_OF.get(name) or ("number" if name in _NUMBER_NAMES or name.endswith(_IS_NUMBER) else None)

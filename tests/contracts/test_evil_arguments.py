@@ -59,15 +59,9 @@ def test_evil_arguments_end_as_documented(command, tries, tmp_path, monkeypatch,
     np.save("gaps.npy", np.where(waves > 0.04, np.nan, waves))
     taken = actions(command)
 
-    @examples(25, 250)
-    @given(st.data())
-    def attempt(data):
-        chosen = data.draw(st.lists(st.sampled_from(taken), min_size=1, max_size=2, unique_by=lambda each: each.dest))
-        evil = [each for action in chosen for each in written(action, data.draw)]
-        # Hypothesis draws to the end.
-        if not seconds_left():
-            return
-        tries.number += 1
+    one_or_two = st.lists(st.sampled_from(taken), min_size=1, max_size=2, unique_by=lambda each: each.dest)
+
+    def end(evil):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
@@ -78,5 +72,15 @@ def test_evil_arguments_end_as_documented(command, tries, tmp_path, monkeypatch,
         assert code in (0, 2) or (code == 1 and "MemoryError" in error), (code, evil, error)
         assert "Traceback" not in error
         assert code == 0 or "warpdiff" in error.splitlines()[-1]
+
+    @examples(42, 85)
+    @given(st.data())
+    def attempt(data):
+        for _ in range(3):
+            evil = [each for action in data.draw(one_or_two) for each in written(action, data.draw)]
+            # Hypothesis draws to the end.
+            if seconds_left():
+                tries.number += 1
+                end(evil)
 
     attempt()

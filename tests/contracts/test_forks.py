@@ -166,6 +166,57 @@ def test_a_child_of_a_process_that_compiles_is_told_to_spawn():
     subprocess.run([sys.executable, "-c", _WHILE_COMPILING], cwd=HERE, check=True, timeout=_MOST_S)
 
 
+_WHILE_WITHIN = """
+import sys, threading, time
+import OpenImageIO as oiio
+import test_forks as t
+from warpdiff.core.image_library import in_use
+
+def within(seconds):
+    entered = threading.Event()
+    def stay():
+        with in_use():
+            entered.set()
+            time.sleep(seconds)
+    thread = threading.Thread(target=stay)
+    thread.start()
+    entered.wait()
+    return thread
+
+def used():
+    with in_use():
+        return True
+
+def refused():
+    try:
+        return not used()
+    except RuntimeError as error:
+        return "'spawn'" in str(error)
+
+before = oiio.get_int_attribute("exr_threads")
+# The fork waits for it, whoever else comes meanwhile, ...
+short = within(0.5)
+assert t.in_child(used) == 0
+# ... but not for ever.
+long = within(8.0)
+assert oiio.get_int_attribute("exr_threads") == -1
+began = time.monotonic()
+assert t.in_child(refused) == 0
+assert time.monotonic() - began < 3.0 and long.is_alive()
+# Whoever leaves last gives back what was set.
+within(0.01).join()
+assert oiio.get_int_attribute("exr_threads") == -1
+long.join()
+assert oiio.get_int_attribute("exr_threads") == before
+assert t.in_child(used) == 0
+"""
+
+
+def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
+    """OpenColorIO's locks, among others, would be held in the child for ever."""
+    subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
+
+
 def test_a_fork_waits_for_imports_and_kernels():
     """A thread begins from nothing meanwhile."""
     code = (
@@ -213,7 +264,7 @@ import OpenImageIO as oiio
 
 # What is registered first is called last.
 os.register_at_fork(before=lambda: found.append(len(os.listdir("/proc/self/task"))))
-import warpdiff.core.fork_safety
+import warpdiff.core.image_library
 
 oiio.attribute("threads", 8)
 found = []

@@ -178,6 +178,36 @@ def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
         wd.reflectance(hf, (0, 0, 1), (0.3, 0, 1), plan=many)
 
 
+@pytest.mark.parametrize(
+    ("own", "folder", "files"),
+    [
+        ("0::/job/step\n", "job", {"max": 3000, "current": 2500, "stat": "anon 2000\ninactive_file 400\n"}),
+        (
+            "9:cpu:/job\n8:memory:/elsewhere\n0::/\n",
+            "memory",
+            {"limit_in_bytes": 3000, "usage_in_bytes": 2500, "stat": "inactive_file 1\ntotal_inactive_file 400\n"},
+        ),
+    ],
+    ids=["version 2, of a group above", "version 1, in a container"],
+)
+def test_what_a_container_may_take_is_what_there_is(own, folder, files, tmp_path, monkeypatch):
+    (tmp_path / "own").write_text(own)
+    (tmp_path / "job" / "step").mkdir(parents=True)
+    (tmp_path / "job" / "step" / "memory.max").write_text("max\n")
+    (tmp_path / folder).mkdir(exist_ok=True)
+    for name, content in files.items():
+        (tmp_path / folder / f"memory.{name}").write_text(str(content))
+    monkeypatch.setattr(free_memory, "_OWN_GROUPS", tmp_path / "own")
+    monkeypatch.setattr(free_memory, "_GROUPS", tmp_path)
+    free_memory._limits_of_groups.cache_clear()
+    try:
+        assert free_memory.available() == 900.0
+        with pytest.raises(MemoryError, match=r"heights_um of 20 × 20 .* are free: take 0\.16 of the area"):
+            wd.HeightField(np.zeros((20, 20)), 0.05)
+    finally:
+        free_memory._limits_of_groups.cache_clear()
+
+
 def test_systems_that_do_not_tell_have_enough(monkeypatch):
     monkeypatch.setattr(Path, "read_text", lambda _: "")
     assert free_memory.available() == math.inf

@@ -505,7 +505,7 @@ def test_threads_that_render_at_once_draw_the_same(tries):
         return wd.shade(mesh, hf, light, camera, coherence=wd.Coherence(sigma_um=3.25), tolerance=0.2).xyz
 
     expected = [render(index, wait=False) for index in range(8)]
-    for _ in tries.of(range(count(1, 15))):
+    for _ in tries.of(range(count(3, 15))):
         tries.number += 7
         with ThreadPoolExecutor(8) as pool:
             found = list(pool.map(render, range(8)))

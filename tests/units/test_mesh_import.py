@@ -149,6 +149,15 @@ def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
     np.testing.assert_allclose(prepare_surface(opened, tangents=tangents).normals, loose.vertices, atol=1e-3)
 
 
+def test_an_stl_file_of_several_bodies_has_facets_too(tmp_path):
+    boxes = [trimesh.creation.box(transform=trimesh.transformations.translation_matrix((x, 0, 0))) for x in (0.0, 3.0)]
+    file = tmp_path / "boxes.stl"
+    file.write_text("\n".join(trimesh.exchange.stl.export_stl_ascii(each) for each in boxes))
+    surface = prepare_surface(file, tangents=np.broadcast_to([1.0, 0.3, 0.2], (72, 3)))
+    assert surface.geometries.tolist() == [0] * 12 + [1] * 12
+    np.testing.assert_allclose(np.abs(surface.normals).max(axis=1), 1.0, atol=1e-6)
+
+
 def test_messages_name_the_geometry_that_is_meant():
     lid = mesh_of(np.nan * SQUARE, uv=SQUARE[:, :2])
     with pytest.raises(ValueError, match=r"^mesh's geometry 'lid' must have finite vertices, got 4 with NaN"):

@@ -60,6 +60,31 @@ def test_standard_errors_are_those_of_many_fits():
     assert 0.6 < np.std(scores) < 1.6
 
 
+@pytest.mark.parametrize("noise", [0.3, 2.0])
+def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise):
+    rng, x = np.random.default_rng(8), PITCH * np.arange(300)
+    scores = []
+    for phase in rng.uniform(0.0, 2.0 * np.pi, 60):
+        heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
+        found = wd.HeightField(heights, PITCH).periods(1)[0]
+        scores.append(abs(found.period_um - 1.37) / found.standard_error_um)
+    # Where a peak of the noise is higher, that is found.
+    assert np.mean(np.array(scores) < 2.0) > 0.85
+    assert 0.5 < np.median(scores) / 0.6745 < 1.5
+
+
+@pytest.mark.parametrize("seed", [87, 115])
+def test_a_fit_that_strays_in_strong_noise_is_no_reason_to_tell_nothing(seed):
+    """Towards a part of a wave, which with a tilt fits anything."""
+    noise = np.fft.fft2(np.random.default_rng(seed).normal(size=(60, 80)))
+    noise *= np.exp(-0.5 * np.hypot(np.fft.fftfreq(60, PITCH)[:, None], np.fft.fftfreq(80, PITCH)))
+    noise = np.fft.ifft2(noise).real
+    heights = 0.01 * np.cos(2.0 * np.pi * X[:60, :80] / 1.37) + 0.04 * noise / np.std(noise)
+    (found,) = wd.HeightField(heights, PITCH).periods(1)
+    assert found.share > 0.01
+    assert max(found.harmonics_um) < 0.1
+
+
 def test_waves_of_a_sum_and_waviness_are_told_apart():
     heights = (
         0.2 * np.cos(2.0 * np.pi * Y / 7.3)

@@ -6,7 +6,6 @@ import contextlib
 import functools
 import importlib
 import os
-import sys
 import threading
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -73,26 +72,4 @@ def finish_imports() -> None:
                 importlib.import_module(name)
 
 
-class _ImageThreads:
-    """OpenImageIO's threads, which end before a fork: a child would wait for ever for a lock that one of them held."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        at_fork(before=self._end, in_parent=self._restore, in_child=self._restore)
-
-    def _end(self) -> None:
-        oiio: Any = sys.modules.get("OpenImageIO")
-        # Unless it is being imported.
-        self._count = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
-        self._set(1)
-
-    def _restore(self) -> None:
-        self._set(self._count)
-
-    def _set(self, count: int) -> None:
-        if self._count:
-            sys.modules["OpenImageIO"].attribute("threads", count)
-
-
 at_fork(before=finish_imports)
-_ImageThreads()

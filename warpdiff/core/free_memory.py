@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
 from pathlib import Path
 
 # What arrays are indexed by is an int32.
 MOST_ELEMENTS = 2**31 - 1
+_GROUPS, _OWN_GROUPS, _NO_LIMIT = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"), 2**60
 # As measured, while sample fields and bodies are made.
 _BYTES_A_SAMPLE, _BYTES_A_FACE = 80.0, 160.0
 
@@ -58,4 +61,35 @@ def available() -> float:
             there = min(there, float(most - taken))
     except (ImportError, OSError, IndexError, ValueError):
         pass
+    for limit, taken, statistics in _limits_of_groups():
+        with contextlib.suppress(OSError, ValueError):
+            told = dict(line.split() for line in statistics.read_text().splitlines())
+            # Files that were read or written long ago give way.
+            files = int(told.get("total_inactive_file", told.get("inactive_file", "0")))
+            there = min(there, float(limit - int(taken.read_text()) + files))
     return there
+
+
+@functools.cache
+def _limits_of_groups() -> list[tuple[int, Path, Path]]:
+    """Limits of the control groups that this process is in, as in a container or under a scheduler, at the first look.
+
+    Each with the files that tell what is taken, and statistics of it. The kernel documents them for either version:
+    cgroup-v2.rst, and cgroup-v1/memory.rst.
+    """
+    found = []
+    with contextlib.suppress(OSError):
+        for _, controllers, path in (line.split(":", 2) for line in _OWN_GROUPS.read_text().splitlines()):
+            if controllers not in ("", "memory"):
+                continue
+            most, taken = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
+            top = _GROUPS / controllers
+            group = top / path.lstrip("/")
+            # Any of those above it may have one; within a container they are not seen but for the top.
+            for folder in (group, *(each for each in group.parents if each.is_relative_to(top))):
+                with contextlib.suppress(OSError, ValueError):
+                    # It is "max" where there is none, or more than any machine has.
+                    limit = int((folder / f"memory.{most}").read_text())
+                    if limit < _NO_LIMIT:
+                        found.append((limit, folder / f"memory.{taken}", folder / "memory.stat"))
+    return found

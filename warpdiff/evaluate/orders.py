@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import checks, free_memory
+from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.fourier import chebyshev
 from warpdiff.kernels.limits import HORIZON
@@ -114,6 +115,7 @@ def order_efficiencies(
     return OrderEfficiencies(wavelengths, orders, to_view, efficiencies)
 
 
+@on_one_thread()
 def _coefficients(hf: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.complex128]:
     """H_rs(κ) up to a phase, each at a κ of its own, to some 1e-13; indices are pairs (s, r), shape (n, 2)."""
     heights = hf.heights_um - (hf.heights_um.max() + hf.heights_um.min()) / 2.0

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import free_memory
+from warpdiff.core.blas_threads import on_one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,6 +69,7 @@ def window_power(
     return result
 
 
+@on_one_thread()
 def _coefficients(
     hf: HeightField,
     coherence: Coherence,
@@ -136,6 +138,7 @@ def _check_orders(hf: HeightField, cut: float) -> None:
     )
 
 
+@on_one_thread()
 def _copies(hf: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]) -> float:
     """|P|² of a number of copies: the patch's own sum at q, times how the copies along each axis add up."""
     ny, nx = hf.shape

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core import image_library
+from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -93,6 +95,7 @@ GAMUTS = {
 }
 
 
+@on_one_thread()
 def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to what a display shows, encoded as sRGB is, 0 to 1.
 
@@ -128,19 +131,19 @@ def description(display: str, gamut: str) -> str:
 
 def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
     """ACES' output transform alone, of XYZ (n, 3)."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
-
     if not len(xyz):
         return np.zeros((0, 3))
     to = GAMUTS[gamut]
     row = np.minimum(xyz, _WHITE).astype(np.float32)[None]
-    # On this thread: a child of a fork has no other of OpenImageIO's.
-    found = oiio.ImageBufAlgo.ociodisplay(
-        oiio.ImageBuf(row), to.display, to.view, fromspace=SCENE, unpremult=False, colorconfig=CONFIGURATION, nthreads=1
-    )
-    pixels = found.get_pixels(oiio.FLOAT)
-    if found.has_error or pixels is None:
-        raise RuntimeError(f"OpenColorIO has no {to.view} in {CONFIGURATION}: {found.geterror()}")
+    with image_library.in_use() as oiio:
+        # On this thread: a child of a fork has no other of OpenImageIO's.
+        found = oiio.ImageBufAlgo.ociodisplay(
+            oiio.ImageBuf(row), to.display, to.view, fromspace=SCENE, unpremult=False, colorconfig=CONFIGURATION,
+            nthreads=1,
+        )  # fmt: skip
+        pixels = found.get_pixels(oiio.FLOAT)
+        if found.has_error or pixels is None:
+            raise RuntimeError(f"OpenColorIO has no {to.view} in {CONFIGURATION}: {found.geterror()}")
     return np.asarray(np.clip(np.asarray(pixels[0], dtype=np.float64), 0.0, 1.0))
 
 

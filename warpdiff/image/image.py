@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks, file_writing
+from warpdiff.core import checks, file_writing, image_library
 from warpdiff.image import display_transform
 from warpdiff.kernels.limits import FLOOR, TINY
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
@@ -292,10 +291,8 @@ def check_target(path: Any, name: str = "path") -> Path:
 
 def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
     """Write a file, and make sure of it: the PNG writer reports success on a full disk, the EXR writer at times."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
-
     # The temporary name ends in the same suffix, which is how the writer of the format is found.
-    with _without_exr_threads(), file_writing.replacing(target, suffix=target.suffix.lower()) as temporary:
+    with image_library.in_use() as oiio, file_writing.replacing(target, suffix=target.suffix.lower()) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None or not output.open(str(temporary), spec):
             reason = oiio.geterror() if output is None else output.geterror()
@@ -303,14 +300,12 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
         written = output.write_image(pixels)
         if not (output.close() and written):
             raise OSError(f"cannot write {target}: {output.geterror()}")
-        if not _holds(temporary, pixels, spec.channelnames):
+        if not _holds(oiio, temporary, pixels, spec.channelnames):
             raise OSError(f"cannot write {target}: what was written is not what is in the file; the disk may be full")
 
 
-def _holds(path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
+def _holds(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
     """Whether a file is whole and holds these pixels, in channels of these names in any order."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
-
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(_PNG_END), 0))
         if path.suffix == ".png" and file.read() != _PNG_END:
@@ -328,16 +323,3 @@ def _holds(path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
     if found is None or found.dtype != pixels.dtype or sorted(names) != sorted(channels):
         return False
     return bool(found[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
-
-
-@contextlib.contextmanager
-def _without_exr_threads() -> Iterator[None]:
-    """Write and read EXR files on this thread: a child of a fork would wait for ever for others that OpenEXR keeps."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
-
-    before = oiio.get_int_attribute("exr_threads")
-    oiio.attribute("exr_threads", -1)
-    try:
-        yield
-    finally:
-        oiio.attribute("exr_threads", before)

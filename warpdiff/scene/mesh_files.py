@@ -41,6 +41,10 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
             f"mesh must be a file that trimesh can read, got {str(file)!r}, which is damaged, cut off or of another "
             f"kind: {error}"
         ) from error
+    if file.suffix.lower() == ".stl":
+        # Of several bodies trimesh merges vertices all the same: their faces would be smooth.
+        for geometry in scene.geometry.values():
+            geometry.unmerge_vertices()
     for name, data in found.items():
         reason = _why_no_image(name, data)
         if reason:

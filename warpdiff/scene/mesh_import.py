@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import checks
+from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.core.lru_cache import LruCache
 from warpdiff.optics.colorimetry import srgb_decode
@@ -124,9 +125,10 @@ def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surfac
     found = _kept.get(_Contents(told_by))
     if found is not None:
         return found
-    part = _join([_named_part(each) for each in geometries])
-    _check_tangents(part, given)
-    surface = _build(part, given)
+    with on_one_thread():
+        part = _join([_named_part(each) for each in geometries])
+        _check_tangents(part, given)
+        surface = _build(part, given)
     _kept.put(_Contents([each.copy() for each in told_by]), surface)
     return surface
 

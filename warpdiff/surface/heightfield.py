@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from warpdiff.core import checks, fork_safety, free_memory
+from warpdiff.core import checks, fork_safety, free_memory, image_library
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
@@ -744,27 +744,31 @@ def _require_for_file(file: Path, shape: tuple[int, ...]) -> None:
 
 def _read_image(file: Path) -> NDArray[Any]:
     """Return the samples of a grey image in the file's own type, shape (ny, nx)."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
-
-    image = oiio.ImageInput.open(str(file))
-    if image is None:
-        raise ValueError(f"path: {str(file)!r} cannot be read as an image ({_reason(oiio)}); give a grey image or .npy")
-    try:
-        spec = image.spec()
-        channels = spec.nchannels
-        if channels != 1:
-            kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
+    with image_library.in_use() as oiio:
+        image = oiio.ImageInput.open(str(file))
+        if image is None:
             raise ValueError(
-                f"path: {str(file)!r} is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float"
+                f"path: {str(file)!r} cannot be read as an image ({_reason(oiio)}); give a grey image or .npy"
             )
-        _require_for_file(file, (spec.height, spec.width))
-        samples = image.read_image("unknown")  # the file's own type: nothing is converted
-        if samples is None or image.has_error:
-            raise ValueError(f"path: {str(file)!r} is damaged ({_reason(image)}); export the image again")
-        if image.seek_subimage(1, 0):
-            raise ValueError(f"path: {str(file)!r} holds several images; save the one with the heights by itself")
-    finally:
-        image.close()
+        try:
+            return _samples_of(image, file)
+        finally:
+            image.close()
+
+
+def _samples_of(image: Any, file: Path) -> NDArray[Any]:
+    """The samples of an open image, which must be one grey image."""
+    spec = image.spec()
+    channels = spec.nchannels
+    if channels != 1:
+        kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
+        raise ValueError(f"path: {str(file)!r} is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
+    _require_for_file(file, (spec.height, spec.width))
+    samples = image.read_image("unknown")  # the file's own type: nothing is converted
+    if samples is None or image.has_error:
+        raise ValueError(f"path: {str(file)!r} is damaged ({_reason(image)}); export the image again")
+    if image.seek_subimage(1, 0):
+        raise ValueError(f"path: {str(file)!r} holds several images; save the one with the heights by itself")
     return np.asarray(samples)[..., 0]
 
 

@@ -101,7 +101,6 @@ def _multigrid(
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """An approximate inverse of equations between neighbours on a grid, symmetric: a cycle of multigrid."""
     from scipy import sparse
-    from scipy.sparse import linalg
 
     levels: list[_Level] = []
     distances = list(pitch)
@@ -119,11 +118,12 @@ def _multigrid(
         matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
         places = cells // width, cells % width
         distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
-    inverse = linalg.splu(matrix.tocsc())
+    # SciPy's factorization of a sparse matrix leaves a forked child with an error that nobody raised.
+    inverse = np.linalg.inv(matrix.toarray())
 
     def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:
         if depth == len(levels):
-            return np.asarray(inverse.solve(residual))
+            return np.asarray(inverse @ residual)
         level = levels[depth]
         found = level.jacobi * residual
         for _ in range(_SWEEPS - 1):

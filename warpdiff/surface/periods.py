@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from warpdiff.surface.heightfield import HeightField
 
+# Of a wave, over the field.
+_LEAST_CYCLES = 0.5
 # A wave of which the field holds fewer is waviness or form: it may as well be none.
 FEWEST_PERIODS = 3.0
 _MOST_HARMONICS = 16
@@ -25,6 +27,8 @@ _SAMPLES_A_PERIOD = 4
 _MOST_NUMBERS = 4_000_000
 # Samples up to which the first guess is on the finer grid.
 _MOST_FINER = 2**18
+# Of the variance of a frequency, in ratios of noise to signal: by how much linear theory is wrong, as measured.
+_STRAYING = 24.0
 # Amplitudes in standard deviations of what noise has.
 _OVER_NOISE = 4.0
 _STEPS = 12
@@ -41,7 +45,7 @@ class Period:
     Attributes:
         period_um: Its length [µm].
         standard_error_um: Standard error of the period [µm], from the residual's power about its frequency: that of the
-            mean over the field, for noise that has no period itself.
+            mean over the field, for noise that has no period itself; of waviness, without what its own form adds.
         direction_deg: Direction of the wave vector, from x towards y, in (−90°, 90°].
         harmonics_um: Amplitudes of the fundamental, of twice its frequency, and so on [µm]: as far as they
             stand out of the noise, else 0; as the pitch can carry them, sixteen at most; of waviness the first.
@@ -94,8 +98,8 @@ def _strongest(
     fit = means.fitted()
     left = np.where(known, heights - fit.heights(means), 0.0)
     # Harmonics that are no more than noise carry the frequency away with them.
-    noise = 2.0 * float(np.mean(left[known] ** 2)) / np.count_nonzero(known)
-    heard = fit.amplitudes > _OVER_NOISE * math.sqrt(noise)
+    of_amplitudes = 2.0 * float(np.mean(left[known] ** 2)) / np.count_nonzero(known)
+    heard = fit.amplitudes > _OVER_NOISE * math.sqrt(of_amplitudes)
     heard[0] = True
     if not heard.all():
         means.q, means.orders = fit.q, means.orders[heard]
@@ -105,7 +109,10 @@ def _strongest(
     free = means.free
     normal = np.stack(fit.columns, axis=1)
     covariance = np.linalg.pinv((normal * means.weights[:, None]).T @ normal)[-len(free) :, -len(free) :]
-    covariance *= _noise(left, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
+    noise = _noise(left, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
+    # Where the wave's power is not far above the noise, a peak may lie beside it.
+    power = float(np.sum((means.orders * fit.amplitudes) ** 2)) * np.count_nonzero(known) / 4.0
+    covariance *= noise * (1.0 + _STRAYING * noise / max(power, 1e-300))
     frequency = float(np.hypot(*fit.q))
     along = np.array([fit.q[axis] / means.sizes[axis] for axis in free]) / frequency
     harmonics = np.zeros(means.orders[-1])
@@ -185,8 +192,12 @@ class _Means:
         return [axis for axis in (0, 1) if self.shape[axis] > 1]
 
     def fitted(self) -> _Fit:
-        """Fit a wave with its harmonics and a tilt by Gauss and Newton's method, the amplitudes free at every step."""
+        """Fit a wave with its harmonics and a tilt by Gauss and Newton's method, the amplitudes free at every step.
+
+        In strong noise steps may lead away: it is the best of them that counts.
+        """
         q, root, count = self.q.copy(), np.sqrt(self.weights), len(self.orders)
+        best, least = None, math.inf
         relative = [(self.y, self.x)[axis] / self.sizes[axis] for axis in self.free]
         for _ in range(_STEPS):
             angles = 2.0 * np.pi * np.outer(q[0] * self.y + q[1] * self.x, self.orders)
@@ -196,15 +207,22 @@ class _Means:
             cosines, sines = fades * np.cos(angles), fades * np.sin(angles)
             columns = [*cosines.T, *sines.T, np.ones_like(self.values), *relative]
             linear = _solved(columns, self.values, root)
+            left = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
             slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
             # What a cycle more over the field adds.
             columns += [slope * place for place in relative]
+            if left < least:
+                best, least = _Fit(q.copy(), linear, columns, count), left
             step = np.clip(_solved(columns, self.values, root)[-len(relative) :], -0.5, 0.5)
             if np.max(np.abs(step)) < _SETTLED:
                 break
             for axis, change in zip(self.free, step, strict=True):
                 q[axis] += change / self.sizes[axis]
-        return _Fit(q, linear, columns, count)
+            if math.hypot(*(q * self.sizes)) < _LEAST_CYCLES:
+                # So little of a wave, and a tilt, are any form.
+                break
+        assert best is not None  # noqa: S101 - told to mypy; there is a first step
+        return best
 
 
 @dataclass
@@ -272,7 +290,7 @@ def _peak(heights: NDArray[np.float64], pitch: tuple[float, float]) -> NDArray[n
     along_y, along_x = np.fft.fftfreq(padded[0], pitch[0]), np.fft.rfftfreq(padded[1], pitch[1])
     cycles = np.hypot(along_y[:, None] * ny * pitch[0], along_x * nx * pitch[1])
     fastest = np.maximum(np.abs(along_y[:, None]) * pitch[0], along_x * pitch[1])
-    power[(cycles < 0.5) | (fastest > 0.5 * _OF_NYQUIST)] = 0.0
+    power[(cycles < _LEAST_CYCLES) | (fastest > 0.5 * _OF_NYQUIST)] = 0.0
     row, column = np.unravel_index(int(np.argmax(power)), power.shape)
     return np.array([along_y[row], along_x[column]])
 
