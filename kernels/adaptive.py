@@ -212,7 +212,7 @@ def resolve_pixels(
         first: The first thread's place among ``pixels``.
         run: How many a thread takes.
         colours_out: Colours before, and now, times coverage.
-        errors_out: ‖ΔXYZ‖.
+        errors_out: ‖ΔXYZ‖, before and now.
         coverage_out: Shares of cells that meet the mesh.
         lit_out: Set where any cell has a colour.
         wanted_out: 1 for those to be split again, otherwise 0.
@@ -241,6 +241,7 @@ def resolve_pixels(
             continue
         total = wp.vec4f()
         weight = wp.float32(0.0)
+        rest = wp.float32(0.0)
         square = wp.float32(0.0)
         for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
@@ -248,7 +249,10 @@ def resolve_pixels(
                 of_level = wp.int32(given.levels[there])
                 share = FILTER_SHARES[line] * FILTER_SHARES[side]
                 per_weight = given.per_thirds[of_level, line] * given.per_thirds[of_level, side]
-                square += share * share * given.changes[there] * given.changes[there]
+                change = share * given.changes[there]
+                square += change * change
+                if of_level < level:
+                    rest += change
                 if least == most:
                     weight += share / per_weight
                     total += given.shares[there, 3 * line + side]
@@ -258,15 +262,13 @@ def resolve_pixels(
         # Of what there is of the picture.
         total = total / weight
         colour = wp.vec3f(total[0], total[1], total[2])
-        of_difference = wp.where(
-            level == 1,
-            wp.static(wp.float32(cell_levels.ERROR_PER_FIRST_DIFFERENCE)),
-            wp.static(wp.float32(cell_levels.ERROR_PER_LATER_DIFFERENCE)),
-        )
-        # What parts change by may cancel once.
+        # What was not split again is still wrong by a part of what it changed by last.
         error = wp.max(
-            of_difference * wp.length(colour - colours_out[pixel]),
-            wp.static(wp.float32(cell_levels.ERROR_PER_CHANGES)) * wp.sqrt(square),
+            wp.static(wp.float32(cell_levels.ERROR_PER_DIFFERENCE)) * (wp.length(colour - colours_out[pixel]) + rest),
+            wp.max(
+                wp.static(wp.float32(cell_levels.ERROR_PER_CHANGES)) * wp.sqrt(square),
+                wp.static(wp.float32(cell_levels.LEAST_ERROR_PER_LAST)) * errors_out[pixel],
+            ),
         )
         colours_out[pixel] = colour
         errors_out[pixel] = error
@@ -337,7 +339,7 @@ def select_cells(
                         share = FILTER_SHARES[line] * FILTER_SHARES[side]
                         change = share * given.changes[rank]
                         least = (
-                            wp.static(wp.float32(cell_levels.SPLIT_AGAIN_SHARE))
+                            wp.static(wp.float32(cell_levels.SPLIT_AGAIN_SHARE / cell_levels.ERROR_PER_DIFFERENCE))
                             * bound
                             * wp.max(wp.length(colours[there]), floor[0])
                         )

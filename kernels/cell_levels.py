@@ -18,16 +18,19 @@ LEAST_LEVEL_OF_POINTS = 2
 # What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
 # where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
-# itself, relative to |(u, v)|. Of others: over the difference of their last two levels, of the first ones and of later
-# ones, for the first cells may well agree with the whole where both are wrong. See docs/decisions.md.
-SMOOTH, PER_UNEVEN, PER_WIDE, ERROR_PER_FIRST_DIFFERENCE, ERROR_PER_LATER_DIFFERENCE = 0.01, 0.5, 0.5, 1.8, 1.4
-# And at least so much of what the nine pixels' cells change by, as if these did not depend on each other.
-ERROR_PER_CHANGES = 0.4
-# What cells change by is taken to be so much at least of what was expected, or of what the level before changed: where
-# both are wrong, they may agree.
+# itself, relative to |(u, v)|. See docs/decisions.md.
+SMOOTH, PER_UNEVEN, PER_WIDE = 0.008, 0.52, 0.55
+# Of others: over the difference of their last two levels; at least so much of what they were said to err by before, and
+# of what the nine pixels' cells change by, as if these did not depend on each other, for levels may agree by chance.
+ERROR_PER_DIFFERENCE, LEAST_ERROR_PER_LAST, ERROR_PER_CHANGES = 0.65, 0.1, 0.1
+# Pixels of each level are split whose error, times so much, is above the tolerance: the first cells may well agree with
+# the pixel's ray where both are wrong, and the finest take as long as all others.
+CAUTION = 1.0, 2.5, 1.4, 1.4, 1.0
+# What cells change by is taken to be so much at least of what was expected, or of what the level before changed, where
+# it is asked which are split again.
 LEAST_FALL = 0.15
 # Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
-SPLIT_AGAIN_SHARE = 1.0 / 6.0
+SPLIT_AGAIN_SHARE = 1.0 / 8.0
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
 BRIGHTEST_SHARE = 0.01
 

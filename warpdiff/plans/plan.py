@@ -79,8 +79,8 @@ class Plan:
             there is one and powers add, and otherwise from many points.
         split: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
             of the one under which these are most.
-        unsettled: The share that the most cells do not settle: by their last levels they err by more than three times
-            the tolerance, so that half of them may err by more than the tolerance itself.
+        unsettled: The share that the most cells do not settle: what is told of their errors, which bounds 95 of 100, is
+            above the tolerance.
         errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.

@@ -56,14 +56,11 @@ class LightRefinement:
         """Whether any pixels are split."""
         return self.refine or self.least > 0
 
-    @property
-    def _bound(self) -> float:
-        return pixel_filters.bound_of(self.tolerance) if self.refine else np.inf
-
-    @property
-    def levels(self) -> range:
-        """Those that pixels may be split to."""
-        return range(1, 1 + pixel_filters.last_level_for(self.tolerance, self.least))
+    def _bound_at(self, level: int) -> float:
+        """From which errors pixels at a level are split, and at the last one from which they have not settled."""
+        if not self.refine:
+            return np.inf
+        return self.tolerance if level == cell_levels.MOST_LEVEL else pixel_filters.bound_at(level, self.tolerance)
 
     def _goes_on(self, level: int) -> tuple[bool, int]:
         """Whether all pixels are split beyond a level, and to which the rims are."""
@@ -73,8 +70,8 @@ class LightRefinement:
         """The call that estimates the error of every pixel by one ray, and says which are to be split."""
         seen, view, among = self.frame.seen, self.frame.view, self.frame.rays.may_see
         inputs = [
-            self.colours, seen.deflections, seen.pixels.hit, view.width, among.start, among.stop, floor, self._bound,
-            self.least > 0, self.refine,
+            self.colours, seen.deflections, seen.pixels.hit, view.width, among.start, among.stop, floor,
+            self._bound_at(0), self.least > 0, self.refine,
         ]  # fmt: skip
         return KernelCall(adaptive.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
 
@@ -98,11 +95,7 @@ class LightRefinement:
     def resolve_pixels(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> KernelCall:
         """The call that sets pixels to the sums of the cells around, and compares these with the level before."""
         view = self.frame.view
-        # In the end it is not whether to go on that counts, but whether it errs by more, as a rule.
-        bound = self._bound
-        if self.refine and level == self.levels[-1]:
-            bound = pixel_filters.UNSETTLED_FACTOR * self.tolerance
-        inputs = [given, pixels, view.width, view.height, floor, bound, level, *self._goes_on(level)]
+        inputs = [given, pixels, view.width, view.height, floor, self._bound_at(level), level, *self._goes_on(level)]
         return KernelCall(
             adaptive.resolve_pixels, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True
         )
@@ -113,8 +106,8 @@ class LightRefinement:
         """The call that says which pixels are split again."""
         view = self.frame.view
         inputs = [
-            given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor, self._bound, level,
-            *self._goes_on(level),
+            given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor,
+            self._bound_at(level), level, *self._goes_on(level),
         ]  # fmt: skip
         return KernelCall(adaptive.select_cells, inputs, [chosen], in_runs=True)
 

@@ -72,10 +72,10 @@ class DeviceSchedule:
         view = light.frame.view
         self._launch(work_queues.count_up, [self._wanted], [self._found[:1]])
         self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
-        for level in light.levels:
+        for level in cell_levels.LEVELS:
             self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
             self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))
-            if level < light.levels[-1]:
+            if level < cell_levels.MOST_LEVEL:
                 chosen = light.select_cells(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
                 self._launch_step(chosen)
         self._launch(work_queues.count_up, [self._wanted], [self._found[1:]])

@@ -40,8 +40,9 @@ if TYPE_CHECKING:
 
 # Samples of a pixel that are measured; rays of means, whose cells see more than pixels' centres do, and of a pixel.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
-# What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most.
-_MEAN_ERROR_PER_PLAN_ERROR = 0.3
+# What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most, where its contrast with those
+# beside it is as large as its colour: a table errs where colours change, and by the cube root of how much they do.
+_MEAN_ERROR_PER_PLAN_ERROR = 0.37
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
 # Pixels of a slice, whose colours are found.
@@ -432,7 +433,11 @@ class Frame:
         xyz, coverage, lit = (sums.numpy() for sums in self._sums)
         coverage = coverage.astype(np.float32).reshape(shape)
         # That of a table, or of sums over wavelengths, is in proportion to the colour.
-        errors = (_MEAN_ERROR_PER_PLAN_ERROR if self._means else 1.0) * plan.error * np.linalg.norm(xyz, axis=1)
+        size = np.linalg.norm(xyz, axis=1).astype(np.float64)
+        errors = plan.error * size
+        if self._means:
+            contrasts = pixel_filters.contrasts(xyz.reshape(*shape, 3)).ravel()
+            errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.cbrt(size**2 * contrasts)
         if self._errors:
             errors += self._errors[0].numpy()
         error = relative_errors(errors, xyz, lit) * lit

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.compute.pipeline import KernelCall, Pipeline, launch_pipeline
+from warpdiff.kernels import cell_levels
 from warpdiff.render import pixel_filters
 from warpdiff.render.adaptive_sampling import SLICE
 from warpdiff.render.gbuffer import shared_tile_buffers
@@ -101,10 +102,10 @@ class _Splitting:
             for first in range(0, len(pixels), _MOST_PIXELS):
                 part = self._part(pixels[first : first + _MOST_PIXELS])
                 together = len(part.pixels)
-                for level in light.levels:
+                for level in cell_levels.LEVELS:
                     self._splat(level, part, shared)
                     if progress is not None:
-                        progress((first + level / len(light.levels) * together) / len(pixels))
+                        progress((first + level / cell_levels.MOST_LEVEL * together) / len(pixels))
                     self._compare(level, part)
                     if not len(part.tiles):
                         break
@@ -147,7 +148,7 @@ class _Splitting:
         part.pixels = part.pixels[self._wanted[part.pixels] != 0]
         step = self._light.resolve_pixels(level, part.given, self._array(part.pixels), self._floor, self._wanted_out)
         self._launch(step, len(part.pixels))
-        if level == self._light.levels[-1]:
+        if level == cell_levels.MOST_LEVEL:
             return
         chosen = self._array(part.chosen, wp.uint8)
         step = self._light.select_cells(

@@ -19,6 +19,7 @@ from warpdiff.core.thread_pool import slices_of
 from warpdiff.kernels import structs
 from warpdiff.kernels.cell_levels import (
     BRIGHTEST_SHARE,
+    CAUTION,
     FILTER_CUT,
     FILTER_SHARES,
     FILTER_SIGMA,
@@ -38,12 +39,6 @@ if TYPE_CHECKING:
 _CELL_SIGMA_PER_SPACING = 0.5
 # Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
 RIM_LEVEL = 2
-# Half of the pixels err by more than the tolerance whose error is taken to be at most so many times as much.
-UNSETTLED_FACTOR = 3.0
-# Pixels are split whose estimated error is more than so much of the tolerance: some estimates are too small.
-_SPLIT_FROM = 0.85
-# From this tolerance on, the level before the finest is the last.
-_COARSE_TOLERANCE = 0.05
 # Of so many pixels, some tell how bright a picture is.
 _PIXELS_FOR_LUMINANCE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
@@ -52,15 +47,9 @@ _LEAST_RAYS, MOST_RAYS = 8192, 32_768
 _MOST_RASTERIZED = 1 << 24
 
 
-def bound_of(tolerance: float) -> float:
-    """From which errors, relative to the colour, pixels are split."""
-    return _SPLIT_FROM * tolerance
-
-
-def last_level_for(tolerance: float, least: int) -> int:
-    """The finest level that pixels are split to which are split to ``least`` at least."""
-    last = MOST_LEVEL - 1 if tolerance >= _COARSE_TOLERANCE else MOST_LEVEL
-    return max(int(last), least)
+def bound_at(level: int, tolerance: float) -> float:
+    """From which errors, relative to the colour, pixels at a level are split."""
+    return tolerance / CAUTION[level]
 
 
 def level_of(samples: int, *, means: bool) -> int:
@@ -182,6 +171,17 @@ def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
         return float(TINY)
     rank = len(bright) - 1 - int(BRIGHTEST_SHARE * len(bright))
     return float(max(FLOOR * float(np.partition(bright, rank)[rank]), TINY))
+
+
+def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
+    """‖ΔXYZ‖ between pixels and those of the four beside them that differ most, (height, width)."""
+    result = np.zeros(xyz.shape[:2], dtype=np.float32)
+    for axis in range(2):
+        steps, most = np.linalg.norm(np.diff(xyz, axis=axis), axis=2), np.moveaxis(result, axis, 0)
+        steps = np.moveaxis(steps, axis, 0)
+        np.maximum(most[1:], steps, out=most[1:])
+        np.maximum(most[:-1], steps, out=most[:-1])
+    return result
 
 
 def luminance_stride(pixels: int) -> int:
