@@ -417,7 +417,7 @@ def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
     """The eye and target given, or such that the mesh fills the picture, seen a little from above."""
     for name in ("width", "height"):
         checks.count(getattr(options, name), name)
-    checks.number(options.fov_y_deg, "fov_y_deg", above=0.0, most=179.0)
+    checks.positive(options.fov_y_deg, "fov_y_deg", most=179.0)
     checks.directions(options.up, "up")
     if options.eye is not None and options.target is not None:
         return tuple(options.eye), tuple(options.target)
