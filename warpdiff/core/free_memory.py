@@ -61,12 +61,12 @@ def available() -> float:
             there = min(there, float(most - taken))
     except (ImportError, OSError, IndexError, ValueError):
         pass
-    for limit, taken, statistics in _limits_of_groups():
+    for limit, used, statistics in _limits_of_groups():
         with contextlib.suppress(OSError, ValueError):
             told = dict(line.split() for line in statistics.read_text().splitlines())
             # Files that were read or written long ago give way.
             files = int(told.get("total_inactive_file", told.get("inactive_file", "0")))
-            there = min(there, float(limit - int(taken.read_text()) + files))
+            there = min(there, float(limit - int(used.read_text()) + files))
     return there
 
 

@@ -49,7 +49,7 @@ _MOST_RASTERIZED = 1 << 24
 
 def bound_at(level: int, tolerance: float) -> float:
     """From which errors, relative to the colour, pixels at a level are split."""
-    return tolerance / CAUTION[level]
+    return float(tolerance / CAUTION[level])
 
 
 def level_of(samples: int, *, means: bool) -> int:
