@@ -109,17 +109,22 @@ class Renderer:
         self,
         light: DirectionalLight | Sequence[DirectionalLight] | None = None,
         view: View | None = None,
+        *,
+        progress: Callable[[float], None] | None = None,
     ) -> wp.array:
         """Draw the next picture.
 
         Args:
             light: This thread's lights from now on; None leaves them as they are.
             view: Its view from now on, with as many pixels; None leaves it as it is.
+            progress: As in :func:`warpdiff.shade`, on the CPU; on a GPU it is called once all is launched. What it
+                raises ends the picture, as for a view that nobody waits for any more; the next one begins anew.
 
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
             may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
+        checks.callback(progress, "progress")
         mine = self._mine
         lights = mine.lights if light is None else check_lights(light)
         if view is not None:
@@ -134,12 +139,14 @@ class Renderer:
             if view is not None:
                 mine.view = view
                 mine.frame.set_view(view)
-            mine.lights = lights
+            mine.lights, mine.drawn = lights, False
             self._wanted.set_lights(mine.frame, lights)
             if self._recorded:
                 self._replay(mine)
+                if progress is not None:
+                    progress(1.0)
             else:
-                self._launch(mine)
+                self._launch(mine, progress)
             mine.drawn = True
         return mine.frame.xyz
 
@@ -154,10 +161,12 @@ class Renderer:
             return image
         return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
 
-    def _launch(self, mine: _Picture) -> None:
+    def _launch(self, mine: _Picture, progress: Callable[[float], None] | None = None) -> None:
         """Launch what a picture takes."""
         names = [each.illuminant for each in mine.lights]
-        mine.frame.integrate(self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine)
+        mine.frame.integrate(
+            self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress
+        )
 
     def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""

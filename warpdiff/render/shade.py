@@ -82,8 +82,8 @@ def shade(
         pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
         shadows: Whether lights are hidden by the mesh itself.
         smooth: Whether vertex normals are interpolated; otherwise facets are seen.
-        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
-            the texture coordinates.
+        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3), or one for all,
+            shape (3,); what of it lies in the surface counts. None takes it from the texture coordinates.
         footprint: Whether a pixel shows the mean over what its filter sees, a Gaussian (0.5 pixel, cut at 1.5), rather
             than the colour in its centre: no aliasing, no speckle of orders that fall between pixels. The mean is taken
             from a table with levels where there is one, otherwise from many points. None is on for an averaged window
