@@ -147,7 +147,7 @@ def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, mon
 
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points"])
-def test_a_picture_that_is_abandoned_ends_soon_and_does_not_spoil_the_next(tube, fingers, plans, name):
+def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plans, name):
     class Abandoned(Exception):
         pass
 
@@ -158,17 +158,14 @@ def test_a_picture_that_is_abandoned_ends_soon_and_does_not_spoil_the_next(tube,
     assert shares == sorted(shares)
     assert len(shares) > 1
     assert shares[-1] == 1.0
-    told = []
     for most in (0.0, 0.4, 0.8):
 
         def tell(share, most=most):
-            told.append(share)
             if share > most:
                 raise Abandoned
 
         with pytest.raises(Abandoned):
             drawn.draw(turned(most)[:count], view(most), progress=tell)
-    assert len(told) < 3 * len(shares)
     # The one that was abandoned is drawn once it is asked for.
     same(drawn.image(), wd.shade(tube, fingers, turned(0.8)[:count], view(0.8), plan=plans[plan], **options))
     drawn.draw(turned(0.2)[:count])

@@ -1,4 +1,4 @@
-"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``bench`` and ``cache``.
+"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``view``, ``bench`` and ``cache``.
 
 Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
@@ -51,6 +51,7 @@ _FLAGS = {
     "pitch_um": "--pixel-um", "size_um": "--crop-um", "filled()": "--fill", "cropped()": "--crop-um",
     "periodic()": "--periodic", "despiked()": "--despike",
 }  # fmt: skip
+_MOST_PORT = 65_535
 # What the file system says of a path that was given; a full disk is another matter.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
@@ -206,6 +207,27 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     _add_tolerance(info)
 
+    view = _add(
+        commands, common, "view", _view, "turn body, light and surface by hand, on a page in the browser",
+        "warpdiff view\n  warpdiff view snake.obj --height scan.png --extent-um 65 --height-range-um 0.375 --periodic",
+        surface,
+    )  # fmt: skip
+    view.add_argument(
+        "mesh", nargs="*", metavar="MESH", help="mesh files that the page offers, beside the sample bodies"
+    )
+    view.add_argument(
+        "--height", nargs="+", action="extend", default=[], metavar="FILE",
+        help="scans that the page offers, beside the synthetic gratings",
+    )  # fmt: skip
+    view.add_argument("--port", type=int, default=0, help="(default: a free one)")
+    view.add_argument(
+        "--host", default="127.0.0.1", help="address to listen on; beyond this machine the page has a token (default: "
+        "127.0.0.1)"
+    )  # fmt: skip
+    view.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    view.add_argument("--device", help="cpu (default) or cuda")
+    view.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+
     bench = _add(
         commands, common, "bench", _bench, "chart speed against accuracy, beside other programs",
         "warpdiff bench --quick --output charts\n  warpdiff bench --compare before/results.json after/results.json",
@@ -332,22 +354,37 @@ def _height_field(options: argparse.Namespace) -> wd.HeightField:
                 f"HEIGHTFIELD: there is no file {options.heightfield!r}; "
                 f"a synthetic one is called by its name, one of {', '.join(GRATINGS)}"
             )
-        hf = wd.HeightField.load(
-            options.heightfield,
-            extent_um=options.extent_um,
-            pitch_um=options.pixel_um,
-            height_range_um=options.height_range_um,
-        )
-    if options.crop_um is not None:
-        hf = hf.cropped(options.crop_um)
-    if options.level is not None:
-        hf = hf.levelled(order=options.level)
-    if options.despike:
-        hf = hf.despiked()
-    if options.fill:
-        hf = hf.filled()
-    if options.periodic:
-        hf = hf.periodic()
+        return _scan(options.heightfield, options)
+    return _cleaned(hf, options)
+
+
+def _scan(path: str, options: argparse.Namespace) -> wd.HeightField:
+    return _cleaned(wd.HeightField.load(path, **_loading(options)), options)
+
+
+def _loading(options: argparse.Namespace) -> dict[str, float]:
+    """What of the options ``HeightField.load`` takes."""
+    given = {
+        "extent_um": options.extent_um, "pitch_um": options.pixel_um, "height_range_um": options.height_range_um
+    }  # fmt: skip
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _cleaning(options: argparse.Namespace) -> list[tuple[str, tuple[tuple[str, Any], ...]]]:
+    """Methods of a height field that the options ask for, one after the other, with their arguments."""
+    asked: dict[str, tuple[bool, tuple[tuple[str, Any], ...]]] = {
+        "cropped": (options.crop_um is not None, (("size_um", options.crop_um),)),
+        "levelled": (options.level is not None, (("order", options.level),)),
+        "despiked": (options.despike, ()),
+        "filled": (options.fill, ()),
+        "periodic": (options.periodic, ()),
+    }
+    return [(name, arguments) for name, (is_asked, arguments) in asked.items() if is_asked]
+
+
+def _cleaned(hf: wd.HeightField, options: argparse.Namespace) -> wd.HeightField:
+    for name, arguments in _cleaning(options):
+        hf = getattr(hf, name)(**dict(arguments))
     return hf
 
 
@@ -392,6 +429,31 @@ def _bench(options: argparse.Namespace) -> None:
         threads=options.threads, data=options.data and Path(options.data),
     )  # fmt: skip
     print(f"wrote {report.resolve()}, with results.json and results.csv beside it")
+
+
+def _view(options: argparse.Namespace) -> None:
+    if importlib.util.find_spec("websockets") is None:
+        raise ValueError("the page is served with websockets, which is not installed: pip install 'warpdiff[view]'")
+    from warpdiff.app import viewer
+    from warpdiff.app.view_scene import NamedFiles
+
+    if not 0 <= options.port <= _MOST_PORT:
+        raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
+    for name, paths in (("MESH", options.mesh), ("--height", options.height)):
+        for each in paths:
+            if not Path(each).is_file():
+                raise FileNotFoundError(f"{name}: there is no file {each!r}")
+    # What cannot be loaded is told here, rather than on the page.
+    for path in options.height:
+        _scan(path, options)
+    loading, cleaning = _loading(options), _cleaning(options)
+    files = NamedFiles(
+        tuple(map(Path, options.mesh)), tuple(map(Path, options.height)), tuple(loading.items()), tuple(cleaning)
+    )
+    viewer.run(
+        files, host=options.host, port=options.port, opens_browser=not options.no_browser, device=options.device,
+        threads=options.threads, say=lambda line: print(line, flush=True),
+    )  # fmt: skip
 
 
 def _render(options: argparse.Namespace) -> None:

@@ -84,7 +84,7 @@ class Surface:
 
 
 def prepare_surface(
-    mesh: trimesh.Trimesh | trimesh.Scene | str | os.PathLike[str], *, tangents: ArrayLike | None = None
+    mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str], *, tangents: ArrayLike | None = None
 ) -> Surface:
     """Check a mesh and work out its normals, tangents and base colours.
 
@@ -95,7 +95,8 @@ def prepare_surface(
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
-            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices.
+            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices. What was prepared
+            before is returned as it is.
         tangents: Directions along the height field's x axis, world frame, one per vertex (of a scene: of its
             geometries, in the order of its nodes), shape (n, 3), or one for all, shape (3,); they need not be unit
             vectors, nor lie in the surface.
@@ -109,6 +110,8 @@ def prepare_surface(
         ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
             vertices it lacks; there is no tangent field; several textures would have to be used at once.
     """
+    if isinstance(mesh, Surface) and tangents is None:
+        return mesh
     try:
         return _prepared(_geometries(mesh), tangents)
     except ValueError as error:
