@@ -16,7 +16,7 @@ from warpdiff.kernels.structs import Footprint, Pixels
 from warpdiff.render import pixel_filters
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -116,6 +116,7 @@ class SharedTileBuffers:
         nearest: NDArray[np.uint64],
         *,
         threads: int,
+        progress: Callable[[float], None] | None,
     ) -> None:
         """Launch pipelines over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
 
@@ -143,7 +144,7 @@ class SharedTileBuffers:
             pipeline.launch(range(first, end))
             self._free.append(first)
 
-        side_by_side(work, slices, threads=threads)
+        side_by_side(work, slices, threads=threads, progress=progress)
 
 
 # Those that no picture is in, with and without arrays for what is left out and for base colours, and how many are kept:
