@@ -19,8 +19,9 @@ import import_graph as graph
 
 # What only some calls take, and what would make every start slower, or is not on every system.
 SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy"}
-# Signals and streams are met before anything slow is imported; two commands import what the others do without.
-LATER = {"warpdiff.__main__", "warpdiff.app.cli"}
+# Signals and streams are met before anything slow is imported; some commands import what the others do without; the
+# viewer's page loads while Warp is imported.
+LATER = {"warpdiff.__main__", "warpdiff.app.cli", "warpdiff.app.viewer"}
 PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]
 ROOMS = [name for name in PACKAGE if graph.room_of(name) in graph.rooms()]
 

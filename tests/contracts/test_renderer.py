@@ -148,7 +148,7 @@ def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, mon
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points"])
 def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plans, name):
-    class Abandoned(Exception):
+    class AbandonedError(Exception):
         pass
 
     plan, count, options = CASES[name]
@@ -162,9 +162,9 @@ def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plan
 
         def tell(share, most=most):
             if share > most:
-                raise Abandoned
+                raise AbandonedError
 
-        with pytest.raises(Abandoned):
+        with pytest.raises(AbandonedError):
             drawn.draw(turned(most)[:count], view(most), progress=tell)
     # The one that was abandoned is drawn once it is asked for.
     same(drawn.image(), wd.shade(tube, fingers, turned(0.8)[:count], view(0.8), plan=plans[plan], **options))

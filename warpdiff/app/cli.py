@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.util
+import inspect
 import math
 import re
 import sys
@@ -54,7 +55,10 @@ _FLAGS = {
 _MOST_PORT = 65_535
 # What the file system says of a path that was given; a full disk is another matter.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
-_HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
+_HEIGHT_FIELD_HELP = (
+    f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}; with parameters of "
+    "warpdiff.gratings as in fingers:size_um=25.6,seed=3, where pairs are 2.0x1.0"
+)
 
 
 class Bar:
@@ -160,8 +164,9 @@ def _parser() -> argparse.ArgumentParser:
         surface, evaluation,
     )  # fmt: skip
     render.add_argument(
-        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}"
-    )
+        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}; with "
+        "parameters of warpdiff.meshes as in snake:tangent=along"
+    )  # fmt: skip
     render.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     render.add_argument(
         "-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)"
@@ -186,6 +191,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
     render.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
+    render.add_argument(
+        "--tangent", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="direction of the height field's x, world frame (default: the texture's u)",
+    )  # fmt: skip
     render.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
 
     brdf = _add(
@@ -207,26 +216,7 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     _add_tolerance(info)
 
-    view = _add(
-        commands, common, "view", _view, "turn body, light and surface by hand, on a page in the browser",
-        "warpdiff view\n  warpdiff view snake.obj --height scan.png --extent-um 65 --height-range-um 0.375 --periodic",
-        surface,
-    )  # fmt: skip
-    view.add_argument(
-        "mesh", nargs="*", metavar="MESH", help="mesh files that the page offers, beside the sample bodies"
-    )
-    view.add_argument(
-        "--height", nargs="+", action="extend", default=[], metavar="FILE",
-        help="scans that the page offers, beside the synthetic gratings",
-    )  # fmt: skip
-    view.add_argument("--port", type=int, default=0, help="(default: a free one)")
-    view.add_argument(
-        "--host", default="127.0.0.1", help="address to listen on; beyond this machine the page has a token (default: "
-        "127.0.0.1)"
-    )  # fmt: skip
-    view.add_argument("--no-browser", action="store_true", help="only print the page's address")
-    view.add_argument("--device", help="cpu (default) or cuda")
-    view.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    _add_view(commands, common, surface)
 
     bench = _add(
         commands, common, "bench", _bench, "chart speed against accuracy, beside other programs",
@@ -249,6 +239,11 @@ def _parser() -> argparse.ArgumentParser:
         help="which figures of two results.json moved by more than their noise",
     )
 
+    _add_cache(commands, common)
+    return parser
+
+
+def _add_cache(commands: Any, common: argparse.ArgumentParser) -> None:
     cache = _add(
         commands, common, "cache", _cache, "show, trim or clear what is kept on disk of height fields",
         "warpdiff cache\n  warpdiff cache --trim-mib 200\n  warpdiff cache --clear",
@@ -256,7 +251,29 @@ def _parser() -> argparse.ArgumentParser:
     less = cache.add_mutually_exclusive_group()
     less.add_argument("--trim-mib", type=float, metavar="MIB", help="keep so much at most, of what was used last")
     less.add_argument("--clear", action="store_true", help="delete all of it")
-    return parser
+
+
+def _add_view(commands: Any, common: argparse.ArgumentParser, surface: argparse.ArgumentParser) -> None:
+    view = _add(
+        commands, common, "view", _view, "turn body, light and surface by hand, on a page in the browser",
+        "warpdiff view\n  warpdiff view snake.obj --height scan.png --extent-um 65 --height-range-um 0.375 --periodic",
+        surface,
+    )  # fmt: skip
+    view.add_argument(
+        "mesh", nargs="*", metavar="MESH", help="mesh files that the page offers, beside the sample bodies"
+    )
+    view.add_argument(
+        "--height", nargs="+", action="extend", default=[], metavar="FILE",
+        help="scans that the page offers, beside the synthetic gratings",
+    )  # fmt: skip
+    view.add_argument("--port", type=int, default=0, help="(default: a free one)")
+    view.add_argument(
+        "--host", default="127.0.0.1", help="address to listen on; beyond this machine the page has a token (default: "
+        "127.0.0.1)"
+    )  # fmt: skip
+    view.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    view.add_argument("--device", help="cpu (default) or cuda")
+    view.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
 
 
 def _add(
@@ -344,10 +361,39 @@ def _add_tolerance(group: Any) -> None:
     group.add_argument("--tolerance", type=float, default=1e-2, help="error asked for (default: 0.01)")
 
 
+def _with_parameters(text: str, module: Any) -> Any:
+    """What ``name:parameter=value,…`` makes of a public module's function of that name; None where there is none."""
+    name, colon, given = text.partition(":")
+    if not colon or name not in module.__all__:
+        return None
+    function = getattr(module, name)
+    taken = {}
+    for each in filter(None, given.split(",")):
+        key, equals, value = each.partition("=")
+        if not equals or key not in inspect.signature(function).parameters:
+            raise ValueError(f"{text!r} must be {name}:parameter=value,…, of {inspect.signature(function)}")
+        parts = [_number(part) for part in (value.split("x") if re.fullmatch(r"[\d.]+x[\d.]+", value) else [value])]
+        taken[key] = parts[0] if len(parts) == 1 else tuple(parts)
+    try:
+        return function(**taken)
+    except TypeError as error:
+        raise ValueError(f"{text!r}: {error}") from None
+
+
+def _number(text: str) -> Any:
+    """An integer or a float, or the text itself."""
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
+
+
 def _height_field(options: argparse.Namespace) -> wd.HeightField:
     named = GRATINGS.get(options.heightfield.lower())
     if named is not None:
         hf = named(options)
+    elif (made := _with_parameters(options.heightfield, wd.gratings)) is not None:
+        hf = made
     else:
         if not Path(options.heightfield).is_file():
             raise FileNotFoundError(
@@ -460,7 +506,7 @@ def _render(options: argparse.Namespace) -> None:
     _check_output(options)
     hf = _height_field(options)
     body = _BODIES.get(options.mesh)
-    mesh = body() if body else options.mesh
+    mesh = body() if body else _with_parameters(options.mesh, wd.meshes) or options.mesh
     eye, target = _frame(mesh, options)
     view = wd.View(
         eye, target, up=tuple(options.up), fov_y_deg=options.fov_y_deg, width=options.width, height=options.height
@@ -470,7 +516,8 @@ def _render(options: argparse.Namespace) -> None:
     lights = [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
     image = wd.shade(
         mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
-        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine, **_shared(options),
+        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine,
+        tangents=options.tangent, **_shared(options),
     )  # fmt: skip
     _report(image, options)
 
@@ -483,7 +530,7 @@ def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
     checks.directions(options.up, "up")
     if options.eye is not None and options.target is not None:
         return tuple(options.eye), tuple(options.target)
-    surface = prepare_surface(mesh)
+    surface = prepare_surface(mesh, tangents=options.tangent)
     target = np.asarray(surface.centre if options.target is None else options.target, dtype=np.float64)
     if options.eye is not None:
         return tuple(options.eye), tuple(target)

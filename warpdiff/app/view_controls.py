@@ -72,19 +72,17 @@ class Control:
             return value
         if isinstance(self.default, bool):
             if not isinstance(value, bool):
-                raise ValueError(f"{self.name} must be true or false")
+                raise ValueError(f"{self.name} must be true or false")  # noqa: TRY004 (bad input has one kind here)
             return value
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{self.name} must be a number")
+            raise ValueError(f"{self.name} must be a number")  # noqa: TRY004
         # An integer of a thousand digits is none that a float holds.
         if not (self.least <= value <= self.most):
             raise ValueError(f"{self.name} must lie within {self.least:g} to {self.most:g}")
         return round(value) if isinstance(self.default, int) else float(value)
 
 
-def _choice(
-    name: str, label: str, group: str, choices: dict[Any, str], default: Any = None, **more: Any
-) -> Control:
+def _choice(name: str, label: str, group: str, choices: dict[Any, str], default: Any = None, **more: Any) -> Control:
     first = next(iter(choices)) if default is None else default
     return Control(name, label, group, first, choices=tuple(choices.items()), **more)
 
@@ -169,7 +167,7 @@ def defaults(known: dict[str, Control]) -> dict[str, Any]:
 def checked(known: dict[str, Control], values: Any) -> dict[str, Any]:
     """Values for all controls: those that are given, else defaults; a ``ValueError`` tells of any that is none."""
     if not isinstance(values, dict):
-        raise ValueError("settings must be an object")  # noqa: TRY004 (bad input has one kind of error here)
+        raise ValueError("settings must be an object")  # noqa: TRY004
     if unknown := [str(each)[:40] for each in values if each not in known]:
         raise ValueError(f"there is no control {unknown[0]!r}")
     return defaults(known) | {name: known[name].checked(value) for name, value in values.items()}

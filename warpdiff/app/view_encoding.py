@@ -24,7 +24,8 @@ KINDS = ("png", "exr")
 
 def shown(image: wd.Image, *, exact: bool, **how: Any) -> NDArray[np.uint8]:
     """What :meth:`warpdiff.Image.display` gives, in 8 bits as its files have them."""
-    return np.round(255.0 * np.float64(image.display(exact=exact, **how))).astype(np.uint8)
+    encoded: NDArray[np.float64] = image.display(exact=exact, **how).astype(np.float64)
+    return np.round(255.0 * encoded).astype(np.uint8)
 
 
 def encoded(pixels: NDArray[np.uint8], *, lossless: bool) -> bytes:

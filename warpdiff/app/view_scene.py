@@ -1,4 +1,4 @@
-"""What a page of the viewer has set, as calls of the library: to be made, or written down as lines that make the same."""
+"""What a page of the viewer has set, as calls of the library: to be made, or to be written down."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ class Call:
 
     def make(self) -> Any:
         """Call it."""
-        function = functools.reduce(getattr, self.function.split("."), wd if self.on is None else self.on.make())
+        owner: Any = wd if self.on is None else self.on.make()
+        function = functools.reduce(getattr, self.function.split("."), owner)
         return function(*map(_made, self.operands), **{name: _made(each) for name, each in self.options})
 
     def __str__(self) -> str:
@@ -151,7 +152,7 @@ class Scene:
         )
 
     def command(self, view: wd.View, tolerance: float, saved: Mapping[str, Any], files: NamedFiles) -> str:
-        """The command that makes the picture, with a plan for its own directions, within the tolerance of each other."""
+        """The command that makes the picture by a plan for its own directions: the same within both tolerances."""
         words: list[Any] = ["warpdiff", "render", _word(self.mesh)]
         hf, cleaning = self.hf, []
         while hf.on is not None:
@@ -179,7 +180,11 @@ class Scene:
 
 # Of methods that clean a height field, what the command line calls them.
 _CLEANING = {
-    "cropped": "--crop-um", "levelled": "--level", "despiked": "--despike", "filled": "--fill", "periodic": "--periodic"
+    "cropped": "--crop-um",
+    "levelled": "--level",
+    "despiked": "--despike",
+    "filled": "--fill",
+    "periodic": "--periodic",
 }
 
 
@@ -217,11 +222,11 @@ def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tu
     tangents = unit[lies] if lies in AXES else None
     if (path := _file(name, files.meshes)) is not None:
         return path, tangents
-    return Call.of(f"meshes.{name}", **({"tangent": "along"} if lies == "along" else {})), tangents
+    return Call(f"meshes.{name}", options=(("tangent", "along"),) if lies == "along" else ()), tangents
 
 
 def _file(name: str, paths: Sequence[Path]) -> Path | None:
-    """The file that a control calls "file 0", "file 1" …"""
+    """The file that a control calls "file 0", "file 1" and so on."""
     kind, _, index = name.partition(" ")
     return paths[int(index)] if kind == "file" else None
 
@@ -242,13 +247,12 @@ def _height_field(values: Mapping[str, Any], files: NamedFiles) -> Call:
     if name == "bumps":
         return call(
             height_um=values["bumps_height_um"], width_um=values["bumps_width_um"],
-            length_um=values["bumps_length_um"], spacing_um=(values["bumps_spacing_y_um"], values["bumps_spacing_x_um"]),
+            length_um=values["bumps_length_um"],
+            spacing_um=(values["bumps_spacing_y_um"], values["bumps_spacing_x_um"]),
         )  # fmt: skip
     if name == "disc":
         kind = values["disc_kind"]
-        return call(
-            kind=kind, length_um=values["disc_length_um"], pitch_um=_DISC_PITCHES_UM[kind], seed=values["seed"]
-        )
+        return call(kind=kind, length_um=values["disc_length_um"], pitch_um=_DISC_PITCHES_UM[kind], seed=values["seed"])
     duty = {"duty": values["duty"]} if name == "lamellar" else {}
     return call(period_um=values["period_um"], depth_um=values["depth_um"], **duty)
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request
 
-    from warpdiff.app.view_session import Session, Studio, Wanted
+    from warpdiff.app.view_session import Studio, Wanted
 
 MOST_PAGES = 8
 _MOST_MESSAGE_BYTES = 16 * 1024
@@ -49,7 +49,7 @@ _ASPECTS = (0.2, 5.0)
 _MOST_GENERATION = 2**53
 
 
-class _Hostile(Exception):
+class _HostileError(Exception):
     """Raised by a message that no page sends."""
 
 
@@ -104,20 +104,24 @@ class ViewServer:
         except LookupError:
             return _refused(400, "a header stands there twice")
         asked = urlsplit(request.path)
-        if not self._is_ours(host):
-            return _refused(403, "another host is meant")
+        is_socket = asked.path == "/socket" and upgrade
         given = parse_qs(asked.query).get("token", [""])[0]
-        if not hmac.compare_digest(given.encode(), self.token.encode()):
-            return _refused(403, "the token is missing or wrong: open the address that warpdiff view has printed")
-        if asked.path == "/socket" and upgrade:
-            if origin not in (f"http://{host}", f"https://{host}"):
-                return _refused(403, "another page asks")
-            if self._pages >= MOST_PAGES:
-                return _refused(503, f"{MOST_PAGES} pages are open already: close one")
-            return None
-        if asked.path == "/" and not upgrade:
-            return self._document(host)
-        return _refused(404, "there is no such page")
+        origins = f"http://{host}", f"https://{host}"
+        refusals = [
+            (not self._is_ours(host), 403, "another host is meant"),
+            (
+                not hmac.compare_digest(given.encode(), self.token.encode()),
+                403,
+                "the token is missing or wrong: open the address that warpdiff view has printed",
+            ),
+            (not is_socket and (asked.path != "/" or upgrade), 404, "there is no such page"),
+            (is_socket and origin not in origins, 403, "another page asks"),
+            (is_socket and self._pages >= MOST_PAGES, 503, f"{MOST_PAGES} pages are open already: close one"),
+        ]
+        for is_refused, status, why in refusals:
+            if is_refused:
+                return _refused(status, why)
+        return None if is_socket else self._document(host)
 
     def _is_ours(self, host: str) -> bool:
         """Whether a ``Host`` names this server; beyond this machine it has names that it does not know."""
@@ -209,7 +213,7 @@ class _Page:
         try:
             async for message in self._connection:
                 await self._take(message)
-        except _Hostile as error:
+        except _HostileError as error:
             with contextlib.suppress(ConnectionClosed):
                 await self._connection.close(1008, str(error)[:100])
         except ConnectionClosed:
@@ -231,7 +235,7 @@ class _Page:
         except (ValueError, RecursionError):
             told = None
         if not isinstance(told, dict):
-            raise _Hostile("messages are JSON objects")
+            raise _HostileError("messages are JSON objects")
         what = told.get("do")
         if what == "shown":
             self._studio.acknowledge(self._session)
@@ -243,17 +247,17 @@ class _Page:
         elif what == "save" and told.get("as") in ("png", "exr"):
             await self._save(told["as"])
         else:
-            raise _Hostile("there is no such message")
+            raise _HostileError("there is no such message")
 
     def _wanted(self, told: dict[str, Any]) -> Wanted:
         """What a page wants, if it makes sense."""
         generation, aspect, probe, camera = (told.get(name) for name in ("generation", "aspect", "probe", "camera"))
         if type(generation) is not int or not 0 <= generation < _MOST_GENERATION:
             raise ValueError("generation must be a count")
-        if type(aspect) not in (int, float) or not _ASPECTS[0] <= aspect <= _ASPECTS[1]:
+        if not isinstance(aspect, (int, float)) or not _ASPECTS[0] <= aspect <= _ASPECTS[1]:
             raise ValueError(f"aspect must lie within {_ASPECTS[0]} to {_ASPECTS[1]}")
         place = view_controls.vector([*probe, 0.0] if isinstance(probe, list) else probe, "probe")[:2]
-        if not (0.0 <= min(place) and max(place) <= 1.0):
+        if not (min(place) >= 0.0 and max(place) <= 1.0):
             raise ValueError("probe must lie in the picture, 0 to 1")
         values = view_controls.checked(self._controls, told.get("values"))
         seen = None
@@ -261,7 +265,7 @@ class _Page:
             if not isinstance(camera, dict):
                 raise ValueError("camera must be an object")
             eye, target, up = (view_controls.vector(camera.get(name), name) for name in ("eye", "target", "up"))
-            fov = camera.get("fov_y_deg")
+            fov: Any = camera.get("fov_y_deg")
             seen = eye, target, up, fov
             # Refuses what makes no view.
             wd.View(eye, target, up=up, fov_y_deg=fov, width=4, height=3)

@@ -49,7 +49,7 @@ MAP_SIZE = 192
 _WHOLE = 0.999
 
 
-class _Abandoned(Exception):
+class _AbandonedError(Exception):
     """Raised in the midst of a picture that nobody waits for."""
 
 
@@ -82,10 +82,20 @@ class Stage(NamedTuple):
     last: bool = False
 
 
-def stages_to(tolerance: float) -> list[Stage]:
-    """Pictures on the way to one of a tolerance."""
+# Between pictures, what there is to say of a place in them.
+ANGLES = None
+
+
+def stages_to(tolerance: float) -> list[Stage | None]:
+    """Pictures on the way to one of a tolerance; after the first at rest comes ``ANGLES``, which takes little."""
     finer = [Stage(each, refined=True) for each in TOLERANCES if each > tolerance]
-    return [Stage(max(TOLERANCES[0], tolerance), refined=False), *finer, Stage(tolerance, refined=True, last=True)]
+    first, *rest = [*finer, Stage(tolerance, refined=True, last=True)]
+    return [_unrefined(tolerance), first, ANGLES, *rest]
+
+
+def _unrefined(tolerance: float) -> Stage:
+    """The first picture, by the table of the one after it."""
+    return Stage(max(TOLERANCES[0], tolerance), refined=False)
 
 
 @dataclass(eq=False)
@@ -183,10 +193,12 @@ class Studio:
     def _prepare(self) -> None:
         """Make what first pictures take, whatever their size."""
         scene = Scene.of(self._likely, self.files)
-        stage = stages_to(scene.tolerance)[0]
+        stage = _unrefined(scene.tolerance)
         view = view_bodies.framed(self._surface(scene), 16, 12)
         nobody = Session(lambda *_: None)
-        image = self._renderer(scene, view, stage, nobody, Wanted(0, self._likely, None, 1.0, False, (0.5, 0.5))).image()
+        image = self._renderer(
+            scene, view, stage, nobody, Wanted(0, self._likely, None, 1.0, False, (0.5, 0.5))
+        ).image()
         view_encoding.encoded(view_encoding.shown(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
@@ -204,7 +216,7 @@ class Studio:
                 if told:
                     words = list(dict.fromkeys(str(each.message) for each in told))
                     session.send({"kind": "warning", "generation": wanted.generation, "text": "\n".join(words)}, None)
-            except _Abandoned:
+            except _AbandonedError:
                 continue
             except Exception as error:
                 # One page's error reaches no other, and does not end the thread.
@@ -213,7 +225,7 @@ class Studio:
                 if not expected:
                     traceback.print_exc()
                 session.send({"kind": "error", "generation": wanted.generation, "text": text}, None)
-                session.stage = len(stages_to(wanted.values["tolerance"])) + 1
+                session.stage = len(stages_to(wanted.values["tolerance"]))
 
     def _next(self) -> tuple[Session, Wanted, int]:
         """Wait for the next picture: first ones before finer ones, pages in turns."""
@@ -227,7 +239,7 @@ class Studio:
                         continue
                     if session.begun != wanted.generation:
                         session.begun, session.stage = wanted.generation, 0
-                    if session.stage > len(stages_to(wanted.values["tolerance"])):
+                    if session.stage >= len(stages_to(wanted.values["tolerance"])):
                         continue
                     left = session.drawn_at + _REST_S - time.monotonic() if wanted.moving and session.stage else 0.0
                     if left > 0.0:
@@ -248,7 +260,7 @@ class Studio:
             newest = session.wanted
             # What moves is drawn to the end, or nothing would be seen of it.
             if not session.open or (index and newest is not None and newest.generation != wanted.generation):
-                raise _Abandoned
+                raise _AbandonedError
 
         scene = Scene.of(wanted.values, self.files)
         stages = stages_to(scene.tolerance)
@@ -256,11 +268,11 @@ class Studio:
         width = max(round(wanted.aspect * rows), 1)
         body = self._surface(scene)
         full = _view(wanted, body, width, rows)
-        if index == len(stages):
+        stage = stages[index]
+        if stage is ANGLES:
             self._send_angles_and_map(session, wanted, scene, full, watch)
             session.stage = index + 1
             return
-        stage = stages[index]
         scale = self._scale(width * rows) if wanted.moving and not stage.refined else 1.0
         view = dataclasses.replace(full, width=max(round(scale * width), 1), height=max(round(scale * rows), 1))
         begin = time.perf_counter()
@@ -335,9 +347,7 @@ class Studio:
         made: Callable[[], wd.HeightField] = scene.hf.make
         return get_or_make(self._made.height_fields, str(scene.hf), made, most=_MOST_HEIGHT_FIELDS)
 
-    def _renderer(
-        self, scene: Scene, view: wd.View, stage: Stage, session: Session, wanted: Wanted
-    ) -> wd.Renderer:
+    def _renderer(self, scene: Scene, view: wd.View, stage: Stage, session: Session, wanted: Wanted) -> wd.Renderer:
         """A renderer, whose plan is found again on disk, as to make one takes longer than a picture by it."""
         light = scene.light.make()
         shading = dict(scene.shading)
@@ -418,10 +428,13 @@ def _view(wanted: Wanted, body: Surface, width: int, height: int) -> wd.View:
 
 def _plan_of(text: str) -> wd.Plan:
     """A plan as it was written down."""
-    told = json.loads(text)
-    coherence = {name: tuple(value) if isinstance(value, list) else value for name, value in told["coherence"].items()}
-    plain = {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
-    return wd.Plan(**plain | {"coherence": wd.Coherence(**coherence)})
+
+    def plain(told: dict[str, Any]) -> dict[str, Any]:
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+
+    told = plain(json.loads(text))
+    told["coherence"] = wd.Coherence(**plain(told["coherence"]))
+    return wd.Plan(**told)
 
 
 def _nearest(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
@@ -438,5 +451,6 @@ def _angles(direction: Sequence[float]) -> dict[str, float]:
     """Angles from the normal and from the height field's x [degrees]."""
     x, y, z = direction
     return {
-        "theta_deg": float(np.degrees(np.arccos(np.clip(z, -1.0, 1.0)))), "phi_deg": float(np.degrees(np.arctan2(y, x)))
+        "theta_deg": float(np.degrees(np.arccos(np.clip(z, -1.0, 1.0)))),
+        "phi_deg": float(np.degrees(np.arctan2(y, x))),
     }

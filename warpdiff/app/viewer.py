@@ -8,12 +8,12 @@ import webbrowser
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.app import view_controls
-from warpdiff.app.view_scene import NamedFiles
 from warpdiff.app.view_server import ViewServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from warpdiff.app.view_scene import NamedFiles
     from warpdiff.app.view_session import Studio
 
 

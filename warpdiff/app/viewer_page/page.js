@@ -189,7 +189,8 @@ function build(controls) {
   for (const each of controls) {
     // Of what was kept, values that are none any more go.
     const kept = state.values[each.name];
-    const fits = each.choices.length ? each.choices.some(([value]) => value === kept) : typeof kept === typeof each.default;
+    const isChoice = each.choices.length > 0;
+    const fits = isChoice ? each.choices.some(([value]) => value === kept) : typeof kept === typeof each.default;
     state.values[each.name] = fits ? kept : each.default;
     if (!groups.has(each.group)) {
       const group = document.createElement("fieldset");
@@ -197,7 +198,7 @@ function build(controls) {
       groups.set(each.group, group);
       form.append(group);
     }
-    groups.get(each.group).append(each.choices.length ? choice(each) : each.step ? number(each) : toggle(each));
+    groups.get(each.group).append(isChoice ? choice(each) : each.step ? number(each) : toggle(each));
   }
   for (const name of Object.keys(state.values)) if (!inputs.has(name)) delete state.values[name];
   update();
@@ -228,7 +229,8 @@ function choice(control) {
   for (const [index, [, label]] of control.choices.entries()) select.append(new Option(label, index));
   select.onchange = () => set(control.name, control.choices[select.value][0]);
   const label = labelled(control, select);
-  inputs.set(control.name, { label, show: (value) => (select.value = control.choices.findIndex(([each]) => each === value)) });
+  const show = (value) => (select.value = control.choices.findIndex(([each]) => each === value));
+  inputs.set(control.name, { label, show });
   return label;
 }
 
@@ -242,7 +244,8 @@ function toggle(control) {
 
 function number(control) {
   const { least, most, step, ratio } = control;
-  const place = (value) => (ratio ? Math.log(value / least) / Math.log(most / least) : (value - least) / (most - least));
+  const place = (value) =>
+    ratio ? Math.log(value / least) / Math.log(most / least) : (value - least) / (most - least);
   const at = (share) => (ratio ? least * (most / least) ** share : least + share * (most - least));
   const whole = (value) => clamp(Number((Math.round(value / step) * step).toFixed(6)), least, most);
   const field = input(control, "number", { id: `set-${control.name}`, min: least, max: most, step: "any" });
