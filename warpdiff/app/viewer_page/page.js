@@ -31,6 +31,7 @@ function keep() {
 
 function changed() {
   generation += 1;
+  canvas.dataset.wanted = generation;
   want();
 }
 
@@ -127,7 +128,10 @@ async function picture(told, data) {
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   body = told.body;
-  if (state.camera === null) state.camera = told.camera;
+  if (state.camera === null) {
+    state.camera = told.camera;
+    keep();
+  }
   report(told);
   place();
 }
@@ -464,7 +468,7 @@ new ResizeObserver(() => known.length && changed()).observe(stage);
 try {
   const kept = JSON.parse(sessionStorage.getItem(KEPT)) ?? {};
   Object.assign(state, { values: kept.values ?? {}, camera: kept.camera ?? null, probe: kept.probe ?? [0.5, 0.5] });
-  generation = kept.generation ?? 0;
+  canvas.dataset.wanted = generation = kept.generation ?? 0;
 } catch {
   sessionStorage.removeItem(KEPT);
 }
