@@ -32,6 +32,7 @@ function keep() {
 function changed() {
   generation += 1;
   canvas.dataset.wanted = generation;
+  canvas.dataset.error = "";
   want();
 }
 
