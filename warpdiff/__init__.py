@@ -9,7 +9,7 @@ which rooms it may import. ``docs/architecture.md`` has the whole way, file by f
 - ``plans``: the numbers that kernels get, and for which directions; ``image``: pictures and their files
 - ``tables``: coefficients and colours on a device; ``planning``: from a tolerance to a plan
 - ``evaluate``: reflectance at arrays of directions; ``render``: pictures of a mesh
-- ``app``: the command line
+- ``sequences``: frames of turntables, moving lights and cameras; ``app``: the command line, and a page in the browser
 
 ``kernels`` holds the Warp kernels, ``bench`` what measures all this; ``gratings`` and ``meshes`` are public modules.
 """
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from warpdiff.render.shade import shade
     from warpdiff.scene.camera import View
     from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.sequences.sequence import sequence
+    from warpdiff.sequences.shots import Shot, camera_path, light_sweep, turntable
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.surface.periods import Period
 
@@ -47,17 +49,22 @@ __all__ = [
     "Period",
     "Plan",
     "Renderer",
+    "Shot",
     "View",
     "WarpdiffWarning",
     "brdf",
     "brdf_map",
+    "camera_path",
     "gratings",
+    "light_sweep",
     "meshes",
     "order_efficiencies",
     "plan",
     "reflectance",
+    "sequence",
     "shade",
     "spectral_reflectance",
+    "turntable",
 ]
 
 _MODULES = {
@@ -74,6 +81,8 @@ _MODULES = {
     "render.shade": ("shade",),
     "render.renderer": ("Renderer",),
     "scene.camera": ("View",),
+    "sequences.sequence": ("sequence",),
+    "sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -41,7 +41,7 @@ _MOST_IN_FLIGHT = 2
 # A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
 _MOVING_S = 0.06
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-_MOST_SURFACES, _MOST_HEIGHT_FIELDS = 4, 8
+_MOST_SURFACES, _MOST_HEIGHT_FIELDS, _MOST_BASES = 4, 8, 6
 # Renderers that are kept, and their pixels, for each of which there are some 300 bytes.
 _MOST_RENDERERS, _MOST_PIXELS = 8, 5_000_000
 MAP_SIZE = 192
@@ -131,6 +131,7 @@ class _Made:
 
     surfaces: dict[Any, Surface] = field(default_factory=dict)
     height_fields: dict[Any, wd.HeightField] = field(default_factory=dict)
+    bases: dict[Any, wd.Renderer] = field(default_factory=dict)
     renderers: dict[Any, wd.Renderer] = field(default_factory=dict)
 
 
@@ -348,33 +349,19 @@ class Studio:
         return get_or_make(self._made.height_fields, str(scene.hf), made, most=_MOST_HEIGHT_FIELDS)
 
     def _renderer(self, scene: Scene, view: wd.View, stage: Stage, session: Session, wanted: Wanted) -> wd.Renderer:
-        """A renderer, whose plan is found again on disk, as to make one takes longer than a picture by it."""
+        """A renderer of pictures of a size."""
         light = scene.light.make()
-        shading = dict(scene.shading)
-        tangents = shading.pop("tangents", None)
-        key = (
-            str(scene.mesh), tangents, str(scene.hf), scene.options, light.illuminant, stage.tolerance, stage.refined,
-            view.width, view.height,
-        )  # fmt: skip
+        of = str(scene.mesh), str(scene.hf), str(scene.options), light.illuminant, stage.tolerance
+        key = *of, stage.refined, view.width, view.height
 
         def make() -> wd.Renderer:
-            session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": stage.tolerance}, None)
-            hf = self._height_field(scene)
-            options: dict[str, Any] = shading | {"device": self._device.alias, "threads": self._threads}
-            options["refine"] = stage.refined
-            begun: list[wd.Renderer] = []
+            def say() -> None:
+                session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": stage.tolerance}, None)
 
-            def plan() -> dict[str, Any]:
-                begun.append(wd.Renderer(self._surface(scene), hf, light, view, tolerance=stage.tolerance, **options))
-                return {"plan": json.dumps(dataclasses.asdict(begun[0].plan))}
-
-            asked = "plan", str(scene.options), light.illuminant, stage.tolerance, hf.pitch_um, self._device.alias
-            found = disk_cache.kept_on_disk(asked, hf.heights_um, plan)
-            if begun:
-                return begun[0]
-            for name in ("method", "coherence"):
-                options.pop(name, None)
-            return wd.Renderer(self._surface(scene), hf, light, view, plan=_plan_of(str(found["plan"])), **options)
+            base = get_or_make(
+                self._made.bases, of, lambda: self._base(scene, light, stage.tolerance, say), most=_MOST_BASES
+            )
+            return base.resized(view, refine=stage.refined)
 
         kept = self._made.renderers
         if key not in kept:
@@ -382,6 +369,27 @@ class Studio:
             while kept and pixels + sum(each[-2] * each[-1] for each in kept) > _MOST_PIXELS:
                 del kept[next(iter(kept))]
         return get_or_make(kept, key, make, most=_MOST_RENDERERS)
+
+    def _base(self, scene: Scene, light: wd.DirectionalLight, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
+        """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
+        say()
+        hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
+        options.pop("tangents", None)
+        options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
+        view = view_bodies.framed(surface, 16, 12)
+        begun: list[wd.Renderer] = []
+
+        def plan() -> dict[str, Any]:
+            begun.append(wd.Renderer(surface, hf, light, view, tolerance=tolerance, **options))
+            return {"plan": json.dumps(dataclasses.asdict(begun[0].plan))}
+
+        asked = "plan", str(scene.options), light.illuminant, tolerance, hf.pitch_um, self._device.alias
+        found = disk_cache.kept_on_disk(asked, hf.heights_um, plan)
+        if begun:
+            return begun[0]
+        for name in ("method", "coherence"):
+            options.pop(name, None)
+        return wd.Renderer(surface, hf, light, view, plan=_plan_of(str(found["plan"])), **options)
 
     def _send_angles_and_map(
         self, session: Session, wanted: Wanted, scene: Scene, view: wd.View, watch: Callable[[float], None]

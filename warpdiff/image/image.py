@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
 # The last chunk of a PNG file: its length, name and checksum. Readers do without it.
-_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
 _MOST_STOPS = 30.0
@@ -307,8 +307,8 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
 def _holds(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
     """Whether a file is whole and holds these pixels, in channels of these names in any order."""
     with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - len(_PNG_END), 0))
-        if path.suffix == ".png" and file.read() != _PNG_END:
+        file.seek(max(path.stat().st_size - len(PNG_END), 0))
+        if path.suffix == ".png" and file.read() != PNG_END:
             return False
     straight = oiio.ImageSpec()
     straight.attribute("oiio:UnassociatedAlpha", 1)

@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import functools
 import threading
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, plan_for, warn_outside
+from warpdiff.planning.request import Request
 from warpdiff.render.frame import load_kernels
-from warpdiff.render.shade import PictureRequest, check_lights, memory_named, warn_unsettled
+from warpdiff.render.shade import PictureRequest, check_lights, memory_named, require_room, warn_unsettled
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from warpdiff.plans.plan import Plan
     from warpdiff.render.frame import Frame
     from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
 
@@ -45,6 +48,9 @@ class Renderer:
 
     Threads may draw at once: each has a picture of its own, which begins with the first lights and view, and neither
     sees nor changes those of others. On a GPU, whose launches all go to one stream, they take turns.
+
+    A renderer can be pickled, and draws the same pictures in another process: what it is made of and its plan go along,
+    tables are made there.
 
     Attributes:
         plan: What is computed and why.
@@ -88,14 +94,23 @@ class Renderer:
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
         request = wanted.request
         load_kernels(request.device)
-        self._wanted = wanted
         with memory_named(view):
             surface = prepare_surface(mesh, tangents=tangents)
+        self._begin(wanted, surface, view)
+        self.draw()
+
+    def _begin(self, wanted: PictureRequest, surface: Surface, view: View) -> None:
+        """Do all that does not change."""
+        request = wanted.request
+        self._wanted, self._surface = wanted, surface
+        with memory_named(view):
             scope, sample, count = directions_of(request)
             if request.plan is not None:
-                warn_outside(request.plan, hf, scope)
+                warn_outside(request.plan, request.hf, scope)
             self.plan = request.plan or plan_for(request, scope, sample, count)
-            self._integrator = Integrator(hf, self.plan, scope, device=request.device, threads=request.threads)
+            self._integrator = Integrator(
+                request.hf, self.plan, scope, device=request.device, threads=request.threads
+            )
             self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
@@ -103,7 +118,40 @@ class Renderer:
                 view,
             )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
-        self.draw()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures."""
+        return self._mine.view.width, self._mine.view.height
+
+    def resized(self, view: View, *, refine: bool | None = None) -> Renderer:
+        """Another renderer of the same surface by the same plan and tables, for pictures of another size.
+
+        Args:
+            view: The camera that it begins with.
+            refine: As in :func:`warpdiff.shade`; None is as it is here.
+
+        Returns:
+            The other one, whose pictures are those that this one would draw of such views.
+
+        Raises:
+            MemoryError: More memory than is free; the message says what fits.
+        """
+        checks.instance(view, View, "view")
+        require_room(view, self._wanted.request.device)
+        refine = self._wanted.refine if refine is None else checks.flag(refine, "refine")
+        result = object.__new__(Renderer)
+        request = replace(self._wanted.request, plan=self.plan)
+        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view)
+        return result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        request = {each.name: getattr(self._wanted.request, each.name) for each in fields(Request)}
+        device, threads = request.pop("device").alias, request.pop("threads")
+        # Of a core each, there may be another number elsewhere.
+        of_all = None if threads == resolve_threads(None) else threads
+        wanted = {each.name: getattr(self._wanted, each.name) for each in fields(PictureRequest)} | {"request": None}
+        return _again, (request | {"plan": self.plan}, wanted, device, of_all, self._surface, self._mine.view)
 
     def draw(
         self,
@@ -183,6 +231,16 @@ class Renderer:
         with wp.ScopedCapture(device=self._wanted.request.device, force_module_load=False) as capture:
             self._launch(mine)
         mine.graph, mine.graph_is_for = capture.graph, needed
+
+
+def _again(
+    request: dict[str, Any], wanted: dict[str, Any], device: str, threads: int | None, surface: Surface, view: View
+) -> Renderer:
+    """A renderer that was pickled."""
+    result = object.__new__(Renderer)
+    same = Request(**request, device=resolve_device(device), threads=resolve_threads(threads))
+    result._begin(PictureRequest(**wanted | {"request": same}), surface, view)
+    return result
 
 
 class _Picture(threading.local):

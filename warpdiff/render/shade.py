@@ -200,11 +200,7 @@ class PictureRequest:
         samples = checks.count(samples_per_pixel, "samples_per_pixel")
         if samples > _MOST_SAMPLES:
             raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
-        if request.device.is_cpu:
-            free_memory.require(
-                _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
-                "take a view of at most {side} times the width and height",
-            )  # fmt: skip
+        require_room(view, request.device)
         blurred = _takes_footprints(footprint, request)
         most = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         if blurred and samples > most:
@@ -259,6 +255,15 @@ def _takes_footprints(footprint: bool | None, request: Request) -> bool:
     if footprint is not None:
         return footprint
     return plan.footprint if plan is not None else request.coherence.adds_powers and method != "direct"
+
+
+def require_room(view: View, device: wp.Device) -> None:
+    """Refuse a picture that the host has no memory for."""
+    if device.is_cpu:
+        free_memory.require(
+            _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
+            "take a view of at most {side} times the width and height",
+        )  # fmt: skip
 
 
 def memory_named(view: View) -> contextlib.AbstractContextManager[None]:
