@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 # Touched once the extras are installed; a change of pyproject.toml installs them again.
 DEMO_STAMP := $(VENV)/.stamp-core
 TEST_STAMP := $(VENV)/.stamp-test
+BROWSER_STAMP := $(VENV)/.stamp-browser
+DASK_STAMP := $(VENV)/.stamp-dask
 LINT_STAMP := $(VENV)/.stamp-lint
 BENCH_STAMP := $(VENV)/.stamp-bench
 MINUTES ?= 60
@@ -14,18 +16,25 @@ MINUTES ?= 60
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test soak test-lowest lint bench clean
+.PHONY: help demo test test-browser test-dask soak test-lowest lint bench clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
 
 test: $(TEST_STAMP) ## run the tests
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+test-browser: $(BROWSER_STAMP) ## test the viewer's page; needs Chromium (Debian: apt-get install chromium)
+	@test -n "$$CHROMIUM" || command -v chromium google-chrome >/dev/null || { echo "error: there is no Chromium: apt-get install chromium, or name one: make test-browser CHROMIUM=/path/to/chrome" >&2; exit 1; }
+	$(BIN)/python -m pytest -m browser tests/browser
+
+test-dask: $(DASK_STAMP) ## test frames drawn by the workers of a cluster
+	$(BIN)/python -m pytest -m dask tests/contracts/test_dask.py
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
 	$(BIN)/python -m warpdiff.bench.studies.soak --minutes $(MINUTES)
@@ -77,6 +86,14 @@ $(DEMO_STAMP): pyproject.toml | $(BIN)/python
 $(TEST_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[test])
 	@touch $@ $(DEMO_STAMP)
+
+$(BROWSER_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[browser])
+	@touch $@ $(TEST_STAMP)
+
+$(DASK_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[test,dask])
+	@touch $@ $(TEST_STAMP)
 
 $(BENCH_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[bench])

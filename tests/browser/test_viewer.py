@@ -44,7 +44,9 @@ class Viewer:
     def __init__(self, *arguments, cache, port=0):
         environment = os.environ | {"WARPDIFF_CACHE_DIR": str(cache)}
         command = [sys.executable, "-m", "warpdiff", "view", "--no-browser", "--port", str(port), *map(str, arguments)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True)
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True
+        )
         line = self.process.stdout.readline()
         found = re.match(r"(http://\S+:(\d+)/\S*)", line)
         assert found, (line, self.process.stderr.read())
@@ -225,7 +227,9 @@ def test_at_rest_it_is_the_picture_that_its_lines_make(page, tmp_path, monkeypat
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(found - saved).max() <= 1
     # And of shade, by the plan that is stated.
-    asked = re.sub(r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade("))
+    asked = re.sub(
+        r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
+    )
     asked = asked.replace("\n)", "\n    plan=plan,\n)").replace("renderer.image()", "image")
     exec(asked, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)

@@ -18,7 +18,7 @@ if not (Path(__file__).resolve().parents[2] / "pyproject.toml").is_file():
 import import_graph as graph
 
 # What only some calls take, and what would make every start slower, or is not on every system.
-SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy"}
+SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy", "distributed"}
 # Signals and streams are met before anything slow is imported; some commands import what the others do without; the
 # viewer's page loads while Warp is imported.
 LATER = {"warpdiff.__main__", "warpdiff.app.cli", "warpdiff.app.viewer"}
@@ -135,6 +135,11 @@ window = {"coherence": wd.Coherence(sigma_um=1.0), "threads": 1}
 up = (0.0, 0.0, 1.0)
 light, view = wd.DirectionalLight(up), wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=4, height=3)
 disc = wd.meshes.disc()
+import tempfile
+renderer = wd.Renderer(disc, hf, light, view, **window)
+folder = tempfile.TemporaryDirectory()
+path = folder.name + "/path.csv"
+open(path, "w").write("eye_x,eye_y,eye_z,target_x,target_y,target_z\\n0,0,3,0,0,0\\n")
 called = {
     "Coherence": window["coherence"].sigma_um,
     "DirectionalLight": light.power,
@@ -143,18 +148,23 @@ called = {
     "OrderEfficiencies": wd.order_efficiencies(hf, up, 550.0),
     "Period": wd.HeightField([np.sin(np.arange(60.0))], 0.1).periods()[0],
     "Plan": wd.plan(hf, up, up, **window),
-    "Renderer": wd.Renderer(disc, hf, light, view, **window).image(),
+    "Renderer": renderer.image(),
+    "Shot": wd.Shot(light, view),
     "View": view.width,
     "WarpdiffWarning": wd.WarpdiffWarning("said"),
     "brdf": wd.brdf(hf, up, up, 550.0, **window),
     "brdf_map": wd.brdf_map(hf, up, size=4, **window),
+    "camera_path": wd.camera_path(path, light, view),
     "gratings": wd.gratings.lamellar(2.5, 0.1),
+    "light_sweep": wd.light_sweep(light, view, (1.0, 0.0, 1.0)),
     "meshes": disc,
     "order_efficiencies": wd.order_efficiencies(hf, up, 550.0),
     "plan": wd.plan(hf, **window),
     "reflectance": wd.reflectance(hf, up, up, **window),
+    "sequence": wd.sequence(renderer, wd.turntable(light, view, count=2), folder.name + "/turn"),
     "shade": wd.shade(disc, hf, light, view, **window).rgb,
     "spectral_reflectance": wd.spectral_reflectance(hf, up, up, 550.0, **window),
+    "turntable": wd.turntable(light, view),
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
 for name in ("Image", "OrderEfficiencies", "Period", "Plan"):

@@ -58,7 +58,9 @@ def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
 
 def test_a_path_is_read_from_a_file(tmp_path):
     path = tmp_path / "path.csv"
-    path.write_text("eye_x,eye_y,eye_z,target_x,target_y,target_z,fov_y_deg\n0,2,3,0,0,0,50\n1,2,3,0,0,0,40\n2,2,3,0,0,0,30\n")
+    path.write_text(
+        "eye_x,eye_y,eye_z,target_x,target_y,target_z,fov_y_deg\n0,2,3,0,0,0,50\n1,2,3,0,0,0,40\n2,2,3,0,0,0,30\n"
+    )
     shots = wd.camera_path(path, LIGHT, VIEW)
     assert [each.view.eye for each in shots] == [(0.0, 2.0, 3.0), (1.0, 2.0, 3.0), (2.0, 2.0, 3.0)]
     assert [each.view.fov_y_deg for each in shots] == [50.0, 40.0, 30.0]
@@ -116,7 +118,7 @@ def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_p
     draw = wd.Renderer.draw
     monkeypatch.setattr(wd.Renderer, "draw", lambda self, light, view: drawn.append(view) or draw(self, light, view))
     # A renderer like it in another process.
-    paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)
+    paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (our own)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]
     assert [path.read_bytes() for path in paths] == whole
     assert {path.name for path in folder.iterdir()} == {"sequence.json", *(path.name for path in paths)}

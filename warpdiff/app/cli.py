@@ -1,4 +1,4 @@
-"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``view``, ``bench`` and ``cache``.
+"""The command line: ``warpdiff demo``, ``render``, ``sequence``, ``brdf``, ``info``, ``view``, ``bench``, ``cache``.
 
 Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
@@ -67,16 +67,20 @@ class Bar:
     def __init__(self, name: str) -> None:
         self._name = name
         self._start = time.monotonic()
+        # What was there before.
+        self._first: float | None = None
         self._shown = False
         self._enabled = sys.stderr.isatty()
 
     def __call__(self, share: float) -> None:
         """Show that a share of the work is done, 0 to 1."""
         elapsed = time.monotonic() - self._start
+        self._first = share if self._first is None else self._first
         if not self._enabled or (elapsed < 1.0 and not self._shown):
             return
         self._shown = True
-        left = elapsed * (1.0 - share) / max(share, 1e-3)
+        begun = self._first if self._first < share else 0.0
+        left = elapsed * (1.0 - share) / max(share - begun, 1e-3)
         blocks = int(30 * share)
         bar = "#" * blocks + "." * (30 - blocks)
         sys.stderr.write(f"\r{self._name}  [{bar}] {100.0 * share:3.0f} %  {left:4.0f} s left ")
@@ -161,41 +165,13 @@ def _parser() -> argparse.ArgumentParser:
         commands, common, "render", _render, "render a mesh whose surface carries a height field",
         "warpdiff render snake.obj scan.png --extent-um 65 --height-range-um 0.375 \\\n"
         "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png",
-        surface, evaluation,
+        _picture_options(), surface, evaluation,
     )  # fmt: skip
-    render.add_argument(
-        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}; with "
-        "parameters of warpdiff.meshes as in snake:tangent=along"
-    )  # fmt: skip
-    render.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     render.add_argument(
         "-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)"
     )
-    render.add_argument(
-        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
-        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
-    )  # fmt: skip
-    render.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)")
-    render.add_argument(
-        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
-    )
-    render.add_argument(
-        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
-    )
-    render.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
-    render.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
-    render.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
-    render.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
-    render.add_argument(
-        "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
-    )
-    render.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
-    render.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
-    render.add_argument(
-        "--tangent", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="direction of the height field's x, world frame (default: the texture's u)",
-    )  # fmt: skip
-    render.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
+
+    _add_sequence(commands, common, surface, evaluation)
 
     brdf = _add(
         commands, common, "brdf", _brdf, "map the reflectance over all view directions, seen from above",
@@ -241,6 +217,39 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_cache(commands, common)
     return parser
+
+
+def _add_sequence(commands: Any, common: Any, surface: Any, evaluation: Any) -> None:
+    sequence = _add(
+        commands, common, "sequence", _sequence,
+        "render frames: a body that turns, or under a light that moves, or along a camera's path",
+        "warpdiff sequence snake fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn --animation turn.webp\n"
+        "  warpdiff sequence disc cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
+        "  warpdiff sequence snake fingers --path camera.csv -o flight",
+        _picture_options(), surface, evaluation,
+    )  # fmt: skip
+    sequence.add_argument(
+        "-o", "--output", required=True, metavar="FOLDER",
+        help="where frames go; frames of the same sequence that are there already are kept",
+    )  # fmt: skip
+    sequence.add_argument("--count", type=int, help="frames (default: 36, or the rows of --path)")
+    kind = sequence.add_mutually_exclusive_group()
+    kind.add_argument("--turns", type=float, default=1.0, help="turns of the body about its target (default: 1)")
+    kind.add_argument(
+        "--light-to", type=float, nargs=3, metavar=("X", "Y", "Z"), help="the light moves to this direction"
+    )
+    kind.add_argument("--path", metavar="FILE", help="the camera's path: a CSV file, see warpdiff.camera_path")
+    sequence.add_argument(
+        "--lights-stay", action="store_true", help="the camera goes around the body; otherwise the body turns"
+    )
+    sequence.add_argument(
+        "--formats", nargs="+", default=[".png"], metavar="SUFFIX", help=".png, .exr, or both (default: .png)"
+    )
+    sequence.add_argument("--animation", metavar="FILE", help="an animated .webp, .png or .gif of the frames")
+    sequence.add_argument("--frames-per-second", type=float, default=24.0, help="of the animation (default: 24)")
+    sequence.add_argument("--bits", type=int, default=8, help="of PNG: 8 or 16 (default: 8)")
+    sequence.add_argument("--overwrite", action="store_true", help="replace frames of another sequence")
+    sequence.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster whose workers draw")
 
 
 def _add_cache(commands: Any, common: argparse.ArgumentParser) -> None:
@@ -295,6 +304,41 @@ def _add(
     )
     command.set_defaults(run=run)
     return command
+
+
+def _picture_options() -> argparse.ArgumentParser:
+    group = argparse.ArgumentParser(add_help=False)
+    group.add_argument(
+        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}; with "
+        "parameters of warpdiff.meshes as in snake:tangent=along"
+    )  # fmt: skip
+    group.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
+    group.add_argument(
+        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
+        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
+    )  # fmt: skip
+    group.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)")
+    group.add_argument(
+        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
+    )
+    group.add_argument(
+        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
+    )
+    group.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    group.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
+    group.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
+    group.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
+    group.add_argument(
+        "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
+    )
+    group.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
+    group.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
+    group.add_argument(
+        "--tangent", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="direction of the height field's x, world frame (default: the texture's u)",
+    )  # fmt: skip
+    group.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
+    return group
 
 
 def _surface_options() -> argparse.ArgumentParser:
@@ -448,7 +492,6 @@ def _shared(options: argparse.Namespace) -> dict[str, Any]:
         "masking": not options.no_masking,
         "device": options.device,
         "threads": options.threads,
-        "progress": Bar(options.command),
     }
 
 
@@ -504,6 +547,13 @@ def _view(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> None:
     _check_output(options)
+    mesh, hf, lights, view = _scene(options)
+    image = wd.shade(mesh, hf, lights, view, **_shading(options), progress=Bar(options.command))
+    _report(image, options)
+
+
+def _scene(options: argparse.Namespace) -> tuple[Any, wd.HeightField, list[wd.DirectionalLight], wd.View]:
+    """Mesh, height field, lights and view of a picture."""
     hf = _height_field(options)
     body = _BODIES.get(options.mesh)
     mesh = body() if body else _with_parameters(options.mesh, wd.meshes) or options.mesh
@@ -514,12 +564,51 @@ def _render(options: argparse.Namespace) -> None:
     frame = view.frame()
     directions = options.light or [list(frame.back + 0.6 * frame.up + 0.3 * frame.right)]
     lights = [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
-    image = wd.shade(
-        mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
-        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine,
-        tangents=options.tangent, **_shared(options),
-    )  # fmt: skip
-    _report(image, options)
+    return mesh, hf, lights, view
+
+
+def _shading(options: argparse.Namespace) -> dict[str, Any]:
+    """Options of ``shade`` and ``Renderer``."""
+    return _shared(options) | {
+        "pigment": options.pigment,
+        "shadows": not options.no_shadows,
+        "smooth": not options.flat,
+        "samples_per_pixel": options.samples_per_pixel,
+        "refine": not options.no_refine,
+        "tangents": options.tangent,
+    }
+
+
+def _sequence(options: argparse.Namespace) -> None:
+    for each in options.formats:
+        checks.choice(each, "--formats", (".png", ".exr"))
+    if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
+        raise ValueError("workers of Dask are asked for, which is not installed: pip install 'warpdiff[dask]'")
+    mesh, hf, lights, view = _scene(options)
+    count = 36 if options.count is None else options.count
+    if options.path is not None:
+        shots = wd.camera_path(options.path, lights, view, count=options.count)
+    elif options.light_to is not None:
+        shots = wd.light_sweep(lights[0], view, options.light_to, count=count)
+    else:
+        shots = wd.turntable(lights, view, count=count, turns=options.turns, lights_follow=not options.lights_stay)
+    renderer = wd.Renderer(mesh, hf, shots[0].light, shots[0].view, **_shading(options))
+    with contextlib.ExitStack() as stack:
+        client = None
+        if options.scheduler is not None:
+            from distributed import Client
+
+            client = stack.enter_context(Client(options.scheduler))
+        paths = wd.sequence(
+            renderer, shots, options.output, formats=options.formats, animation=options.animation,
+            frames_per_second=options.frames_per_second, display=options.display, exposure=options.exposure,
+            exposure_stops=options.exposure_stops, gamut=options.gamut, background=options.background,
+            bits=options.bits, overwrite=options.overwrite, client=client, progress=Bar(options.command),
+        )  # fmt: skip
+    print(renderer.plan)
+    print(f"{len(paths)} frames in {Path(options.output).resolve()}")
+    if options.animation is not None:
+        print(options.animation)
 
 
 def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
@@ -551,8 +640,9 @@ def _brdf(options: argparse.Namespace) -> None:
     theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     image = wd.brdf_map(
-        _height_field(options), to_light, size=options.size, illuminant=options.illuminant, **_shared(options)
-    )
+        _height_field(options), to_light, size=options.size, illuminant=options.illuminant, **_shared(options),
+        progress=Bar(options.command),
+    )  # fmt: skip
     _report(image, options)
 
 

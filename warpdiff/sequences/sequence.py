@@ -1,4 +1,4 @@
-"""``sequence``: frames of one surface, one file after the other, here or on workers of Dask, resumed where they ended."""
+"""``sequence``: frames of one surface, drawn here or by workers of Dask, resumed where they ended."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 import pickle
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from warpdiff.sequences.shots import Shot
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import ArrayLike
 
@@ -101,7 +101,10 @@ def sequence(
     if client is not None and not (hasattr(client, "submit") and hasattr(client, "scatter")):
         raise TypeError(f"client must be a distributed.Client or None, got {type(client).__name__}")
 
-    target.mkdir(parents=True, exist_ok=True)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"folder: {target} cannot be made: {error.strerror}") from None
     file_writing.check_folder(target, "folder")
     key = _key(renderer, shots, suffixes, how)
     told = _manifest(target, key, overwrite=overwrite)
@@ -212,13 +215,13 @@ def _feed(digest: Any, value: Any) -> None:
 def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
     """What the folder says of its frames, which go if they are another sequence's."""
     path = folder / _MANIFEST
-    told: Any = {}
+    told: dict[str, Any] = {}
     if path.exists():
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            read = json.loads(path.read_text(encoding="utf-8"))
         except ValueError:
-            told = {}
-        told = told if isinstance(told, dict) else {}
+            read = None
+        told = read if isinstance(read, dict) else {}
     elif not any(folder.glob("frame_*")):
         return {}
     exposure = told.get("exposure")
@@ -241,12 +244,12 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: str) -> float:
     """One exposure for all frames."""
     view = shots[0].view
     scale = min(_METERED_WIDTH / max(view.width, view.height), 1.0)
-    size = {"width": max(round(scale * view.width), 1), "height": max(round(scale * view.height), 1)}
+    width, height = max(round(scale * view.width), 1), max(round(scale * view.height), 1)
     chosen = [shots[index] for index in np.unique(np.linspace(0, len(shots) - 1, _METERED).round().astype(int))]
-    small = renderer.resized(dataclasses.replace(view, **size), refine=False)
+    small = renderer.resized(dataclasses.replace(view, width=width, height=height), refine=False)
     logarithms = []
     for shot in chosen:
-        small.draw(shot.light, dataclasses.replace(shot.view, **size))
+        small.draw(shot.light, dataclasses.replace(shot.view, width=width, height=height))
         image = small.image()
         # A black picture says nothing.
         if image.xyz[..., 1].max(initial=0.0) > 0.0:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +15,15 @@ from warpdiff.scene.camera import View
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.scene.lights import DirectionalLight
 
-# Of a frame, what memory and patience have.
-MOST_SHOTS = 1_000_000
+# An hour at 24 a second; each takes some kilobytes.
+MOST_SHOTS = 100_000
+_MOST_TURNS = 1e6
 _COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 _MORE_COLUMNS = ("up_x", "up_y", "up_z", "fov_y_deg")
 
@@ -87,9 +88,6 @@ def turntable(
     return shots
 
 
-_MOST_TURNS = 1e6
-
-
 def light_sweep(light: DirectionalLight, view: View, to_light: ArrayLike, *, count: int = 36) -> list[Shot]:
     """Shots under a light that moves along the great circle to another direction, at a constant pace.
 
@@ -105,7 +103,9 @@ def light_sweep(light: DirectionalLight, view: View, to_light: ArrayLike, *, cou
     Raises:
         ValueError: A bad argument, or opposite directions, between which there is no shortest way.
     """
-    (first,) = check_lights(light)[:1]
+    first, *others = check_lights(light)
+    if others:
+        raise ValueError(f"light must be one light, which moves, got {1 + len(others)}")
     checks.instance(view, View, "view")
     count = _count(count)
     begin = np.array(first.to_light)
@@ -134,8 +134,8 @@ def camera_path(
     """Shots by a camera whose path is in a file.
 
     Args:
-        path: A CSV file: a header with ``eye_x``, ``eye_y``, ``eye_z``, ``target_x``, ``target_y``, ``target_z`` and, if
-            need be, ``up_x``, ``up_y``, ``up_z`` and ``fov_y_deg``, then a row for each frame or key frame.
+        path: A CSV file: a header with ``eye_x``, ``eye_y``, ``eye_z``, ``target_x``, ``target_y``, ``target_z`` and,
+            if need be, ``up_x``, ``up_y``, ``up_z`` and ``fov_y_deg``, then a row for each frame or key frame.
         light: The lights.
         view: Whose size it is, and whose ``up`` and ``fov_y_deg`` where the file has none.
         count: Frames between the first and the last row, both among them, by monotone cubics through the rows, which
@@ -182,7 +182,9 @@ def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
     names = [each.strip() for each in header]
     known = {*_COLUMNS, *_MORE_COLUMNS}
     missing = [each for each in _COLUMNS if each not in names]
-    missing += [each for each in _MORE_COLUMNS[:3] if each not in names and any(name in names for name in _MORE_COLUMNS[:3])]
+    missing += [
+        each for each in _MORE_COLUMNS[:3] if each not in names and any(name in names for name in _MORE_COLUMNS[:3])
+    ]
     if missing or len(set(names)) != len(names) or not set(names) <= known:
         raise ValueError(
             f"path: {str(source)!r} must begin with columns {', '.join(_COLUMNS)}, and may have "
