@@ -1,4 +1,4 @@
-"""The viewer's server against requests that no page sends: nothing is served that was not named, and nothing piles up."""
+"""The viewer's server against requests that no page sends: nothing unnamed is served, and nothing piles up."""
 
 from __future__ import annotations
 
@@ -255,7 +255,8 @@ def test_a_page_that_reads_nothing_is_let_go():
 
 def test_every_control_is_part_of_a_scene(tmp_path):
     np.save(tmp_path / "h.npy", np.zeros((8, 8)))
-    files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), (("pitch_um", 0.1),), (("levelled", (("order", 1),)),))
+    levelled = ("levelled", (("order", 1),))
+    files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), (("pitch_um", 0.1),), (levelled,))
     known = controls(["m.obj"], ["h.npy"])
     first = checked(known, {"mesh": "snake", "surface": "fingers"})
     of_picture = {"height", "display", "exposure_stops", "held", "background"}

@@ -39,7 +39,7 @@ _REST_S = 0.15
 # Pictures that a page has not shown yet.
 _MOST_IN_FLIGHT = 2
 # A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
-_MOVING_S = 0.06
+_MOVING_S = 0.065
 _SCALES = (1.0, 0.75, 0.5, 0.375)
 _MOST_SURFACES, _MOST_HEIGHT_FIELDS, _MOST_BASES = 4, 8, 6
 # Renderers that are kept, and their pixels, for each of which there are some 300 bytes.
@@ -283,12 +283,12 @@ class Studio:
         renderer.draw(light, view, progress=watch)
         image = renderer.image()
         drawn = time.perf_counter()
-        if not stage.refined:
-            self._pixel_s = (drawn - built) / (view.width * view.height)
         how = self._exposed(session, wanted, image, moving=wanted.moving and not stage.refined)
         pixels = view_encoding.shown(image, exact=stage.last, **how)
         displayed = time.perf_counter()
         data = view_encoding.encoded(pixels, lossless=stage.refined)
+        if not stage.refined:
+            self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
         lit = image.error[image.lit]
         description = {
             "kind": "picture",
