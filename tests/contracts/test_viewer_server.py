@@ -220,9 +220,7 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
             page.send(want(generation=7))
             # What follows it is served.
             give_up = time.monotonic() + 5.0
-            while time.monotonic() < give_up and not (
-                len(studio.seen) > before and studio.seen[-1][0][0] == 7
-            ):
+            while time.monotonic() < give_up and not (len(studio.seen) > before and studio.seen[-1][0][0] == 7):
                 time.sleep(0.0005)
             assert studio.seen[-1][0][0] == 7, case
             refused += len(studio.seen) == before + 1

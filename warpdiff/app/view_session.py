@@ -24,7 +24,7 @@ from warpdiff.app import view_bodies, view_encoding
 from warpdiff.app.view_scene import NamedFiles, Scene
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks, disk_cache
-from warpdiff.core.lru_cache import get_or_make
+from warpdiff.core.lru_cache import LruCache
 from warpdiff.image.display_transform import MEAN_SHOWN
 
 if TYPE_CHECKING:
@@ -41,9 +41,8 @@ _MOST_IN_FLIGHT = 2
 # A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
 _MOVING_S = 0.065
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-_MOST_SURFACES, _MOST_HEIGHT_FIELDS, _MOST_BASES = 4, 8, 6
-# Renderers that are kept, and their pixels, for each of which there are some 300 bytes.
-_MOST_RENDERERS, _MOST_PIXELS = 8, 5_000_000
+# Of renderers that are kept, and of their pixels, some.
+_MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
 # Of a pixel that a body fills.
 _WHOLE = 0.999
@@ -125,14 +124,19 @@ class Session:
     shown: tuple[wd.Image, dict[str, Any]] | None = None
 
 
+def _bytes_of(renderer: wd.Renderer) -> float:
+    width, height = renderer.size
+    return float(_BYTES_A_PIXEL * width * height)
+
+
 @dataclass
 class _Made:
     """What is kept between pictures, by what tells it apart."""
 
-    surfaces: dict[Any, Surface] = field(default_factory=dict)
-    height_fields: dict[Any, wd.HeightField] = field(default_factory=dict)
-    bases: dict[Any, wd.Renderer] = field(default_factory=dict)
-    renderers: dict[Any, wd.Renderer] = field(default_factory=dict)
+    surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
+    height_fields: LruCache[wd.HeightField] = field(default_factory=lambda: LruCache(8))
+    bases: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(6))
+    renderers: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(8, _MOST_BYTES, _bytes_of))
 
 
 class Studio:
@@ -340,13 +344,11 @@ class Studio:
     def _surface(self, scene: Scene) -> Surface:
         tangents = dict(scene.options).get("tangents")
         key = str(scene.mesh), tangents
-        return get_or_make(
-            self._made.surfaces, key, lambda: view_bodies.surface_of(scene.mesh, tangents), most=_MOST_SURFACES
-        )
+        return self._made.surfaces.get_or_make(key, lambda: view_bodies.surface_of(scene.mesh, tangents))
 
     def _height_field(self, scene: Scene) -> wd.HeightField:
         made: Callable[[], wd.HeightField] = scene.hf.make
-        return get_or_make(self._made.height_fields, str(scene.hf), made, most=_MOST_HEIGHT_FIELDS)
+        return self._made.height_fields.get_or_make(str(scene.hf), made)
 
     def _renderer(self, scene: Scene, view: wd.View, stage: Stage, session: Session, wanted: Wanted) -> wd.Renderer:
         """A renderer of pictures of a size."""
@@ -358,17 +360,10 @@ class Studio:
             def say() -> None:
                 session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": stage.tolerance}, None)
 
-            base = get_or_make(
-                self._made.bases, of, lambda: self._base(scene, light, stage.tolerance, say), most=_MOST_BASES
-            )
+            base = self._made.bases.get_or_make(of, lambda: self._base(scene, light, stage.tolerance, say))
             return base.resized(view, refine=stage.refined)
 
-        kept = self._made.renderers
-        if key not in kept:
-            pixels = view.width * view.height
-            while kept and pixels + sum(each[-2] * each[-1] for each in kept) > _MOST_PIXELS:
-                del kept[next(iter(kept))]
-        return get_or_make(kept, key, make, most=_MOST_RENDERERS)
+        return self._made.renderers.get_or_make(key, make)
 
     def _base(self, scene: Scene, light: wd.DirectionalLight, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
         """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""

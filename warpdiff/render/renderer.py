@@ -108,9 +108,7 @@ class Renderer:
             if request.plan is not None:
                 warn_outside(request.plan, request.hf, scope)
             self.plan = request.plan or plan_for(request, scope, sample, count)
-            self._integrator = Integrator(
-                request.hf, self.plan, scope, device=request.device, threads=request.threads
-            )
+            self._integrator = Integrator(request.hf, self.plan, scope, device=request.device, threads=request.threads)
             self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import contextlib
     from collections.abc import Callable, Collection
 
+    import warp as wp
     from numpy.typing import ArrayLike
 
     from warpdiff.image.image import Image

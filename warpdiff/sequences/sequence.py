@@ -185,8 +185,11 @@ def _checked_saving(
 def _key(renderer: Renderer, shots: Sequence[Shot], suffixes: tuple[str, ...], how: Mapping[str, Any]) -> str:
     """A hash of all that frames depend on."""
     digest = hashlib.sha256(repr((_VERSION, suffixes, sorted(how.items()))).encode())
-    _, (wanted, device, _, surface, hf, _) = renderer.__reduce__()
-    _feed(digest, {name: value for name, value in wanted.items() if name not in ("lights", "tolerance", "method")})
+    _, (request, wanted, device, _, surface, _) = renderer.__reduce__()
+    hf = request.pop("hf")
+    # What the plan has made of it counts.
+    told = {name: value for name, value in (request | wanted).items() if name not in ("lights", "tolerance", "method")}
+    _feed(digest, told)
     _feed(digest, (device.partition(":")[0], surface, hf.heights_um, hf.pitch_um))
     for shot in shots:
         digest.update(repr(shot).encode())
