@@ -1,4 +1,4 @@
-"""How fast the viewer is in the hand: pictures a second while dragging, how soon they are finer, how soon there is one.
+"""How fast the viewer is in the hand: pictures a second while dragging, how soon they are finer, how soon one is there.
 
 ``python -m warpdiff.bench.studies.viewer`` drives ``warpdiff view`` through its page in headless Chromium, which renders
 in software on the same cores, and prints JSON. It takes Chromium and ``pip install 'warpdiff[browser]'``.
@@ -7,6 +7,7 @@ in software on the same cores, and prints JSON. It takes Chromium and ``pip inst
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -15,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
@@ -30,23 +32,22 @@ new MutationObserver(() => {
 addEventListener('pointerup', () => { released = performance.now(); }, true);
 """
 # Of the command, with another limit for pictures that move.
-RUN = "import sys, warpdiff.app.view_session as s; s._MOVING_S = float(sys.argv.pop(1)); from warpdiff.app import cli; cli.main(sys.argv[1:])"
+RUN = (
+    "import sys, warpdiff.app.view_session as s; s._MOVING_S = float(sys.argv.pop(1)); "
+    "from warpdiff.app import cli; cli.main(sys.argv[1:])"
+)
 PANEL = 320
 
 
 def processor_time(command: str) -> float:
     """Seconds that processes took whose command line holds a word."""
     total = 0
-    for each in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{each}/cmdline", "rb") as file:
-                if command.encode() not in file.read():
-                    continue
-            with open(f"/proc/{each}/stat") as file:
-                fields = file.read().rpartition(")")[2].split()
-            total += int(fields[11]) + int(fields[12])
-        except OSError:
-            continue
+    for each in Path("/proc").glob("[0-9]*"):
+        # A process may end meanwhile.
+        with contextlib.suppress(OSError):
+            if command.encode() in (each / "cmdline").read_bytes():
+                fields = (each / "stat").read_text().rpartition(")")[2].split()
+                total += int(fields[11]) + int(fields[12])
     return total / os.sysconf("SC_CLK_TCK")
 
 
