@@ -1,7 +1,7 @@
-"""How fast the viewer is in the hand: pictures a second while dragging, how soon they are finer, how soon one is there.
+"""How fast the viewer is in the hand: pictures a second while dragging, how soon they are finer and there.
 
-``python -m warpdiff.bench.studies.viewer`` drives ``warpdiff view`` through its page in headless Chromium, which renders
-in software on the same cores, and prints JSON. It takes Chromium and ``pip install 'warpdiff[browser]'``.
+``python -m warpdiff.bench.studies.viewer`` drives ``warpdiff view`` through its page in headless Chromium, which
+renders in software on the same cores, and prints JSON. It takes Chromium and ``pip install 'warpdiff[browser]'``.
 """
 
 from __future__ import annotations

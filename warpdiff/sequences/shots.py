@@ -174,6 +174,8 @@ def camera_path(
 def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
     """Names of a file's columns, and its numbers."""
     source = checks.path(path, "path")
+    if not source.is_file():
+        raise FileNotFoundError(f"path: there is no file {str(source)!r}")
     try:
         with source.open(encoding="utf-8-sig", newline="") as file:
             header, *rows = [each for each in csv.reader(file) if any(map(str.strip, each))] or [[]]
