@@ -164,14 +164,14 @@ def test_the_picture_changes_with_what_is_set_and_comes_back(page):
     assert first.shape == (240, 320, 3)
     assert first.std() > 10.0
     for name, value, back in (
-        ("azimuth_deg", -60, 80),
+        ("azimuth_deg", -60, 150),
         ("sigma_um", 2, 16.25),
         ("surface", "blazed", "nano-fingers"),
         ("surface", "waves.npy", "nano-fingers"),
         ("mesh", "disc", "tube"),
         ("along", "world x", "around the body"),
         ("mirror", True, False),
-        ("pigment", 1.5, 0.1),
+        ("pigment", 1.5, 0.05),
         ("illuminant", "incandescent, A", "daylight, D65"),
         ("exposure_stops", -2, 0),
         ("display", "clipped", "ACES 2.0"),
@@ -311,6 +311,14 @@ def test_the_server_may_go_and_come_back(chromium, cache):
     # The browser itself tells of a server that refuses.
     made.said = [each for each in made.said if "ERR_CONNECTION_REFUSED" not in each]
     made.close()
+
+
+def test_beyond_this_machine_the_page_is_opened_with_its_token(chromium, cache):
+    server = Viewer("--host", "0.0.0.0", cache=cache)  # noqa: S104 (that is what is tested)
+    made = Page(chromium, f"http://127.0.0.1:{server.port}/?{server.url.partition('?')[2]}")
+    made.page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
+    made.close()
+    server.end()
 
 
 def test_touch_orbits_and_pinches(chromium, viewer):

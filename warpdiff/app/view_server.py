@@ -17,6 +17,7 @@ import hmac
 import json
 import logging
 import secrets
+import socket
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +84,9 @@ class ViewServer:
     @property
     def address(self) -> str:
         """What to open in a browser."""
-        named = f"[{self.host}]" if ":" in self.host else self.host
+        # Whoever opens it elsewhere needs a name of this machine.
+        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (it is compared)
+        named = f"[{host}]" if ":" in host else host
         return f"http://{named}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     async def run(self, ready: Callable[[], None]) -> None:

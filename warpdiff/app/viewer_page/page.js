@@ -121,15 +121,15 @@ let shown = [-1, -1];
 const times = [];
 
 async function picture(told, data) {
-  const bitmap = await createImageBitmap(new Blob([data], { type: told.type }));
-  tell({ do: "shown" });
+  const bitmap = await createImageBitmap(new Blob([data], { type: told.type })).finally(() => tell({ do: "shown" }));
   if (told.generation < shown[0] || (told.generation === shown[0] && told.stage <= shown[1])) return;
   shown = [told.generation, told.stage];
   [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   body = told.body;
-  if (state.camera === null) {
+  // Of an older generation it may be of another body.
+  if (state.camera === null && told.generation === generation) {
     state.camera = told.camera;
     keep();
   }
@@ -261,7 +261,7 @@ function number(control) {
     moving = true;
     set(control.name, whole(at(Number(slider.value))));
   };
-  slider.onchange = rest;
+  slider.onchange = slider.onpointerup = rest;
   const label = labelled(control, field, slider);
   inputs.set(control.name, {
     label,
