@@ -61,6 +61,10 @@ _HEIGHT_FIELD_HELP = (
 )
 
 
+class _ParameterError(ValueError):
+    """Raised for parameters that are named as the library names them."""
+
+
 class Bar:
     """A progress bar on a terminal's standard error, shown once something has taken a second."""
 
@@ -120,6 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _in_flags(message: object, options: argparse.Namespace) -> str:
     """What the library says of its arguments, said of the command's."""
+    if isinstance(message, _ParameterError):
+        return str(message)
     flags = {name: f"--{name.replace('_', '-')}" for name in vars(options)} | _FLAGS
     flags["to_light"] = "--light" if "light" in options else "--incidence-deg"
     # Some names are words as well, and are meant as names where something is said of them.
@@ -415,13 +421,13 @@ def _with_parameters(text: str, module: Any) -> Any:
     for each in filter(None, given.split(",")):
         key, equals, value = each.partition("=")
         if not equals or key not in inspect.signature(function).parameters:
-            raise ValueError(f"{text!r} must be {name}:parameter=value,…, of {inspect.signature(function)}")
+            raise _ParameterError(f"{text!r} must be {name}:parameter=value,…, of {inspect.signature(function)}")
         parts = [_number(part) for part in (value.split("x") if re.fullmatch(r"[\d.]+x[\d.]+", value) else [value])]
         taken[key] = parts[0] if len(parts) == 1 else tuple(parts)
     try:
         return function(**taken)
-    except TypeError as error:
-        raise ValueError(f"{text!r}: {error}") from None
+    except (TypeError, ValueError) as error:
+        raise _ParameterError(f"{text!r}: {error}") from None
 
 
 def _number(text: str) -> Any:
