@@ -133,13 +133,16 @@ def test_frames_of_another_sequence_are_not_mixed_in(renderer, tmp_path):
         {"shots": other},
         {"display": "clip"},
         {"exposure_stops": 1.0},
+        {"exposure": 2},
+        {"background": (0, 0, 0)},
         {"bits": 16},
         {"renderer": renderer.resized(VIEW, refine=True)},
     ):
         with pytest.raises(ValueError, match="another sequence"):
             wd.sequence(**{"renderer": renderer, "shots": shots, "folder": tmp_path} | changes)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-    wd.sequence(renderer, other, tmp_path, overwrite=True)
+    wd.sequence(renderer, other, tmp_path, exposure=2, overwrite=True)
+    wd.sequence(renderer, other, tmp_path, exposure=2.0)
     assert sorted(path.name for path in tmp_path.glob("frame_*")) == ["frame_0000.png", "frame_0001.png"]
     (tmp_path / "sequence.json").write_text("{")
     with pytest.raises(ValueError, match="another sequence"):

@@ -15,7 +15,6 @@ from warpdiff.core import checks, file_writing
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS, MEAN_SHOWN
 from warpdiff.image.image import PNG_END
 from warpdiff.render.renderer import Renderer
-from warpdiff.scene.mesh_import import Surface
 from warpdiff.sequences import animation as animated
 from warpdiff.sequences.dask_workers import drawn_by_workers
 from warpdiff.sequences.frames import FrameJob, drawn
@@ -23,7 +22,7 @@ from warpdiff.sequences.shots import Shot
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -96,7 +95,8 @@ def sequence(
     target = checks.path(folder, "folder")
     film = None if animation is None else animated.check_target(animation, suffixes)
     pace = checks.number(frames_per_second, "frames_per_second", above=0.0, most=1000.0)
-    how = _checked_saving(display, exposure, exposure_stops, gamut, background, bits)
+    exposure = None if exposure is None else checks.positive(exposure, "exposure")
+    how = _checked_saving(display, exposure_stops, gamut, background, bits)
     checks.flag(overwrite, "overwrite")
     if client is not None and not (hasattr(client, "submit") and hasattr(client, "scatter")):
         raise TypeError(f"client must be a distributed.Client or None, got {type(client).__name__}")
@@ -106,11 +106,11 @@ def sequence(
     except OSError as error:
         raise type(error)(f"folder: {target} cannot be made: {error.strerror}") from None
     file_writing.check_folder(target, "folder")
-    key = _key(renderer, shots, suffixes, how)
+    key = _key(renderer, shots, (suffixes, exposure, how))
     told = _manifest(target, key, overwrite=overwrite)
     factor = told.get("exposure")
     if factor is None:
-        factor = exposure if exposure is not None else _metered(renderer, shots, display)
+        factor = _metered(renderer, shots, display) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
     png = {**how, "exposure": factor}
     exr = {"exposure": exposure, "exposure_stops": exposure_stops if exposure is not None else 0.0}
@@ -165,14 +165,10 @@ def _checked_formats(formats: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(checks.choice(each, "formats", FORMATS) for each in formats))
 
 
-def _checked_saving(
-    display: Any, exposure: Any, exposure_stops: Any, gamut: Any, background: Any, bits: Any
-) -> dict[str, Any]:
+def _checked_saving(display: Any, exposure_stops: Any, gamut: Any, background: Any, bits: Any) -> dict[str, Any]:
     """What PNG frames are saved with, but for the exposure of all."""
     checks.choice(display, "display", DISPLAYS)
     checks.choice(gamut, "gamut", tuple(GAMUTS))
-    if exposure is not None:
-        checks.positive(exposure, "exposure")
     stops = checks.number(exposure_stops, "exposure_stops", least=-30.0, most=30.0)
     colour = None if background is None else tuple(checks.vector(background, "background").tolist())
     if colour is not None and not all(0.0 <= each <= 1.0 for each in colour):
@@ -182,15 +178,17 @@ def _checked_saving(
     return {"display": display, "exposure_stops": stops, "gamut": gamut, "background": colour, "bits": bits}
 
 
-def _key(renderer: Renderer, shots: Sequence[Shot], suffixes: tuple[str, ...], how: Mapping[str, Any]) -> str:
+def _key(renderer: Renderer, shots: Sequence[Shot], how: Any) -> str:
     """A hash of all that frames depend on."""
-    digest = hashlib.sha256(repr((_VERSION, suffixes, sorted(how.items()))).encode())
+    digest = hashlib.sha256(str(_VERSION).encode())
+    _feed(digest, how)
     _, (request, wanted, device, _, surface, _) = renderer.__reduce__()
     hf = request.pop("hf")
     # What the plan has made of it counts.
     told = {name: value for name, value in (request | wanted).items() if name not in ("lights", "tolerance", "method")}
     _feed(digest, told)
     _feed(digest, (device.partition(":")[0], surface, hf.heights_um, hf.pitch_um))
+    # A hundred thousand of them are soon written.
     for shot in shots:
         digest.update(repr(shot).encode())
     return digest.hexdigest()
@@ -201,14 +199,13 @@ def _feed(digest: Any, value: Any) -> None:
     if isinstance(value, np.ndarray):
         digest.update(repr((value.dtype.str, value.shape)).encode())
         digest.update(np.ascontiguousarray(value).data)
-    elif isinstance(value, Surface):
-        for each in dataclasses.fields(value):
-            _feed(digest, getattr(value, each.name))
+    elif dataclasses.is_dataclass(value):
+        _feed(digest, {each.name: getattr(value, each.name) for each in dataclasses.fields(value)})
     elif isinstance(value, dict):
         for name in sorted(value):
             _feed(digest, name)
             _feed(digest, value[name])
-    elif isinstance(value, tuple):
+    elif isinstance(value, (tuple, list)):
         for each in value:
             _feed(digest, each)
     else:
