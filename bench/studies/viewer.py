@@ -39,16 +39,21 @@ RUN = (
 PANEL = 320
 
 
-def processor_time(command: str) -> float:
-    """Seconds that processes took whose command line holds a word."""
-    total = 0
+def browser_time() -> float:
+    """Processor time of the browser that this process has begun [s]."""
+    parents, ticks = {}, {}
     for each in Path("/proc").glob("[0-9]*"):
         # A process may end meanwhile.
         with contextlib.suppress(OSError):
-            if command.encode() in (each / "cmdline").read_bytes():
-                fields = (each / "stat").read_text().rpartition(")")[2].split()
-                total += int(fields[11]) + int(fields[12])
-    return total / os.sysconf("SC_CLK_TCK")
+            fields = (each / "stat").read_text().rpartition(")")[2].split()
+            parents[int(each.name)] = int(fields[1])
+            if b"chrom" in (each / "cmdline").read_bytes():
+                ticks[int(each.name)] = int(fields[11]) + int(fields[12])
+
+    def is_ours(process: int) -> bool:
+        return process == os.getpid() or (process > 1 and is_ours(parents.get(process, 0)))
+
+    return sum(taken for process, taken in ticks.items() if is_ours(process)) / os.sysconf("SC_CLK_TCK")
 
 
 def begun(moving_s: float | None) -> tuple[subprocess.Popen[str], str]:
@@ -99,9 +104,9 @@ def dragged(browser, address: str, rows: int, seconds: float) -> dict:
     drag(2.0)
     rest(page)
     page.evaluate("() => { window.seen.length = 0; }")
-    chromium = processor_time("chrom")
+    chromium = browser_time()
     moving, took = drag(seconds)
-    chromium = (processor_time("chrom") - chromium) / took
+    chromium = (browser_time() - chromium) / took
     rest(page)
     after = page.evaluate("() => window.seen.filter(each => each.at > window.released)")
     released = page.evaluate("() => window.released")
