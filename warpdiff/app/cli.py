@@ -1,4 +1,4 @@
-"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``bench`` and ``cache``.
+"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``export-html``, ``info``, ``bench`` and ``cache``.
 
 Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
@@ -165,27 +165,13 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument(
         "-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)"
     )
-    render.add_argument(
-        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
-        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
-    )  # fmt: skip
-    render.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)")
-    render.add_argument(
-        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
-    )
-    render.add_argument(
-        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
-    )
-    render.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    _add_scene(render)
     render.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
     render.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
     render.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
     render.add_argument(
         "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
     )
-    render.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
-    render.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
-    render.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
 
     brdf = _add(
         commands, common, "brdf", _brdf, "map the reflectance over all view directions, seen from above",
@@ -197,6 +183,8 @@ def _parser() -> argparse.ArgumentParser:
     brdf.add_argument("--incidence-deg", type=float, default=0.0, help="light's angle from the normal (default: 0)")
     brdf.add_argument("--azimuth-deg", type=float, default=0.0, help="light's angle from the x axis (default: 0)")
     brdf.add_argument("--size", type=int, default=512, help="width and height in pixels (default: 512)")
+
+    _add_export_html(commands, common, surface)
 
     info = _add(
         commands, common, "info", _info, "describe a height field, and what an evaluation of it would compute",
@@ -235,6 +223,45 @@ def _parser() -> argparse.ArgumentParser:
     less.add_argument("--trim-mib", type=float, metavar="MIB", help="keep so much at most, of what was used last")
     less.add_argument("--clear", action="store_true", help="delete all of it")
     return parser
+
+
+def _add_export_html(commands: Any, common: argparse.ArgumentParser, surface: argparse.ArgumentParser) -> None:
+    page = _add(
+        commands, common, "export-html", _export_html, "write a page that shows a mesh in any browser",
+        "warpdiff export-html snake.html\n"
+        "  warpdiff export-html snake.html snake --height scan.png --extent-um 65 --height-range-um 0.375 \\\n"
+        "      --level 2 --despike --periodic --pigment 0.1",
+        surface,
+    )  # fmt: skip
+    page.add_argument("output", metavar="OUT", help="the page, .html")
+    page.add_argument(
+        "mesh", metavar="MESH", nargs="?", default="snake",
+        help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)} (default: snake)",
+    )  # fmt: skip
+    page.add_argument(
+        "--height", dest="heightfield", metavar="HEIGHTFIELD", default="fingers",
+        help=f"{_HEIGHT_FIELD_HELP} (default: fingers)",
+    )  # fmt: skip
+    lobes = page.add_argument_group("lobes")
+    lobes.add_argument("--tolerance", type=float, default=2.0, help="ΔE2000 of baked colours (default: 2)")
+    lobes.add_argument("--coherence", default="averaged", help="averaged or source (default: averaged)")
+    lobes.add_argument("--sigma-um", type=float, help="σ of a window (default: 16.25)")
+    lobes.add_argument(
+        "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
+    )
+    lobes.add_argument(
+        "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
+    )
+    lobes.add_argument(
+        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
+    )
+    lobes.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
+    lobes.add_argument("--device", help="cpu (default) or cuda")
+    lobes.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    page.add_argument("--exposure", type=float, help="linear factor (default: for the first picture)")
+    page.add_argument("--title", default="warpdiff", help="of the page")
+    _add_scene(page)
+    page.set_defaults(width=640, height=480)
 
 
 def _add(
@@ -311,6 +338,27 @@ def _evaluation_options() -> argparse.ArgumentParser:
     group.add_argument("--device", help="cpu (default) or cuda")
     group.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
     return group_parser
+
+
+def _add_scene(command: Any) -> None:
+    """Lights, the camera and what the mesh is drawn with."""
+    command.add_argument(
+        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
+        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
+    )  # fmt: skip
+    command.add_argument(
+        "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)"
+    )
+    command.add_argument(
+        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
+    )
+    command.add_argument(
+        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
+    )
+    command.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    command.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
+    command.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
+    command.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
 
 
 def _add_display(group: Any) -> None:
@@ -399,18 +447,44 @@ def _render(options: argparse.Namespace) -> None:
     hf = _height_field(options)
     body = _BODIES.get(options.mesh)
     mesh = body() if body else options.mesh
+    view, lights = _seen(mesh, options)
+    image = wd.shade(
+        mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
+        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine, **_shared(options),
+    )  # fmt: skip
+    _report(image, options)
+
+
+def _export_html(options: argparse.Namespace) -> None:
+    target = checks.path(options.output, "OUT")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"OUT must end in .html or .htm, got {options.output!r}")
+    hf = _height_field(options)
+    body = _BODIES.get(options.mesh)
+    mesh = body() if body else options.mesh
+    view, lights = _seen(mesh, options)
+    coherence = wd.Coherence(options.coherence, options.sigma_um, angular_diameter_deg=options.angular_diameter_deg)
+    lobes = wd.bake(
+        hf, illuminant=options.illuminant, tolerance=options.tolerance, coherence=coherence, device=options.device,
+        threads=options.threads, progress=Bar(options.command),
+    )  # fmt: skip
+    path = wd.export_html(
+        target, mesh, lobes, lights, view, ior=options.ior, masking=not options.no_masking, pigment=options.pigment,
+        shadows=not options.no_shadows, smooth=not options.flat, exposure=options.exposure, title=options.title,
+    )  # fmt: skip
+    print(lobes)
+    print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
+
+
+def _seen(mesh: Any, options: argparse.Namespace) -> tuple[wd.View, list[wd.DirectionalLight]]:
+    """The view and the lights given, or such as show the mesh."""
     eye, target = _frame(mesh, options)
     view = wd.View(
         eye, target, up=tuple(options.up), fov_y_deg=options.fov_y_deg, width=options.width, height=options.height
     )
     frame = view.frame()
     directions = options.light or [list(frame.back + 0.6 * frame.up + 0.3 * frame.right)]
-    lights = [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
-    image = wd.shade(
-        mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
-        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine, **_shared(options),
-    )  # fmt: skip
-    _report(image, options)
+    return view, [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
 
 
 def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
