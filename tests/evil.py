@@ -21,6 +21,8 @@ MESH = wd.meshes.disc(segments=8, rings=1)
 SHORT = wd.Coherence(sigma_um=3.0)
 PLAN = wd.plan(HF, coherence=SHORT, tolerance=0.1)
 PICTURE = wd.brdf_map(HF, UP, size=2, plan=PLAN)
+LOBES = wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
+SPECTRUM = wd.bake_spectrum(HF, coherence=SHORT, size=16, tolerance=0.1)
 HUGE, TINY = 1e300, 1e-300
 
 
@@ -190,6 +192,7 @@ _KINDS = {
     "plan": st.sampled_from(list(_plans())),
     "callback": st.just("bad"),
     "picture": st.just(PICTURE),
+    "lobes": st.just(LOBES),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
 }
 # Every parameter of whatever is public; of a pair of them, either.
@@ -200,7 +203,8 @@ KIND_OF = {
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
-    "exact": "flag",
+    **dict.fromkeys(["exact", "zeroth_order"], "flag"), "lobes": "lobes", "deflections": "vector",
+    **dict.fromkeys(["name", "title"], "name"),
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),

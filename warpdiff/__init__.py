@@ -22,6 +22,11 @@ from warpdiff.core import fork_safety as _forks  # noqa: F401
 
 if TYPE_CHECKING:
     from warpdiff import gratings, meshes
+    from warpdiff.baking.bake import bake
+    from warpdiff.baking.bake_spectrum import bake_spectrum
+    from warpdiff.baking.baked_lobes import BakedLobes
+    from warpdiff.baking.baked_spectrum import BakedSpectrum
+    from warpdiff.bridges.mitsuba_bsdf import register_mitsuba_bsdf
     from warpdiff.core.errors import WarpdiffWarning
     from warpdiff.evaluate.directions import brdf, brdf_map, reflectance, spectral_reflectance
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
@@ -35,10 +40,13 @@ if TYPE_CHECKING:
     from warpdiff.scene.lights import DirectionalLight
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.surface.periods import Period
+    from warpdiff.web.export_html import export_html
 
     __version__: str
 
 __all__ = [
+    "BakedLobes",
+    "BakedSpectrum",
     "Coherence",
     "DirectionalLight",
     "HeightField",
@@ -49,18 +57,27 @@ __all__ = [
     "Renderer",
     "View",
     "WarpdiffWarning",
+    "bake",
+    "bake_spectrum",
     "brdf",
     "brdf_map",
+    "export_html",
     "gratings",
     "meshes",
     "order_efficiencies",
     "plan",
     "reflectance",
+    "register_mitsuba_bsdf",
     "shade",
     "spectral_reflectance",
 ]
 
 _MODULES = {
+    "baking.bake": ("bake",),
+    "baking.bake_spectrum": ("bake_spectrum",),
+    "baking.baked_lobes": ("BakedLobes",),
+    "baking.baked_spectrum": ("BakedSpectrum",),
+    "bridges.mitsuba_bsdf": ("register_mitsuba_bsdf",),
     "optics.coherence": ("Coherence",),
     "core.errors": ("WarpdiffWarning",),
     "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
@@ -74,6 +91,7 @@ _MODULES = {
     "render.shade": ("shade",),
     "render.renderer": ("Renderer",),
     "scene.camera": ("View",),
+    "web.export_html": ("export_html",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -18,7 +18,7 @@ if not (Path(__file__).resolve().parents[2] / "pyproject.toml").is_file():
 import import_graph as graph
 
 # What only some calls take, and what would make every start slower, or is not on every system.
-SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy"}
+SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy", "mitsuba", "drjit"}
 # Signals and streams are met before anything slow is imported; two commands import what the others do without.
 LATER = {"warpdiff.__main__", "warpdiff.app.cli"}
 PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]
@@ -134,7 +134,10 @@ window = {"coherence": wd.Coherence(sigma_um=1.0), "threads": 1}
 up = (0.0, 0.0, 1.0)
 light, view = wd.DirectionalLight(up), wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=4, height=3)
 disc = wd.meshes.disc()
+short = {"coherence": window["coherence"], "threads": 1}
 called = {
+    "BakedLobes": wd.bake(hf, tolerance=10.0, **short),
+    "BakedSpectrum": wd.bake_spectrum(hf, size=16, tolerance=0.1, **short),
     "Coherence": window["coherence"].sigma_um,
     "DirectionalLight": light.power,
     "HeightField": hf.pitch_um,
@@ -145,18 +148,22 @@ called = {
     "Renderer": wd.Renderer(disc, hf, light, view, **window).image(),
     "View": view.width,
     "WarpdiffWarning": wd.WarpdiffWarning("said"),
+    "bake": wd.bake(hf, tolerance=10.0, **short).bytes,
+    "bake_spectrum": wd.bake_spectrum(hf, size=16, tolerance=0.1, **short).coherence,
     "brdf": wd.brdf(hf, up, up, 550.0, **window),
     "brdf_map": wd.brdf_map(hf, up, size=4, **window),
+    "export_html": wd.export_html,
     "gratings": wd.gratings.lamellar(2.5, 0.1),
     "meshes": disc,
     "order_efficiencies": wd.order_efficiencies(hf, up, 550.0),
     "plan": wd.plan(hf, **window),
     "reflectance": wd.reflectance(hf, up, up, **window),
+    "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
     "shade": wd.shade(disc, hf, light, view, **window).rgb,
     "spectral_reflectance": wd.spectral_reflectance(hf, up, up, 550.0, **window),
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
-for name in ("Image", "OrderEfficiencies", "Period", "Plan"):
+for name in ("BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "Plan"):
     assert type(called[name]) is getattr(wd, name)
 """
 

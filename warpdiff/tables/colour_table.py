@@ -359,7 +359,7 @@ def _copied(table: Any, target: Any, *, leaving: str) -> Any:
 def without_zeroth_order(table: Any, coherence: Coherence) -> Any:
     """The same table of colours, whose look-ups leave out what the mean plane reflects."""
     target = colour_lookup.lookup(len(table.functions.dtype()), coherence.kind == "source")
-    return _copied(table, target, leaving="mirror")
+    return _copied(table, target, leaving="zeroth_order")
 
 
 def _fill(
