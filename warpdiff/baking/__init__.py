@@ -2,5 +2,5 @@
 
 In: a height field, a coherence, an illuminant, a colour difference.
 Out: ``BakedLobes`` and their file.
-May import: core, compute, optics, surface, plans, tables, planning.
+May import: core, fourier, optics, surface, plans, tables, planning.
 """

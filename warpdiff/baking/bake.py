@@ -14,13 +14,13 @@ from warpdiff.baking import shared_exponents
 from warpdiff.baking.baked_lobes import LARGEST_KAPPA, LARGEST_W, MOST_FUNCTIONS, BakedLobes
 from warpdiff.baking.polar_grid import PolarGrid
 from warpdiff.baking.zeroth_order import zeroth_powers
-from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.fourier import chebyshev
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.optics.coherence import Coherence
-from warpdiff.planning.planner import check_request, directions_of, plan_for
+from warpdiff.planning.planner import directions_of, plan_for
+from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import hemisphere_pairs
 from warpdiff.tables.integrator import Integrator
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.optics.coherence import Coherence
     from warpdiff.surface.heightfield import HeightField
 
 # Rings an octave, and rays in a standard deviation of a lobe, from small to large tables.
@@ -83,52 +84,43 @@ def bake(
         ValueError: A bad argument, a coherence whose powers do not add, a tolerance out of reach.
         MemoryError: More memory than is free; the message says what fits.
     """
-    check_request(hf, tolerance=0.1, method="auto", coherence=coherence, strict=strict)
-    colorimetry.check_illuminant(illuminant)
     tolerance = checks.number(tolerance, "tolerance", least=0.2, most=20.0)
-    checks.callback(progress, "progress")
-    on, workers = resolve_device(device), resolve_threads(threads)
-    window = coherence or Coherence()
-    if not window.adds_powers:
+    request = Request.checked(
+        hf, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto", coherence=coherence, ior=1.5, masking=True,
+        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
+    )  # fmt: skip
+    if not request.coherence.adds_powers:
         raise ValueError(
-            f"coherence of kind={window.kind!r} adds amplitudes, whose lobes are not baked: use 'averaged' or 'source'"
+            f"coherence of kind={request.coherence.kind!r} adds amplitudes, whose lobes are not baked: use 'averaged' "
+            "or 'source'"
         )
     with allocations.named("bake()", "take a larger tolerance, or a smaller sigma_um"):
-        return _Bakery(hf, window, illuminant, tolerance, strict, on, workers).baked(progress or (lambda _: None))
+        return _Bakery(request, tolerance).baked(progress or (lambda _: None))
 
 
 class _Bakery:
     """What a height field's colours are sampled by, and the directions that judge a table."""
 
-    def __init__(
-        self,
-        hf: HeightField,
-        window: Coherence,
-        illuminant: str,
-        tolerance: float,
-        strict: bool,
-        device: wp.Device,
-        threads: int,
-    ) -> None:
-        self._hf, self._window, self._illuminant, self._tolerance = hf, window, illuminant, tolerance
-        self._strict, self._device, self._threads = strict, device, threads
-        normal = reflectance_factors.normal_reflectance(1.5)
-        scope, sample, _ = directions_of(hf, coherence=window, normal=normal, masking=True)
-        plan = plan_for(
-            hf, scope, sample, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto",
-            coherence=window, strict=strict, count=_LOOK_UPS, illuminants=(illuminant,), device=device, threads=threads,
-        )  # fmt: skip
-        self._integrator = Integrator(hf, plan, scope, zeroth_order=False, device=device, threads=threads)
+    def __init__(self, request: Request, tolerance: float) -> None:
+        self._request, self._tolerance = request, tolerance
+        scope, sample, _ = directions_of(request)
+        plan = plan_for(request, scope, sample, _LOOK_UPS)
+        self._integrator = Integrator(
+            request.hf, plan, scope, zeroth_order=False, device=request.device, threads=request.threads
+        )
         self._judged, self._gains, self._truth = self._drawn(_SEED)
-        self._ws = self._nodes_of_w()
+        # As many nodes of |w| as a power of the shortest wavelength oscillates over them.
+        phase = math.pi * LARGEST_KAPPA * request.hf.height_range_um
+        self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
         """The first table that keeps the tolerance, or the largest."""
         principal = self._functions()
-        width = self._window.spread
-        if self._window.sigma_um is not None:
-            width = _BLUE_UM / (2.0 * math.sqrt(2.0) * math.pi * self._window.sigma_um)
-        zeroth = zeroth_powers(self._hf, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
+        coherence = self._request.coherence
+        width = coherence.spread
+        if coherence.sigma_um is not None:
+            width = _BLUE_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
+        zeroth = zeroth_powers(self._request.hf, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
         functions = self._between_nodes(np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)) @ principal
         for index, (rings, rays_per_width) in enumerate(_RUNGS):
 
@@ -142,7 +134,7 @@ class _Bakery:
         progress(1.0)
         if result.error > self._tolerance:
             told = f"tolerance={self._tolerance:g} is out of reach of the largest table, which keeps {result.error:.2g}"
-            if self._strict:
+            if self._request.strict:
                 raise ValueError(f"{told}: take a larger tolerance, or strict=False")
             warnings.warn(told, WarpdiffWarning, stacklevel=3)
         return result
@@ -163,15 +155,19 @@ class _Bakery:
         values = self._projected(grid.places(), principal, progress)
         scale, exponents, mantissas = shared_exponents.packed(grid.coefficients(values))
         result = BakedLobes(
-            self._window, self._illuminant, self._tolerance, 0.0, grid, functions, scale, exponents, mantissas, zeroth
-        )
+            self._request.coherence, self._illuminant, self._tolerance, 0.0, grid, functions, scale, exponents,
+            mantissas, zeroth,
+        )  # fmt: skip
         return replace(result, error=self._error(result.colours(self._judged, zeroth_order=False)))
+
+    @property
+    def _illuminant(self) -> str:
+        return self._request.illuminants[0]
 
     def _drawn(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Deflections at random, and as many that were drawn for being bright, with their gains and colours."""
         lights, views = hemisphere_pairs(_DRAWN, seed)
-        normal = reflectance_factors.normal_reflectance(1.5)
-        gains = reflectance_factors.gain(lights, views, normal=normal, masking=True)
+        gains = reflectance_factors.gain(lights, views, normal=self._request.normal_reflectance, masking=True)
         deflections = -lights - views
         colours = self._colours(deflections)
         weights = gains * np.maximum(colours[:, 1], 0.0)
@@ -184,28 +180,17 @@ class _Bakery:
         """XYZ without the zeroth order, of light from above, for gains of 1, (n, 3)."""
         count = len(deflections)
         above = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1))
-        xyz = wp.zeros(count, dtype=wp.vec3f, device=self._device)
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=self._request.device)
         self._integrator.add(
-            wp.array(deflections, dtype=wp.vec3d, device=self._device),
-            wp.array(above, dtype=wp.vec3f, device=self._device),
-            wp.ones(count, dtype=wp.float32, device=self._device), self._illuminant, xyz,
+            wp.array(deflections, dtype=wp.vec3d, device=self._request.device),
+            wp.array(above, dtype=wp.vec3f, device=self._request.device),
+            wp.ones(count, dtype=wp.float32, device=self._request.device), self._illuminant, xyz,
         )  # fmt: skip
         return np.asarray(xyz.numpy().astype(np.float64))
 
-    def _nodes_of_w(self) -> NDArray[np.float64]:
-        """Chebyshev's nodes of |w|, as many as a power of the shortest wavelength oscillates over them."""
-        phase = math.pi * LARGEST_KAPPA * self._hf.height_range_um
-        count = math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0)
-        middle, half = (LARGEST_W + _SMALLEST_W) / 2.0, (LARGEST_W - _SMALLEST_W) / 2.0
-        return np.asarray(middle - half * np.cos(math.pi * (np.arange(count) + 0.5) / count))
-
     def _between_nodes(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights of the polynomial through what is at the nodes of |w|, (n, nodes); constant below these."""
-        count = len(self._ws)
-        weights = (-1.0) ** np.arange(count) * np.sin(math.pi * (np.arange(count) + 0.5) / count)
-        away = np.maximum(w, _SMALLEST_W)[:, None] - self._ws
-        found = weights / np.where(np.abs(away) < 1e-12, 1e-12, away)
-        return np.asarray(found / found.sum(axis=1, keepdims=True))
+        return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
 
     def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Colours over w² at (u, v), at all nodes of |w|, shape (n, 3, nodes)."""

@@ -9,16 +9,15 @@ import numpy as np
 
 from warpdiff.baking.baked_spectrum import BakedSpectrum
 from warpdiff.baking.zeroth_order import zeroth_powers
-from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import allocations, checks, free_memory
-from warpdiff.optics import reflectance_factors
-from warpdiff.optics.coherence import Coherence
-from warpdiff.planning.planner import check_request, directions_of, plan_for
+from warpdiff.planning.planner import directions_of, plan_for
+from warpdiff.planning.request import Request
 from warpdiff.tables import coefficient_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from warpdiff.optics.coherence import Coherence
     from warpdiff.surface.heightfield import HeightField
 
 _ENTRIES = 512
@@ -54,21 +53,19 @@ def bake_spectrum(
         ValueError: A bad argument, another kind of coherence.
         MemoryError: More memory than is free; the message says what fits.
     """
-    check_request(hf, tolerance=tolerance, method="low-rank", coherence=coherence, strict=True)
-    window = coherence or Coherence()
+    request = Request.checked(
+        hf, tolerance=tolerance, method="low-rank", coherence=coherence, ior=1.5, masking=True, strict=True,
+        device=device, threads=threads,
+    )  # fmt: skip
+    window = request.coherence
     if window.kind != "averaged":
         raise ValueError(f"coherence must be of kind 'averaged' for a spectrum, got {window.kind!r}")
     if not _LEAST_SIZE <= checks.count(size, "size") <= _MOST_SIZE:
         raise ValueError(f"size must be {_LEAST_SIZE} to {_MOST_SIZE}, got {size}")
-    on, workers = resolve_device(device), resolve_threads(threads)
     with allocations.named("bake_spectrum()", "take a smaller size"):
-        normal = reflectance_factors.normal_reflectance(1.5)
-        scope, sample, _ = directions_of(hf, coherence=window, normal=normal, masking=True)
-        plan = plan_for(
-            hf, scope, sample, tolerance=tolerance, method="low-rank", coherence=window, strict=True,
-            count=float(len(sample)), device=on, threads=workers,
-        )  # fmt: skip
-        table = coefficient_table.table_for(hf, plan, scope, device=on, threads=workers)
+        scope, sample, _ = directions_of(request)
+        plan = plan_for(request, scope, sample, float(len(sample)))
+        table = coefficient_table.table_for(hf, plan, scope, device=request.device, threads=request.threads)
         found, terms = table.coefficients, min(plan.terms, table.coefficients.terms)
         free_memory.require(
             8.0 * size * size * terms, f"a spectrum of {size} × {size} cells", "take {side} of the size"
