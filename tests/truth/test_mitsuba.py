@@ -32,6 +32,7 @@ if LLVM:
 mi = pytest.importorskip("mitsuba", reason="pip install 'warpdiff[mitsuba]'")
 import drjit as dr  # noqa: E402
 
+pytestmark = pytest.mark.mitsuba
 WINDOW = wd.Coherence(sigma_um=3.0)
 SUN = wd.Coherence("source", angular_diameter_deg=2.0)
 LIGHT = np.array([0.3, 0.1, 0.9]) / np.linalg.norm([0.3, 0.1, 0.9])
