@@ -26,7 +26,7 @@ FLAGS = (
     "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run "
     "--disable-background-networking --disable-component-update --disable-sync"
 )
-WIDTH, HEIGHT, FRAMES, AT_ONCE = 112, 84, 192, 8
+WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 512, 16
 # Machines that test may be busy.
 WAIT_MS = 240_000
 WINDOW = wd.Coherence(sigma_um=8.0)

@@ -192,9 +192,10 @@ def test_files_with_other_arrays_are_refused(lobes, tmp_path):
 def test_bytes_err_by_half_a_step_of_their_own_largest():
     rng = np.random.default_rng(2)
     values = (rng.normal(size=(500, 3, 4)) * 10.0 ** rng.uniform(-7.0, 0.0, (500, 1, 1))).astype(np.float32)
-    found = shared_exponents.unpacked(*shared_exponents.packed(values))
     largest = np.abs(values).max(axis=2, keepdims=True)
-    assert np.all(np.abs(found - values) <= 0.5 / 127.0 * 1.1 * largest)
+    for dtype in (np.int8, np.int16):
+        found = shared_exponents.unpacked(*shared_exponents.packed(values, dtype))
+        assert np.all(np.abs(found - values) <= 0.5 / np.iinfo(dtype).max * 1.1 * largest)
 
 
 def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():

@@ -153,12 +153,16 @@ class _Bakery:
             "take a larger tolerance, or a smaller sigma_um",
         )  # fmt: skip
         values = self._projected(grid.places(), principal, progress)
-        scale, exponents, mantissas = shared_exponents.packed(grid.coefficients(values))
-        result = BakedLobes(
-            self._request.coherence, self._illuminant, self._tolerance, 0.0, grid, functions, scale, exponents,
-            mantissas, zeroth,
-        )  # fmt: skip
-        return replace(result, error=self._error(result.colours(self._judged, zeroth_order=False)))
+        coefficients = grid.coefficients(values)
+        for dtype in (np.int8, np.int16):
+            result = BakedLobes(
+                self._request.coherence, self._illuminant, self._tolerance, 0.0, grid, functions,
+                *shared_exponents.packed(coefficients, dtype), zeroth,
+            )  # fmt: skip
+            result = replace(result, error=self._error(result.colours(self._judged, zeroth_order=False)))
+            if result.error <= self._tolerance:
+                break
+        return result
 
     @property
     def _illuminant(self) -> str:

@@ -53,7 +53,8 @@ class BakedLobes:
         scale: The size of the largest of all coefficients.
         exponents: Of each node's coefficients for X, Y and Z, eighths of an octave below ``scale`` from 255 on, shape
             (nodes, 3), uint8.
-        mantissas: The coefficients in 127ths of that size, shape (nodes, 3, K), int8.
+        mantissas: The coefficients in 127ths of that size, shape (nodes, 3, K), int8; or, where lobes are much
+            brighter at some w than at others, in 32767ths, int16.
         zeroth: |H₀₀|² at equal steps of |κ| from 0 to 2 / 0.38 µm, shape (entries,), float32; linear in between.
     """
 
@@ -65,7 +66,7 @@ class BakedLobes:
     functions: NDArray[np.float32]
     scale: float
     exponents: NDArray[np.uint8]
-    mantissas: NDArray[np.int8]
+    mantissas: NDArray[np.int8] | NDArray[np.int16]
     zeroth: NDArray[np.float32]
 
     def __post_init__(self) -> None:
@@ -91,7 +92,7 @@ class BakedLobes:
             self,
             functions=(np.float32, (len(self.functions), count)),
             exponents=(np.uint8, (nodes, 3)),
-            mantissas=(np.int8, (nodes, 3, count)),
+            mantissas=(np.int16 if self.mantissas.dtype == np.int16 else np.int8, (nodes, 3, count)),
             zeroth=(np.float32, (len(self.zeroth),)),
         )
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 # Texels along a side of the page's grid over (u, v), and frames that a picture at rest adds up.
-_SIZE, _FRAMES = 1024, 256
+_SIZE, _FRAMES = 1024, 512
 # The zeroth order's wavelengths: as many as a page has look-ups left for.
 _WAVELENGTHS = 10
 # A page's finest lobes are blurred by the reconstruction between its texels, by this share of their distance.
@@ -61,7 +61,7 @@ def export_html(
     """Write one HTML file that shows a mesh whose surface carries baked lobes, in any browser with WebGL 2.
 
     It asks for nothing else, from this machine or any other. The body is turned, moved and approached, its lights are
-    turned and its exposure is set by hand. A picture at rest adds up 256 frames, each with places of its own in the
+    turned and its exposure is set by hand. A picture at rest adds up 512 frames, each with places of its own in the
     pixels, and then is that of :func:`warpdiff.shade` but for quantisation, edges of shadows, and footprints narrower
     than the page's grid resolves, whose lobes are wider: it says how narrow.
 
@@ -184,7 +184,9 @@ def _defined_normals(surface: Surface) -> Any:
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     """The lobes as they are baked, their functions of w in fours, and the zeroth order's wavelengths."""
     arrays.add("exponents", "bytes", np.ascontiguousarray(lobes.exponents.T).tobytes())
-    arrays.add("mantissas", "int8", np.ascontiguousarray(lobes.mantissas.transpose(1, 2, 0)).tobytes())
+    arrays.add(
+        "mantissas", lobes.mantissas.dtype.name, np.ascontiguousarray(lobes.mantissas.transpose(1, 2, 0)).tobytes()
+    )
     entries, count = lobes.functions.shape
     fours = np.zeros((-(-count // 4), entries, 4), dtype=np.float32)
     for k in range(count):

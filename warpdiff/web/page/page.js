@@ -8,8 +8,9 @@ const canvas = document.getElementById("canvas");
 // Frames that a picture at rest adds up, and the share of the pixel's filter that each blurs by itself.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // The pixel's filter: a Gaussian of half a pixel, cut at one and a half, and its standard deviation.
+const PICTURE_MS = 14;
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
-const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 4;
+const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
     const told = document.getElementById("failed");
@@ -34,6 +35,7 @@ async function unpack() {
         if (kind === "differences") arrays[name] = integers(part, rows, columns);
         else if (kind === "float32") arrays[name] = new Float32Array(part.buffer);
         else if (kind === "int8") arrays[name] = new Int8Array(part.buffer);
+        else if (kind === "int16") arrays[name] = new Int16Array(part.buffer);
         else arrays[name] = part;
     }
     return arrays;
@@ -154,14 +156,14 @@ const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.wavelen
 const DEVIATIONS = 2.4, STEP = 1.5;
 
 function bakeGrid(arrays) {
-    const { rings, rays, functions, scale } = lobes;
+    const { rings, rays, functions } = lobes, largest = 2 ** (8 * arrays.mantissas.BYTES_PER_ELEMENT - 1) - 1;
     const nodes = rings * rays.reduce((a, b) => a + b, 0), width = 2048, height = Math.ceil(nodes / width);
     const polar = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, polar);
     gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA16F, width, height, layers);
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-    const steps = Float32Array.from({ length: 256 }, (_, e) => HALF_LARGEST * 2 ** ((e - 255) / 8) / 127);
+    const steps = Float32Array.from({ length: 256 }, (_, e) => HALF_LARGEST * 2 ** ((e - 255) / 8) / largest);
     const values = new Float32Array(4 * width * height);
     for (let group = 0; group < groups; ++group) {
         for (let channel = 0; channel < 3; ++channel) {
@@ -532,15 +534,19 @@ function tick() {
         resting = changes;
         added = 0;
     }
-    addFrame(moving);
+    // At rest as many as fit between two pictures of the display.
+    const before = added;
+    do addFrame(moving); while (!moving && added < FRAMES_AT_REST && added - before < atOnce);
     if (exposure === null) exposure = metered();
     show();
     gl.finish();
-    if (moving) cost = Math.max(performance.now() - begin, 0.8 * cost);
+    const took = performance.now() - begin;
+    if (moving) cost = Math.max(took, 0.8 * cost);
+    else atOnce = Math.max(1, Math.min(16, Math.floor(PICTURE_MS * (added - before) / took)));
     showControls();
     if (moving || added < FRAMES_AT_REST) schedule();
 }
-let resting = -1;
+let resting = -1, atOnce = 1;
 
 function showControls() {
     const { right, up, back } = camera(1, 1, [0, 0]), light = unit(lights[0].to_light);
