@@ -36,6 +36,8 @@ def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[
         ValueError: It is not one of the kind, or damaged.
     """
     source = checks.path(path, "path")
+    if not source.is_file():
+        raise FileNotFoundError(f"path: there is no file {str(path)!r}")
     try:
         with source.open("rb") as file:
             with zipfile.ZipFile(file) as archive:
@@ -46,7 +48,9 @@ def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[
                 arrays = {name: archive[name] for name in archive.files}
         _check_format(str(arrays["format"]), told)
         yield arrays
-    except (OSError, MemoryError):
+    except OSError as error:
+        raise type(error)(f"path: {str(path)!r} cannot be read: {error.strerror or error}") from error
+    except MemoryError:
         raise
     except Exception as error:
         # Damaged archives make zipfile, zlib and NumPy raise all sorts of things.

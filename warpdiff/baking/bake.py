@@ -108,7 +108,7 @@ class _Bakery:
         self._integrator = Integrator(
             request.hf, plan, scope, zeroth_order=False, device=request.device, threads=request.threads
         )
-        self._judged, self._gains, self._truth = self._drawn(_SEED)
+        self._judged, self._gains, self._truth, self._bright = self._drawn(_SEED)
         # As many nodes of |w| as a power of the shortest wavelength oscillates over them.
         phase = math.pi * LARGEST_KAPPA * request.hf.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
@@ -168,17 +168,24 @@ class _Bakery:
     def _illuminant(self) -> str:
         return self._request.illuminants[0]
 
-    def _drawn(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Deflections at random, and as many that were drawn for being bright, with their gains and colours."""
+    def _drawn(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+        """Deflections at random, and as many that were drawn for being bright, with their gains and colours.
+
+        The last is how bright all are: percentile 99, or, of sparse ones, that above which half of the light lies.
+        """
         lights, views = hemisphere_pairs(_DRAWN, seed)
         gains = reflectance_factors.gain(lights, views, normal=self._request.normal_reflectance, masking=True)
         deflections = -lights - views
         colours = self._colours(deflections)
-        weights = gains * np.maximum(colours[:, 1], 0.0)
-        weights = np.where(np.arange(_DRAWN) < _JUDGES, 0.0, weights + _FLOOR * weights.mean() + 1e-300)
+        luminance = gains * np.maximum(colours[:, 1], 0.0)
+        order = np.argsort(luminance)
+        shares = np.cumsum(luminance[order])
+        half = luminance[order][np.searchsorted(shares, 0.5 * shares[-1])]
+        weights = np.where(np.arange(_DRAWN) < _JUDGES, 0.0, luminance + _FLOOR * luminance.mean() + 1e-300)
         bright = np.random.default_rng(seed).choice(_DRAWN, _JUDGES, replace=False, p=weights / weights.sum())
         places = np.concatenate([np.arange(_JUDGES), bright])
-        return deflections[places], gains[places], colours[places]
+        level = max(float(np.percentile(luminance, 99.0)), float(half))
+        return deflections[places], gains[places], colours[places], level
 
     def _colours(self, deflections: NDArray[np.float64]) -> NDArray[np.float64]:
         """XYZ without the zeroth order, of light from above, for gains of 1, (n, 3)."""
@@ -234,13 +241,9 @@ class _Bakery:
 
         The zeroth order, which is the same for both, is left out.
         """
-        luminance = self._gains * self._truth[:, 1]
-        bright = float(np.percentile(luminance[:_JUDGES], 99.0))
-        # Sparse pictures have one where half of the light is brighter.
-        order = np.argsort(luminance[_JUDGES:])
-        bright = max(bright, float(luminance[_JUDGES:][order[_JUDGES // 2]]))
-        if bright <= 0.0:
+        if self._bright <= 0.0:
             return 0.0
-        exposed = (self._gains * _SHOWN / np.maximum(luminance, _FLOOR * bright))[:, None]
+        luminance = self._gains * self._truth[:, 1]
+        exposed = (self._gains * _SHOWN / np.maximum(luminance, _FLOOR * self._bright))[:, None]
         found = colorimetry.colour_difference(exposed * np.maximum(colours, 0.0), exposed * self._truth)
         return max(float(np.percentile(each, 99.0)) for each in np.split(found, 2))

@@ -29,7 +29,7 @@ _MIRROR_WAVELENGTHS = 40
 # What a look-up takes, as measured.
 _BYTES_A_LOOK_UP = 400
 _MOST_RINGS, _MOST_OCTAVES, _MOST_RAYS = 512, 64, 2**20
-_MOST_SIZE = 8192
+_MOST_SIZE, _LONGEST_UM = 8192, 10.0
 _KINDS = ("averaged", "source")
 
 
@@ -203,6 +203,7 @@ class BakedLobes:
 
     def lobe_variance(self, wavelength_um: float) -> float:
         """The variance of a lobe in (u, v) along either axis at a wavelength [µm]."""
+        wavelength_um = checks.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
         return wavelength_um**2 / (8.0 * (math.pi * self.coherence.sigma_um) ** 2)
