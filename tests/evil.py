@@ -22,6 +22,8 @@ MESH = wd.meshes.disc(segments=8, rings=1)
 SHORT = wd.Coherence(sigma_um=3.0)
 PLAN = wd.plan(HF, coherence=SHORT, tolerance=0.1)
 PICTURE = wd.brdf_map(HF, UP, size=2, plan=PLAN)
+LOBES = wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
+SPECTRUM = wd.bake_spectrum(HF, coherence=SHORT, size=16, tolerance=0.1)
 HUGE, TINY = 1e300, 1e-300
 
 
@@ -201,6 +203,7 @@ _KINDS = {
     "formats": st.lists(st.sampled_from([".png", ".exr", ".jpg", "png", 1, None]), max_size=3),
     "folder": st.sampled_from(["", ".", "new/one", "a.npy", "a\0b", "\ud800", "x" * 5000, "/dev/null", "/dev/full/a"]),
     "picture": st.just(PICTURE),
+    "lobes": st.just(LOBES),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
 }
 # Every parameter of whatever is public; of a pair of them, either.
@@ -212,7 +215,9 @@ KIND_OF = {
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
-    **dict.fromkeys(["exact", "overwrite", "lights_follow"], "flag"),
+    **dict.fromkeys(["exact", "overwrite", "lights_follow", "zeroth_order"], "flag"),
+    "lobes": "lobes", "deflections": "vector",
+    **dict.fromkeys(["name", "title"], "name"),
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),

@@ -22,6 +22,11 @@ from warpdiff.core import fork_safety as _forks  # noqa: F401
 
 if TYPE_CHECKING:
     from warpdiff import gratings, meshes
+    from warpdiff.baking.bake import bake
+    from warpdiff.baking.bake_spectrum import bake_spectrum
+    from warpdiff.baking.baked_lobes import BakedLobes
+    from warpdiff.baking.baked_spectrum import BakedSpectrum
+    from warpdiff.bridges.mitsuba_bsdf import register_mitsuba_bsdf
     from warpdiff.core.errors import WarpdiffWarning
     from warpdiff.evaluate.directions import brdf, brdf_map, reflectance, spectral_reflectance
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
@@ -37,10 +42,13 @@ if TYPE_CHECKING:
     from warpdiff.sequences.shots import Shot, camera_path, light_sweep, turntable
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.surface.periods import Period
+    from warpdiff.web.export_html import export_html
 
     __version__: str
 
 __all__ = [
+    "BakedLobes",
+    "BakedSpectrum",
     "Coherence",
     "DirectionalLight",
     "HeightField",
@@ -52,15 +60,19 @@ __all__ = [
     "Shot",
     "View",
     "WarpdiffWarning",
+    "bake",
+    "bake_spectrum",
     "brdf",
     "brdf_map",
     "camera_path",
+    "export_html",
     "gratings",
     "light_sweep",
     "meshes",
     "order_efficiencies",
     "plan",
     "reflectance",
+    "register_mitsuba_bsdf",
     "sequence",
     "shade",
     "spectral_reflectance",
@@ -68,6 +80,11 @@ __all__ = [
 ]
 
 _MODULES = {
+    "baking.bake": ("bake",),
+    "baking.bake_spectrum": ("bake_spectrum",),
+    "baking.baked_lobes": ("BakedLobes",),
+    "baking.baked_spectrum": ("BakedSpectrum",),
+    "bridges.mitsuba_bsdf": ("register_mitsuba_bsdf",),
     "optics.coherence": ("Coherence",),
     "core.errors": ("WarpdiffWarning",),
     "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
@@ -83,6 +100,7 @@ _MODULES = {
     "scene.camera": ("View",),
     "sequences.sequence": ("sequence",),
     "sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
+    "web.export_html": ("export_html",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

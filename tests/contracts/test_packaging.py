@@ -180,7 +180,7 @@ def test_dependencies_are_what_is_imported():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # What single commands take is in extras.
     extras = PROJECT["optional-dependencies"]
-    optional = {re.split(r"[<>=~! \[]", each)[0] for name in ("view", "dask") for each in extras[name]}
+    optional = {re.split(r"[<>=~! \[]", each)[0] for name in ("view", "dask", "mitsuba") for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
 

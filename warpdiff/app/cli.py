@@ -1,4 +1,4 @@
-"""The command line: ``warpdiff demo``, ``render``, ``sequence``, ``brdf``, ``info``, ``view``, ``bench``, ``cache``.
+"""The command line: ``demo``, ``render``, ``sequence``, ``brdf``, ``export-html``, ``info``, ``view`` and others.
 
 Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
@@ -190,6 +190,8 @@ def _parser() -> argparse.ArgumentParser:
     brdf.add_argument("--azimuth-deg", type=float, default=0.0, help="light's angle from the x axis (default: 0)")
     brdf.add_argument("--size", type=int, default=512, help="width and height in pixels (default: 512)")
 
+    _add_export_html(commands, common, surface)
+
     info = _add(
         commands, common, "info", _info, "describe a height field, and what an evaluation of it would compute",
         "warpdiff info scan.png --extent-um 65 --height-range-um 0.375 --level 2",
@@ -291,6 +293,45 @@ def _add_view(commands: Any, common: argparse.ArgumentParser, surface: argparse.
     view.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
 
 
+def _add_export_html(commands: Any, common: argparse.ArgumentParser, surface: argparse.ArgumentParser) -> None:
+    page = _add(
+        commands, common, "export-html", _export_html, "write a page that shows a mesh in any browser",
+        "warpdiff export-html snake.html\n"
+        "  warpdiff export-html snake.html snake --height scan.png --extent-um 65 --height-range-um 0.375 \\\n"
+        "      --level 2 --despike --periodic --pigment 0.1",
+        surface,
+    )  # fmt: skip
+    page.add_argument("output", metavar="OUT", help="the page, .html")
+    page.add_argument(
+        "mesh", metavar="MESH", nargs="?", default="snake",
+        help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)} (default: snake)",
+    )  # fmt: skip
+    page.add_argument(
+        "--height", dest="heightfield", metavar="HEIGHTFIELD", default="fingers",
+        help=f"{_HEIGHT_FIELD_HELP} (default: fingers)",
+    )  # fmt: skip
+    lobes = page.add_argument_group("lobes")
+    lobes.add_argument("--tolerance", type=float, default=2.0, help="ΔE2000 of baked colours (default: 2)")
+    lobes.add_argument("--coherence", default="averaged", help="averaged or source (default: averaged)")
+    lobes.add_argument("--sigma-um", type=float, help="σ of a window (default: 16.25)")
+    lobes.add_argument(
+        "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
+    )
+    lobes.add_argument(
+        "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
+    )
+    lobes.add_argument(
+        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
+    )
+    lobes.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
+    lobes.add_argument("--device", help="cpu (default) or cuda")
+    lobes.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    page.add_argument("--exposure", type=float, help="linear factor (default: for the first picture)")
+    page.add_argument("--title", default="warpdiff", help="of the page")
+    _add_scene(page)
+    page.set_defaults(width=640, height=480)
+
+
 def _add(
     commands: Any,
     common: argparse.ArgumentParser,
@@ -319,31 +360,13 @@ def _picture_options() -> argparse.ArgumentParser:
         "parameters of warpdiff.meshes as in snake:tangent=along"
     )  # fmt: skip
     group.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
-    group.add_argument(
-        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
-        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
-    )  # fmt: skip
-    group.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)")
-    group.add_argument(
-        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
-    )
-    group.add_argument(
-        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
-    )
-    group.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    _add_scene(group)
     group.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
     group.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
     group.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
     group.add_argument(
         "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
     )
-    group.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
-    group.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
-    group.add_argument(
-        "--tangent", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="direction of the height field's x, world frame (default: the texture's u)",
-    )  # fmt: skip
-    group.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
     return group
 
 
@@ -400,6 +423,31 @@ def _evaluation_options() -> argparse.ArgumentParser:
     group.add_argument("--device", help="cpu (default) or cuda")
     group.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
     return group_parser
+
+
+def _add_scene(command: Any) -> None:
+    """Lights, the camera and what the mesh is drawn with."""
+    command.add_argument(
+        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
+        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
+    )  # fmt: skip
+    command.add_argument(
+        "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)"
+    )
+    command.add_argument(
+        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
+    )
+    command.add_argument(
+        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
+    )
+    command.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    command.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
+    command.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
+    command.add_argument(
+        "--tangent", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="direction of the height field's x, world frame (default: the texture's u)",
+    )  # fmt: skip
+    command.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
 
 
 def _add_display(group: Any) -> None:
@@ -615,6 +663,25 @@ def _sequence(options: argparse.Namespace) -> None:
     print(f"{len(paths)} frames in {Path(options.output).resolve()}")
     if options.animation is not None:
         print(options.animation)
+
+
+def _export_html(options: argparse.Namespace) -> None:
+    target = checks.path(options.output, "OUT")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"OUT must end in .html or .htm, got {options.output!r}")
+    mesh, hf, lights, view = _scene(options)
+    coherence = wd.Coherence(options.coherence, options.sigma_um, angular_diameter_deg=options.angular_diameter_deg)
+    lobes = wd.bake(
+        hf, illuminant=options.illuminant, tolerance=options.tolerance, coherence=coherence, device=options.device,
+        threads=options.threads, progress=Bar(options.command),
+    )  # fmt: skip
+    path = wd.export_html(
+        target, mesh, lobes, lights, view, ior=options.ior, masking=not options.no_masking, pigment=options.pigment,
+        shadows=not options.no_shadows, smooth=not options.flat, tangents=options.tangent, exposure=options.exposure,
+        title=options.title,
+    )  # fmt: skip
+    print(lobes)
+    print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
 
 
 def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:

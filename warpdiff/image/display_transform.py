@@ -140,6 +140,38 @@ def _shown(flat: NDArray[np.float64], display: str, gamut: str, *, exact: bool) 
     return found
 
 
+@dataclass(frozen=True)
+class Tables:
+    """What another program takes to show colours as ``display="aces"`` does, by a table.
+
+    Attributes:
+        aces: Encoded R, G and B at nodes over linear Display P3, red slowest, shape (nodes³, 3).
+        white: The light of the last node.
+        toe: Nodes lie at equal steps of ln(1 + light / toe).
+        most_chroma: The largest chroma over lightness that Display P3 has, at equal steps of OKLab hue from −π to π.
+        kept: Up to this share of it chroma is kept, ...
+        largest: ... and this share becomes 1.
+        matrices: By name, of columns: XYZ to Display P3, and the steps to OKLab and back.
+    """
+
+    aces: NDArray[np.float32]
+    white: float
+    toe: float
+    most_chroma: NDArray[np.float64]
+    kept: float
+    largest: float
+    matrices: dict[str, NDArray[np.float64]]
+
+
+def tables(gamut: str) -> Tables:
+    """The numbers behind ``shown(..., "aces", gamut, exact=False)``."""
+    matrices = {
+        "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ,
+        "rootsToLab": _ROOTS_TO_LAB, "labToRoots": _LAB_TO_ROOTS,
+    }  # fmt: skip
+    return Tables(_table(gamut), _WHITE, _TOE, _most_chroma()[1], _KEPT, _LARGEST, matrices)
+
+
 def description(display: str, gamut: str) -> str:
     """Describe in words what has been done to the colours of a file."""
     to = GAMUTS[gamut]
