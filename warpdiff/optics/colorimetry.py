@@ -8,14 +8,13 @@ The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 
 from __future__ import annotations
 
 import functools
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.core import checks
-from warpdiff.optics.spectra import Spectrum
+from warpdiff.optics.spectra import Spectrum, colour_science
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -39,16 +38,6 @@ XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0
 XYZ_TO_RGB.setflags(write=False)
 RGB_TO_XYZ = np.linalg.inv(XYZ_TO_RGB)
 RGB_TO_XYZ.setflags(write=False)
-
-
-def colour_science() -> Any:
-    """colour-science, imported once it is asked for."""
-    with warnings.catch_warnings():
-        # colour-science announces at import which of its optional packages are absent; none is used here.
-        warnings.simplefilter("ignore")
-        import colour
-
-    return colour
 
 
 def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:

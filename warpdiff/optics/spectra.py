@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,16 @@ _SECOND_RADIATION_CONSTANT = 1.4388e7
 _DAYLIGHT_K = (4000.0, 25_000.0)
 
 
+def colour_science() -> Any:
+    """colour-science, imported once it is asked for."""
+    with warnings.catch_warnings():
+        # colour-science announces at import which of its optional packages are absent; none is used here.
+        warnings.simplefilter("ignore")
+        import colour
+
+    return colour
+
+
 @dataclass(frozen=True, eq=False)
 class Spectrum:
     """A relative spectral power distribution, linear between wavelengths, for ``illuminant=``.
@@ -32,8 +43,8 @@ class Spectrum:
         name: What errors and ``print`` call it.
     """
 
-    wavelengths_nm: ArrayLike
-    values: ArrayLike
+    wavelengths_nm: ArrayLike = field(repr=False)
+    values: ArrayLike = field(repr=False)
     name: str = "spectrum"
     _key: Any = field(init=False, repr=False)
 
@@ -86,8 +97,6 @@ class Spectrum:
     def daylight(cls, temperature_k: float) -> Spectrum:
         """A phase of daylight of a colour temperature, 4000 to 25,000 K (CIE 15)."""
         kelvin = checks.number(temperature_k, "temperature_k", least=_DAYLIGHT_K[0], most=_DAYLIGHT_K[1])
-        from warpdiff.optics.colorimetry import colour_science
-
         colour = colour_science()
         found = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(kelvin))
         return cls(found.wavelengths, np.maximum(found.values, 0.0), name=f"daylight of {kelvin:g} K")
