@@ -102,6 +102,9 @@ def _lights():
     for to_light in ((0, 0, -1), (1, 0, 0), (HUGE, 0, 1), (TINY, 0, TINY)):
         yield wd.DirectionalLight(to_light)
     yield dataclasses.replace(LIGHT, illuminant="nothing")
+    yield dataclasses.replace(LIGHT, illuminant=wd.Spectrum([380.0, 780.0], [TINY, 1.0]))
+    for diameter in (1e-15, 1e-3, 5.0, 60.0):
+        yield dataclasses.replace(LIGHT, angular_diameter_deg=diameter)
     yield (LIGHT, None)
     yield [LIGHT] * 3
 
@@ -166,6 +169,16 @@ def _plans():
             yield dataclasses.replace(PLAN, **{name: value})
 
 
+def _materials():
+    yield wd.Material.metal("Au")
+    yield wd.Material([400.0, 600.0], 1.5)
+    for n, k in ((1e-3, 0.0), (100.0, 100.0), (1.0, 0.0), (0.5, 0.0), (1e-3, 100.0)):
+        yield wd.Material([500.0], n, k)
+    yield wd.Material.dielectric(1.5).coated(wd.Material([500.0], 100.0, 100.0), 1000.0)
+    yield {"": wd.Material.metal("Al")}
+    yield {"body": wd.Material.metal("Al")}
+
+
 _HEIGHTS = st.one_of(
     _ROWS,
     st.tuples(st.sampled_from([TINY, 1.0, 1e150, HUGE]), st.sampled_from([(1, 1), (1, 9), (7, 5), (0, 3)])).map(
@@ -190,6 +203,7 @@ _KINDS = {
     "mesh": st.sampled_from(list(hostile_meshes())),
     "plan": st.sampled_from(list(_plans())),
     "callback": st.just("bad"),
+    "material": st.sampled_from(list(_materials())),
     "picture": st.just(PICTURE),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
 }
@@ -198,6 +212,9 @@ KIND_OF = {
     "hf": "surface", "mesh": "mesh", "light": "light", "view": "view", "coherence": "coherence", "plan": "plan",
     "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
     "progress": "callback", "exposure_from": "picture", "background": "vector", "rays_per_width": "rays",
+    **dict.fromkeys(["material", "film"], "material"),
+    **dict.fromkeys(["n", "k", "values"], "vector"),
+    **dict.fromkeys(["symbol", "name", "source", "polarisation", "energy"], "name"),
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
@@ -211,7 +228,17 @@ KIND_OF = {
 }  # fmt: skip
 _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
-_NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
+_NUMBER_NAMES |= {
+    "temperature_k",
+    "scale",
+    "radiance",
+    "exposure_stops",
+    "truncation",
+    "neighbourhood",
+    "quadrature",
+    "rounding",
+    "aliasing",
+}
 
 
 @functools.cache

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
     from warpdiff.image.image import Image
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
     from warpdiff.planning.planner import plan
     from warpdiff.plans.plan import Plan
     from warpdiff.render.renderer import Renderer
@@ -43,10 +45,12 @@ __all__ = [
     "DirectionalLight",
     "HeightField",
     "Image",
+    "Material",
     "OrderEfficiencies",
     "Period",
     "Plan",
     "Renderer",
+    "Spectrum",
     "View",
     "WarpdiffWarning",
     "brdf",
@@ -62,6 +66,8 @@ __all__ = [
 
 _MODULES = {
     "optics.coherence": ("Coherence",),
+    "optics.materials": ("Material",),
+    "optics.spectra": ("Spectrum",),
     "core.errors": ("WarpdiffWarning",),
     "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
     "surface.heightfield": ("HeightField",),

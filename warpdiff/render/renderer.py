@@ -13,21 +13,29 @@ import warp as wp
 from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, plan_for, warn_outside
 from warpdiff.render.frame import load_kernels
-from warpdiff.render.shade import PictureRequest, check_lights, memory_named, warn_unsettled
+from warpdiff.render.shade import (
+    PictureRequest,
+    check_light_sizes,
+    check_lights,
+    lobes_for,
+    memory_named,
+    warn_unsettled,
+)
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
     from warpdiff.image.image import Image
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
     from warpdiff.render.frame import Frame
-    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.scene.lights import DirectionalLight, Lobe
     from warpdiff.surface.heightfield import HeightField
 
 
@@ -60,7 +68,8 @@ class Renderer:
         tolerance: float = 1e-2,
         method: str = "auto",
         coherence: Coherence | None = None,
-        ior: float = 1.5,
+        ior: float | None = None,
+        material: Material | Mapping[str, Material] | None = None,
         masking: bool = True,
         pigment: float = 1.0,
         shadows: bool = True,
@@ -80,9 +89,10 @@ class Renderer:
         illuminants of these lights. The method ``"direct"`` is for single pictures.
         """
         wanted = PictureRequest.checked(
-            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-            pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
-            refine=refine, plan=plan, strict=strict, device=device, threads=threads,
+            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+            masking=masking, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
+            samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device,
+            threads=threads,
         )  # fmt: skip
         if (method if plan is None else plan.method) == "direct":
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
@@ -94,7 +104,7 @@ class Renderer:
             scope, sample, count = directions_of(request)
             if request.plan is not None:
                 warn_outside(request.plan, hf, scope)
-            self.plan = request.plan or plan_for(request, scope, sample, count)
+            self.plan = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
             self._integrator = Integrator(hf, self.plan, scope, device=request.device, threads=request.threads)
             self._recorded = records(request.device)
             self._mine = _Picture(
@@ -121,7 +131,8 @@ class Renderer:
             may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
         mine = self._mine
-        lights = mine.lights if light is None else check_lights(light)
+        lights = mine.lights if light is None else lobes_for(check_lights(light))
+        check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
@@ -156,8 +167,7 @@ class Renderer:
 
     def _launch(self, mine: _Picture) -> None:
         """Launch what a picture takes."""
-        names = [each.illuminant for each in mine.lights]
-        mine.frame.integrate(self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine)
+        mine.frame.integrate(self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine)
 
     def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
@@ -188,7 +198,7 @@ class _Picture(threading.local):
         graph_is_for: What these depend on.
     """
 
-    def __init__(self, make: Callable[[], Frame], lights: list[DirectionalLight], view: View) -> None:
+    def __init__(self, make: Callable[[], Frame], lights: list[Lobe], view: View) -> None:
         self.frame, self.lights, self.view, self.drawn = make(), lights, view, False
         self.graph: Any = None
         self.graph_is_for: tuple[Any, ...] = ()
