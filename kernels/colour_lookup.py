@@ -126,6 +126,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         lobe2: wp.float32  # variance of its lobe in frequency; 0 for a source
         wavenumbers: wp.array(dtype=wp.float32)  # for its integral over λ
         weights: wp.array(dtype=wp.vec3f)
+        reflectances: wp.array2d(dtype=wp.float32)  # R of a material at these, by cos θd from 0 to 1; empty is 1
         line_blurs2: wp.array(dtype=wp.float32)  # of a source's lines, by octave: variance of their own blur [rad²]
         spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
         near2: wp.float32  # of a source: below this |(u, v)|² directions are left out

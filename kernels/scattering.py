@@ -18,6 +18,7 @@ class Lights:
 
     to_lights: wp.array(dtype=wp.vec3d)
     strengths: wp.array(dtype=wp.vec2d)  # power, and the pigment's strength over R(0); 0 leaves the pigment out
+    spreads: wp.array(dtype=wp.float32)  # standard deviation of the light's directions [rad]
     white_rgb: wp.array(dtype=wp.vec3d)  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
     rgb_to_xyz: wp.mat33d
 
@@ -26,9 +27,11 @@ class Lights:
 class Reflection:
     """Parameters of the reflectance besides the directions."""
 
-    normal_reflectance: wp.float64
+    normal_reflectance: wp.float64  # R(0) of Schlick's; 1 where a material's R is within the integral over λ
     masking: wp.bool
     per_light_cosine: wp.bool  # for a light of a size
+    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
+    materials: wp.array(dtype=wp.int32)  # of each face; empty where there is one
 
 
 @wp.func_native(
@@ -57,11 +60,14 @@ def scattering_vectors_run(
 
 
 @wp.func
-def schlick(cosine: wp.float64, normal: wp.float64) -> wp.float64:
-    """Schlick's power reflectance; ``normal`` is R(0)."""
-    one = wp.float64(1.0)
-    m = one - wp.min(cosine, one)
-    return normal + (one - normal) * m * m * m * m * m
+def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32) -> wp.vec3f:
+    """What of light comes through a material's surface, in linear RGB, at the cosine of its angle."""
+    last = reflection.transmittances.shape[1] - 1
+    place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
+    entry = wp.min(wp.int32(place), last - 1)
+    t = place - wp.float32(entry)
+    before = reflection.transmittances[material, entry]
+    return (1.0 - t) * before + t * reflection.transmittances[material, entry + 1]
 
 
 @wp.kernel
@@ -106,14 +112,66 @@ def scattering_vectors(
         return
     for i in range(begin, begin + run):
         if gains_out[i] > 0.0:
-            cos_i = wp.float64(to_lights_out[i][2])
-            normal = reflection.normal_reflectance
-            one = wp.float64(1.0)
-            cos_r = -deflections_out[i][2] - cos_i
-            under = (one - schlick(cos_i, normal)) * (one - schlick(cos_r, normal)) * cos_i
-            base = wp.vec3d(pixels.base_colour[i])
+            cos_i = to_lights_out[i][2]
+            cos_r = -wp.float32(deflections_out[i][2]) - cos_i
+            material = wp.int32(0)
+            if reflection.materials.shape[0] > 0:
+                material = reflection.materials[pixels.face[i]]
+            under = transmittance(reflection, material, cos_i)
+            under = wp.cw_mul(under, transmittance(reflection, material, cos_r))
+            base = wp.vec3d(wp.cw_mul(pixels.base_colour[i], under))
             colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
-            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * under * colour)
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * wp.float64(cos_i) * colour)
+
+
+@wp.kernel
+def widen_footprints(
+    # In:
+    lights: Lights,
+    light_index: wp.int32,
+    to_lights: wp.array(dtype=wp.vec3f),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    footprints_out: wp.array(dtype=Footprint),
+):
+    """Footprints in (u, v), widened by a light's directions: their covariances, Σ + s²(I − t tᵀ), as two changes.
+
+    t is the part of the direction to the light that lies in the surface.
+    """
+    spread = lights.spreads[light_index]
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        given = footprints_out[i]
+        light = to_lights[i]
+        xx = given[0] * given[0] + given[2] * given[2] + spread * spread * (1.0 - light[0] * light[0])
+        xy = given[0] * given[1] + given[2] * given[3] - spread * spread * light[0] * light[1]
+        yy = given[1] * given[1] + given[3] * given[3] + spread * spread * (1.0 - light[1] * light[1])
+        # Cholesky's factor of the covariance.
+        along = wp.sqrt(wp.max(xx, 1.0e-20))
+        beside = xy / along
+        footprints_out[i] = Footprint(along, beside, 0.0, wp.sqrt(wp.max(yy - beside * beside, 0.0)))
+
+
+@wp.kernel
+def select_material(
+    # In:
+    gains: wp.array(dtype=wp.float32),
+    faces: wp.array(dtype=wp.int32),
+    materials: wp.array(dtype=wp.int32),
+    material: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """Gains of the pixels whose faces are of one material, and 0 elsewhere."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        gain = gains[i]
+        if gain > 0.0 and materials[faces[i]] != material:
+            gain = 0.0
+        gains_out[i] = gain
 
 
 @wp.kernel

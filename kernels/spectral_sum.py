@@ -32,12 +32,32 @@ class Quadrature:
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ [1/µm], set after set
     weights: wp.array(dtype=wp.vec3f)
+    reflectances: wp.array2d(dtype=wp.float32)  # of a material, by cos θd from 0 to 1 and by nm from ``least_nm`` on
+    least_nm: wp.float64
     firsts: wp.array(dtype=wp.int32)  # where each set begins, and where the last one ends
     subdivisions: wp.int32  # for copies: samples of their factor from one sample of the patch to the next
     per_u: wp.float32
     per_v: wp.float32
     per_w: wp.float32
     constant: wp.float32
+
+
+@wp.func
+def reflectance_of(quadrature: Quadrature, deflection: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+    """R(θd, λ) of the quadrature's material, with cos θd = |(u, v, w)|/2; 1 where it has none."""
+    if quadrature.reflectances.shape[0] == 0:
+        return wp.float32(1.0)
+    place = wp.min(wp.length(deflection) * wp.float64(0.5), wp.float64(1.0)) * wp.float64(
+        quadrature.reflectances.shape[0] - 1
+    )
+    row = wp.min(wp.int32(place), quadrature.reflectances.shape[0] - 2)
+    steps = wp.max(wp.float64(1.0e3) / wavenumber - quadrature.least_nm, wp.float64(0.0))
+    column = wp.min(wp.int32(steps), quadrature.reflectances.shape[1] - 2)
+    s = wp.float32(place - wp.float64(row))
+    t = wp.min(wp.float32(steps - wp.float64(column)), 1.0)
+    first = (1.0 - t) * quadrature.reflectances[row, column] + t * quadrature.reflectances[row, column + 1]
+    second = (1.0 - t) * quadrature.reflectances[row + 1, column] + t * quadrature.reflectances[row + 1, column + 1]
+    return (1.0 - s) * first + s * second
 
 
 @wp.struct
@@ -364,11 +384,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                         - ((s - 1.0) * (s - 2.0) * (s - 3.0) / 6.0) * g0
                     )
                     factor = copies_at(table, deflection, quadrature.wavenumbers[k])
+                    factor = factor * reflectance_of(quadrature, deflection, quadrature.wavenumbers[k])
                     colour += wp.vec3d(quadrature.weights[k] * (wp.max(power, 0.0) * factor))
             else:
                 window = window_for(table, to_lights[i])
                 for k in range(start, end):
                     power = gaussian_sum(table, window, deflection, quadrature.wavenumbers[k])
+                    power = power * reflectance_of(quadrature, deflection, quadrature.wavenumbers[k])
                     colour += wp.vec3d(quadrature.weights[k] * power)
             xyz_out[i] = xyz_out[i] + gain * wp.vec3f(colour)
 

@@ -241,4 +241,27 @@ def projector(lanes: int, functions: int) -> Any:
         skipped = wp.static(FILTER_REACH)
         project_spokes(values, at, given, skipped, matrices, weights, terms, nodes, first_spoke, rows_out)
 
-    return types.SimpleNamespace(functions=functions_t, project=project, project_lines=project_lines, abreast=abreast)
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def add_product(
+        # In:
+        values: wp.array(dtype=row_t),
+        factors: wp.array(dtype=wp.float32),
+        begins: wp.bool,
+        first: wp.int32,
+        # Out:
+        rows_out: wp.array(dtype=row_t),
+    ):
+        """Add the nodes of a spoke, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
+        nodes = factors.shape[0]
+        at = (first + wp.tid()) * nodes
+        for node in range(nodes):
+            value = factors[node] * values[at + node]
+            if begins:
+                rows_out[at + node] = value
+            else:
+                rows_out[at + node] = rows_out[at + node] + value
+
+    return types.SimpleNamespace(
+        row=row_t, functions=functions_t, project=project, project_lines=project_lines, add_product=add_product,
+        abreast=abreast,
+    )  # fmt: skip

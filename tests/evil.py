@@ -104,6 +104,9 @@ def _lights():
     for to_light in ((0, 0, -1), (1, 0, 0), (HUGE, 0, 1), (TINY, 0, TINY)):
         yield wd.DirectionalLight(to_light)
     yield dataclasses.replace(LIGHT, illuminant="nothing")
+    yield dataclasses.replace(LIGHT, illuminant=wd.Spectrum([380.0, 780.0], [TINY, 1.0]))
+    for diameter in (1e-15, 1e-3, 5.0, 60.0):
+        yield dataclasses.replace(LIGHT, angular_diameter_deg=diameter)
     yield (LIGHT, None)
     yield [LIGHT] * 3
 
@@ -175,6 +178,16 @@ def _plans():
             yield dataclasses.replace(PLAN, **{name: value})
 
 
+def _materials():
+    yield wd.Material.metal("Au")
+    yield wd.Material([400.0, 600.0], 1.5)
+    for n, k in ((1e-3, 0.0), (100.0, 100.0), (1.0, 0.0), (0.5, 0.0), (1e-3, 100.0)):
+        yield wd.Material([500.0], n, k)
+    yield wd.Material.dielectric(1.5).coated(wd.Material([500.0], 100.0, 100.0), 1000.0)
+    yield {"": wd.Material.metal("Al")}
+    yield {"body": wd.Material.metal("Al")}
+
+
 _HEIGHTS = st.one_of(
     _ROWS,
     st.tuples(st.sampled_from([TINY, 1.0, 1e150, HUGE]), st.sampled_from([(1, 1), (1, 9), (7, 5), (0, 3)])).map(
@@ -202,6 +215,7 @@ _KINDS = {
     "shots": st.lists(st.sampled_from([wd.Shot((LIGHT,), VIEW), *_shots()]), max_size=3),
     "formats": st.lists(st.sampled_from([".png", ".exr", ".jpg", "png", 1, None]), max_size=3),
     "folder": st.sampled_from(["", ".", "new/one", "a.npy", "a\0b", "\ud800", "x" * 5000, "/dev/null", "/dev/full/a"]),
+    "material": st.sampled_from(list(_materials())),
     "picture": st.just(PICTURE),
     "lobes": st.just(LOBES),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
@@ -212,6 +226,9 @@ KIND_OF = {
     "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
     "progress": "callback", "client": "callback", "exposure_from": "picture", "renderer": "picture", "shots": "shots",
     "formats": "formats", "folder": "folder", "animation": "path", "background": "vector", "rays_per_width": "rays",
+    **dict.fromkeys(["material", "film"], "material"),
+    **dict.fromkeys(["n", "k", "values"], "vector"),
+    **dict.fromkeys(["symbol", "source", "polarisation", "energy"], "name"),
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
@@ -230,6 +247,9 @@ _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "wa
 _NUMBER_NAMES |= {
     "turns",
     "frames_per_second",
+    "temperature_k",
+    "scale",
+    "radiance",
     "exposure_stops",
     "truncation",
     "neighbourhood",

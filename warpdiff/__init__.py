@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
     from warpdiff.image.image import Image
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
     from warpdiff.planning.planner import plan
     from warpdiff.plans.plan import Plan
     from warpdiff.render.renderer import Renderer
@@ -53,11 +55,13 @@ __all__ = [
     "DirectionalLight",
     "HeightField",
     "Image",
+    "Material",
     "OrderEfficiencies",
     "Period",
     "Plan",
     "Renderer",
     "Shot",
+    "Spectrum",
     "View",
     "WarpdiffWarning",
     "bake",
@@ -86,6 +90,8 @@ _MODULES = {
     "baking.baked_spectrum": ("BakedSpectrum",),
     "bridges.mitsuba_bsdf": ("register_mitsuba_bsdf",),
     "optics.coherence": ("Coherence",),
+    "optics.materials": ("Material",),
+    "optics.spectra": ("Spectrum",),
     "core.errors": ("WarpdiffWarning",),
     "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
     "surface.heightfield": ("HeightField",),

@@ -34,10 +34,12 @@ from warpdiff.bench.truth import reference
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.optics import reflectance_factors
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.planning import planner
 from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.render.frame import Frame as Picture
+from warpdiff.scene.lights import lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
 
@@ -98,7 +100,7 @@ class Frame:
         surface = prepare_surface(meshes.tube(segments_along=128, segments_around=64))
         view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=width * 3 // 4)
         frame, window = Picture(surface, view, device=self.device, threads=self.threads), wd.Coherence()
-        frame.set_lights([picture_error.LIGHT], window, 1.0, normal=reflectance_factors.normal_reflectance(1.5))
+        frame.set_lights(lobes_of(picture_error.LIGHT), window, 1.0, normal=reflectance_factors.normal_reflectance(1.5))
         frame.measure_directions(hf, window)
         self.all = frame.directions()
         self._choose(pixels)
@@ -184,7 +186,7 @@ class Automatic:
     def shade(self) -> None:
         """Shade the sample."""
         self.frame.xyz.zero_()
-        self._integrator.add(*self.frame.on_device, "D65", self.frame.xyz, slice_size=SLICE)
+        self._integrator.add(*self.frame.on_device, LitMaterial("D65"), self.frame.xyz, slice_size=SLICE)
 
     def on(self, frame: Frame) -> Automatic:
         """Shade other pixels of the frame."""

@@ -25,6 +25,7 @@ from warpdiff.fourier import transforms
 from warpdiff.fourier.phase_series import EXPANSIONS
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.render.frame import Frame
+from warpdiff.scene.lights import lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -197,7 +198,7 @@ def stam_picture(
     """XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
     window, normal = wd.Coherence(), reflectance_factors.normal_reflectance(1.5)
     frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
-    frame.set_lights([light], window, 1.0, normal=normal)
+    frame.set_lights(lobes_of(light), window, 1.0, normal=normal)
     frame.measure_directions(hf, window)
     deflections, _, gains = frame.directions()
     found = light.power * stam_directions(hf, deflections, np.float64(gains), colours=colours)

@@ -19,6 +19,7 @@ from warpdiff.bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
 from warpdiff.bench.suite.timing import in_turns
 from warpdiff.bench.truth import errors, reference
 from warpdiff.compute.device import resolve_device
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.tables.integrator import Integrator
 
@@ -73,7 +74,7 @@ def ours(hf: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Sh
             lights[count] = wp.array(np.float32(seen.some(count).to_lights), dtype=wp.vec3f, device=device)
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
         given = wp.array(deflections, dtype=wp.vec3d, device=device), lights[count]
-        made[threads].add(*given, wp.array(np.float32(gains), dtype=wp.float32, device=device), "D65", xyz)
+        made[threads].add(*given, wp.array(np.float32(gains), dtype=wp.float32, device=device), LitMaterial("D65"), xyz)
         return np.asarray(xyz.numpy())
 
     return shade

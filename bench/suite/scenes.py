@@ -14,6 +14,7 @@ from warpdiff.bench import inputs
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.optics import reflectance_factors
 from warpdiff.render.frame import Frame
+from warpdiff.scene.lights import lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def seen(
 ) -> tuple[Directions, np.ndarray]:
     """What the lit pixels of a picture see, and which pixels (n,) these are."""
     frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
-    frame.set_lights([light], coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
+    frame.set_lights(lobes_of(light), coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
     frame.measure_directions(hf, coherence)
     deflections, to_lights, gains = frame.directions()
     lit = np.flatnonzero(gains > 0.0)

@@ -171,7 +171,7 @@ def errors(shape: str, index: float | None, period: float, depth: float, angle: 
     hf = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
     # Lengths are in wavelengths: of 1 µm here.
-    scalar = wd.order_efficiencies(hf, light, 1000.0, ior=index or math.inf)
+    scalar = wd.order_efficiencies(hf, light, 1000.0, ior=index or math.inf, energy="stam")
     found = np.array([scalar[0, row[0] + n][0] for n in range(len(right))]) / ours
     strong = right > STRONG
     return [float(np.max(np.abs(found - right))), float(np.max(np.abs(found - right)[strong] / right[strong]))]

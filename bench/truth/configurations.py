@@ -23,6 +23,14 @@ GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
+# Half of the calls have none of these.
+MATERIALS = (
+    None,
+    *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")),
+    wd.Material.dielectric(1.5),
+    wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
+    wd.Material.dielectric(1.5).coated(wd.Material.dielectric(2.3), 90.0),
+)
 SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
 MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
@@ -70,6 +78,7 @@ class Configuration(NamedTuple):
     to_view: np.ndarray | None = None  # (n, 3)
     size: int = 0  # of a map
     picture: Picture | None = None
+    material: wd.Material | None = None
 
     @property
     def stratum(self):
@@ -81,6 +90,7 @@ class Configuration(NamedTuple):
         return (
             f"{self.surface}, {size} µm, pitch {pitch}, height range {self.hf.height_range_um:.3g} µm; {self.coherence}"
             f"; tolerance {self.tolerance:g}; {self.words}; {self.illuminant}"
+            f"{'' if self.material is None else f'; {self.material}'}"
         )
 
 
@@ -93,7 +103,10 @@ def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
     hf, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
     coherence = a_coherence(rng, kind, hf)
     illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
-    case = Configuration(index, seed, hf, coherence, tolerance, illuminant, name, layout, "")
+    # Drawn apart, so that all else of a seed stays as it was.
+    apart = np.random.default_rng([seed, index, 26])
+    material = MATERIALS[apart.integers(len(MATERIALS))] if apart.random() < 0.5 else None
+    case = Configuration(index, seed, hf, coherence, tolerance, illuminant, name, layout, "", material=material)
     most = MOST_COPIES if kind == "replicas" else MOST_SAMPLED if tolerance < 1e-2 else MOST
     if layout == "frame":
         return a_frame(rng, case, most)

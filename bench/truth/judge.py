@@ -88,7 +88,8 @@ def witnessed() -> Iterator[list[np.ndarray]]:
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
     """Make the call, as a user would."""
     arguments: dict[str, Any] = {
-        "tolerance": case.tolerance, "coherence": case.coherence, "threads": threads, "strict": strict,
+        "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
+        "strict": strict,
     }  # fmt: skip
     with witnessed() as seen, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
@@ -149,7 +150,7 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
     return np.asarray(
         reference.reference_reflectance(
             case.hf, result.to_light[chosen], result.to_view[chosen], case.coherence, tolerance=tolerance,
-            illuminant=case.illuminant,
+            illuminant=case.illuminant, material=case.material,
         )
     )  # fmt: skip
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from warpdiff.bench.truth import flat_materials
 from warpdiff.bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff.bench.truth.errors import FLOOR, brightness
 
@@ -331,11 +332,13 @@ def quadrature(cells, illuminant):
 
 
 def reference_spectral(
-    hf, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, masking=True, centre=None
-):
+    hf, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None, masking=True,
+    centre=None,
+):  # fmt: skip
     """ρ of unit vectors (n, 3) in the local frame, shape (n, m); the coherence by name with sigma, or an object."""
     step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
+    ior = math.inf if material is not None else ior
     gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
     result = np.zeros((len(gains), len(wavelengths)))
     lit = np.flatnonzero(gains)
@@ -345,10 +348,19 @@ def reference_spectral(
     sums = sum_for(hf, step, deflections[lit], wavelengths.min(), wavelengths.max())
     for i in lit:
         result[i] = gains[i] * sums.power(deflections[i], to_light[i], 1.0 / wavelengths)
+        result[i] *= reflected(material, to_light[i], to_view[i], wavelengths)
     return result
 
 
-def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65"):
+def reflected(material, to_light, to_view, wavelengths_um):
+    """R(θd, λ) of one pair of directions; 1 without a material."""
+    if material is None:
+        return 1.0
+    half = (to_light + to_view) / np.linalg.norm(to_light + to_view)
+    return flat_materials.reflectance(material, wavelengths_um, half @ to_view)
+
+
+def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65", material=None):
     """∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ of deflections (n, 3), shape (n, 3).
 
     The step is halved until XYZ moves by less than a twentieth of the tolerance.
@@ -368,7 +380,9 @@ def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65"):
                 why = "settle" if before is not None else f"fit in {MOST_CELLS} cells"
                 raise AssertionError(f"the integral over λ does not {why} for {deflection}, to light {light}")
             tau, weights = quadrature(cells, illuminant)
-            now = sums.power(deflection, light, tau) @ weights
+            now = (
+                sums.power(deflection, light, tau) * reflected(material, light, -deflection - light, 1.0 / tau)
+            ) @ weights
             size = max(np.linalg.norm(now), least)
             if before is not None and np.linalg.norm(now - before) <= tolerance / 20.0 * size:
                 break
@@ -379,14 +393,23 @@ def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65"):
 
 def reference_reflectance(
     hf, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
-    masking=True, centre=None,
+    material=None, masking=True, centre=None,
 ):  # fmt: skip
     """XYZ of unit vectors (n, 3) in the local frame, shape (n, 3); the coherence by name with sigma, or an object."""
     step = step_of(coherence, sigma, centre)
+    ior = math.inf if material is not None else ior
     gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
     result = np.zeros((len(gains), 3))
     lit = gains > 0.0
-    found = colours(hf, -(to_light + to_view)[lit], to_light[lit], step, tolerance=tolerance, illuminant=illuminant)
+    found = colours(
+        hf,
+        -(to_light + to_view)[lit],
+        to_light[lit],
+        step,
+        tolerance=tolerance,
+        illuminant=illuminant,
+        material=material,
+    )
     result[lit] = gains[lit, None] * found
     return result
 

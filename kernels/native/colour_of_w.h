@@ -68,6 +68,12 @@ WARPDIFF_INLINE void add_zeroth_order(
     const float least = wavenumbers[0];
     // Not so far out at any wavelength that exp(-24) = 4e-11 is left.
     if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
+    // Of a material's reflectance, between two angles: cos θd is |(u, v, w)|/2.
+    const float* const reflectances = numbers<const float>(table.reflectances);
+    const int angles = table.reflectances.shape[1];
+    const float cosine = wp::min(0.5f * wp::sqrt(u * u + v * v + w * w), 1.0f) * (float)(angles - 1);
+    const int angle = wp::clamp((int)cosine, 0, wp::max(angles - 2, 0));
+    const float beyond = cosine - (float)angle;
     for (int k = 0; k < table.wavenumbers.shape[0]; ++k) {
         const float tau = wavenumbers[k], lobe2 = table.lobe2 / (tau * tau), a = lobe2 + xx, d = lobe2 + yy;
         const float determinant = a * d - xy * xy;
@@ -76,7 +82,11 @@ WARPDIFF_INLINE void add_zeroth_order(
         const float steps = wp::max((w * tau - table.least_kappa) * table.per_kappa, 0.0f);
         const int entry = wp::clamp((int)steps, 0, tabulated - 2);
         const float t = steps - (float)entry, power = (1.0f - t) * powers[entry] + t * powers[entry + 1];
-        const float factor = gain * power * (lobe2 + source2) / wp::sqrt(determinant) * wp::exp(-0.5f * exponent);
+        float factor = gain * power * (lobe2 + source2) / wp::sqrt(determinant) * wp::exp(-0.5f * exponent);
+        if (angles > 0) {
+            const float* const at = reflectances + k * angles + angle;
+            factor *= (1.0f - beyond) * at[0] + beyond * at[1];
+        }
         for (int c = 0; c < 3; ++c) xyz[c] += factor * weights[3 * k + c];
     }
 }

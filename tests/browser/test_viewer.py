@@ -170,7 +170,7 @@ def test_the_picture_changes_with_what_is_set_and_comes_back(page):
         ("surface", "waves.npy", "nano-fingers"),
         ("mesh", "disc", "tube"),
         ("along", "world x", "around the body"),
-        ("mirror", True, False),
+        ("material", "gold", "dielectric"),
         ("pigment", 1.5, 0.05),
         ("illuminant", "incandescent, A", "daylight, D65"),
         ("exposure_stops", -2, 0),

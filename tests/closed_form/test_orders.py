@@ -9,6 +9,7 @@ import pytest
 from conftest import at_angle, hemisphere
 
 import warpdiff as wd
+from warpdiff.fourier import energy_balance
 
 WAVELENGTHS = [400.0, 550.0, 780.0]
 PERIOD = 2.5
@@ -46,7 +47,7 @@ PROFILES = {
 def test_closed_forms(name, angle):
     """The grating equation gives directions, κ and geometry; the profile's transform the rest."""
     hf, closed, error = PROFILES[name]
-    found = wd.order_efficiencies(hf, at_angle(angle), WAVELENGTHS, ior=math.inf)
+    found = wd.order_efficiencies(hf, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
     sin_i, cos_i = math.sin(math.radians(angle)), math.cos(math.radians(angle))
     count = 0
     for k, wavelength in enumerate(WAVELENGTHS):
@@ -71,7 +72,7 @@ def test_a_blaze_throws_its_light_where_its_facets_mirror():
     """Facets that rise with x lean towards −x: light from above is reflected to −2α."""
     wavelength = 0.5
     hf = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
-    found = wd.order_efficiencies(hf, (0, 0, 1), 1e3 * wavelength, ior=math.inf)
+    found = wd.order_efficiencies(hf, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
     best = found.to_view[0, np.argmax(found.efficiencies[0])]
     assert best[0] == pytest.approx(-math.sin(2.0 * math.atan(wavelength / 4.0)), abs=0.03)
     assert found[0, -2][0] > 0.9
@@ -116,7 +117,7 @@ def test_energy_is_nearly_conserved_where_periods_are_long():
 
     def total(period, angle):
         hf = wd.gratings.sinusoidal(period, 0.05)
-        return wd.order_efficiencies(hf, at_angle(angle), 550.0, ior=math.inf).efficiencies.sum()
+        return wd.order_efficiencies(hf, at_angle(angle), 550.0, ior=math.inf, energy="stam").efficiencies.sum()
 
     assert abs(total(20.0, 0.0) - 1.0) < 1e-4
     assert abs(total(2.0, 0.0) - 1.0) < 2e-2
@@ -160,3 +161,60 @@ def test_an_order_is_a_pair():
     assert found[0, 99].tolist() == [0.0]
     with pytest.raises(TypeError, match="order must be an integer"):
         found[0, 0.5]
+
+
+@pytest.mark.parametrize(("angle", "azimuth"), [(0.0, 0.0), (50.0, 0.0), (70.0, 40.0)])
+def test_normalised_orders_of_a_mirror_send_back_all_of_the_light(angle, azimuth):
+    theta, phi = math.radians(angle), math.radians(azimuth)
+    light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
+    for hf in (wd.gratings.blazed(1.7, 0.2), wd.gratings.bumps(spacing_um=(1.2, 1.5), height_um=0.15)):
+        stam = wd.order_efficiencies(hf, light, WAVELENGTHS, ior=math.inf, energy="stam")
+        found = wd.order_efficiencies(hf, light, WAVELENGTHS, ior=math.inf)
+        np.testing.assert_allclose(found.efficiencies.sum(axis=1), 1.0, rtol=1e-12)
+        assert np.max(np.abs(stam.efficiencies.sum(axis=1) - 1.0)) > 1e-3
+
+
+def test_normalised_orders_are_reciprocal():
+    """The share from light to view is that from the view back to the light: dividing by sums alone loses this."""
+    hf, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
+    found = wd.order_efficiencies(hf, light, 600.0, ior=math.inf)
+    over_sums = []
+    for order, view in zip(found.orders, found.to_view[0], strict=True):
+        back = wd.order_efficiencies(hf, view, 600.0, ior=math.inf)
+        np.testing.assert_allclose(back[tuple(order)], found[tuple(order)], rtol=1e-9, atol=1e-12)
+        sums = [
+            wd.order_efficiencies(hf, each, 600.0, ior=math.inf, energy="stam").efficiencies.sum()
+            for each in (light, view)
+        ]
+        over_sums.append(sums[0] / sums[1] - 1.0)
+    assert np.max(np.abs(over_sums)) > 1e-2
+
+
+def test_metals_are_normalised_and_glass_is_not():
+    hf, light = wd.gratings.sinusoidal(1.1, 0.1), at_angle(30.0)
+    gold, glass = wd.Material.metal("Au"), wd.Material.dielectric(1.5)
+    for material, form in ((gold, "normalised"), (glass, "stam")):
+        found = wd.order_efficiencies(hf, light, WAVELENGTHS, material=material)
+        expected = wd.order_efficiencies(hf, light, WAVELENGTHS, material=material, energy=form)
+        np.testing.assert_array_equal(found.efficiencies, expected.efficiencies)
+    with pytest.raises(ValueError, match="energy must be one of 'stam', 'normalised', got 'harvey'"):
+        wd.order_efficiencies(hf, light, WAVELENGTHS, energy="harvey")
+
+
+def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
+    """∫ BRDF cos θ dω is the sum over orders that lie closely: factors from a grid of directions."""
+    hf = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
+    for angle in (0.0, 45.0, 75.0):
+        stam, found = (
+            wd.order_efficiencies(hf, at_angle(angle), 450.0, ior=math.inf, energy=energy)
+            for energy in ("stam", "normalised")
+        )
+        assert len(found.orders) > energy_balance.MOST_EXACT
+        assert found.efficiencies.sum() == pytest.approx(1.0, abs=1e-9)
+        above = np.argsort(found.efficiencies[0])[-40:]
+        given = at_angle(angle), found.to_view[0, above], 450.0
+        absolute = [
+            wd.brdf(hf, *given, ior=math.inf, tolerance=1e-3, energy=form)[:, 0] for form in energy_balance.FORMS
+        ]
+        expected = (found.efficiencies / stam.efficiencies)[0, above]
+        np.testing.assert_allclose(absolute[1] / absolute[0], expected, rtol=1e-4)

@@ -37,12 +37,19 @@ KERNELS = {
     "bvh": {"trace_bvh"},
     "ray_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_grid": {"count", "fill", "trace_shadow_rays", "project"},
-    "scattering": {"scattering_vectors", "sample_directions", "pixel_footprints", "reduce_directions"},
+    "scattering": {
+        "pixel_footprints",
+        "reduce_directions",
+        "sample_directions",
+        "scattering_vectors",
+        "select_material",
+        "widen_footprints",
+    },
     "adaptive": {"accumulate", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
     "spectral_sum": {"integrate", "sample"},
     "work_queues": {"count_up", "find_floor", "go_on", "keep_larger", "list_up", "mark_around", "take", "tally"},
     "colour_lookup": {"blur", "integrate", "interpolate"},
-    "spectrum_sampling": {"gather", "project", "project_lines", "resample"},
+    "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [

@@ -31,9 +31,15 @@ WAVY = wd.HeightField(0.05 * np.sin(np.arange(300.0)).reshape(1, -1) + np.zeros(
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
 # What stands for ``self``, and arguments that are legal beside an evil one.
 OWNERS = {
-    "HeightField": ("hf", WAVY), "Image": (None, IMAGE), "Renderer": (None, RENDERER), "View": ("view", VIEW),
-    "BakedLobes": (None, LOBES), "BakedSpectrum": (None, SPECTRUM),
-}  # fmt: skip
+    "Material": (None, wd.Material.metal("Au")),
+    "Spectrum": (None, wd.Spectrum.blackbody(3000.0)),
+    "HeightField": ("hf", WAVY),
+    "Image": (None, IMAGE),
+    "Renderer": (None, RENDERER),
+    "View": ("view", VIEW),
+    "BakedLobes": (None, LOBES),
+    "BakedSpectrum": (None, SPECTRUM),
+}
 LEGAL = {
     "hf": HF, "mesh": MESH, "light": LIGHT, "view": VIEW, "to_light": UP, "to_view": UP, "wavelengths_nm": [500.0],
     "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0), "extent_y": 1.0, "period_um": 1.0,

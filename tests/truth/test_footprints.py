@@ -13,7 +13,9 @@ from warpdiff import meshes
 from warpdiff.bench.truth.brute_force import shading_frame
 from warpdiff.compute.pipeline import launch_pipeline
 from warpdiff.kernels.structs import Footprint
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.render.frame import Frame
+from warpdiff.scene.lights import lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
 from warpdiff.tables.footprint_taps import footprint_taps
@@ -95,7 +97,7 @@ def test_rays_are_a_circle(fingers, angle_deg):
         spread = to_first_order([[*(0.03 * uv[::-1] * [-1.0, 1.0]), 0.0, 0.0]])
         xyz = wp.zeros(1, dtype=wp.vec3f, device=device)
         gain = wp.ones(1, dtype=wp.float32, device=device)
-        integrator.add(deflection, None, gain, "D65", xyz, footprints=spread)
+        integrator.add(deflection, None, gain, LitMaterial("D65"), xyz, footprints=spread)
         found.append(xyz.numpy()[0])
     np.testing.assert_allclose(found[0], found[1], rtol=0.05)
 
@@ -122,7 +124,7 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
     found = []
     for run in runs:
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
-        step = integrator.steps(given, to_lights, factors, "D65", xyz, footprints)[0]
+        step = integrator.steps(given, to_lights, factors, LitMaterial("D65"), xyz, footprints)[0]
         step = dataclasses.replace(step, inputs=[*step.inputs[:-1], run], block=run)
         launch_pipeline([step], count, device=device, threads=1, slice_size=count)
         found.append(xyz.numpy())
@@ -154,7 +156,9 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
             None,
             wp.ones(len(uv), dtype=wp.float32, device=device),
         )
-        Integrator(fingers, made, plan.scope, device=device, threads=2).add(*of, "D65", xyz, footprints=footprints)
+        Integrator(fingers, made, plan.scope, device=device, threads=2).add(
+            *of, LitMaterial("D65"), xyz, footprints=footprints
+        )
         return xyz.numpy().astype(np.float64)
 
     footprints = to_first_order(np.column_stack([spreads, np.zeros((count, 2))]))
@@ -202,7 +206,7 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     }[place]
     surface, deviation = prepare_surface(tube), 0.4
     frame = Frame(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
-    frame.set_lights([LIGHT], SHORT, 1.0, normal=0.04, shadows=False)
+    frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
     frame.deflect(0, 0)
     rays, pixels, found = frame.rays, frame.seen.pixels, frame.seen.footprints
     launch_pipeline([rays.footprints(frame.seen, deviation)], rays.may_see, **rays.options)
@@ -223,8 +227,8 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
 
 def test_nodes_are_skipped_under_smooth_lights_alone():
     per_log = 32.0 / np.log(2.0)
-    assert all(colour_table._is_smooth(name, per_log) for name in ("D65", "D50", "A", "E"))
-    assert not any(colour_table._is_smooth(name, per_log) for name in ("FL2", "FL11", "HP1"))
+    assert all(colour_table._is_smooth(LitMaterial(name), per_log) for name in ("D65", "D50", "A", "E"))
+    assert not any(colour_table._is_smooth(LitMaterial(name), per_log) for name in ("FL2", "FL11", "HP1"))
 
 
 @pytest.mark.parametrize(("is_lines", "own", "worst"), [(False, 1.1, 0.03), (False, 1.8, 0.015), (True, 0.8, 0.05)])

@@ -16,8 +16,10 @@ from warpdiff.kernels import spectral_sum
 from warpdiff.kernels import spectrum_sampling as kernels
 from warpdiff.kernels.colour_lookup import FILTER_REACH, lookup
 from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.tables import colour_projection, colour_table
 from warpdiff.tables.integrator import Integrator
+from warpdiff.tables.polar_layout import Layout
 
 KINDS = ("averaged", "centred")
 # Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
@@ -196,7 +198,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     """Look-ups against the same sums in float64, where octaves meet and a turn ends, too."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
-    table = colour_table.table_for(fingers, plan, plan.scope, "D65", **options)[1]
+    table = colour_table.table_for(fingers, plan, plan.scope, LitMaterial("D65"), **options)[1]
     firsts, rays = table.first_rows.numpy()[0], table.spokes.numpy()[0]
     # A node's number is a multiple of an octave's nodes where an octave begins.
     last = len(rays) * table.nodes - table.node_of_one
@@ -209,7 +211,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     deflections = np.column_stack([uv, rng.uniform(-1.9, -1.0, 400)])
     found = wp.zeros(400, dtype=wp.vec3f, device="cpu")
     arrays = [wp.array(deflections, dtype=wp.vec3d), wp.empty(400, dtype=wp.vec3f), wp.ones(400, dtype=wp.float32)]
-    Integrator(fingers, plan, plan.scope, **options).add(*arrays, "D65", found)
+    Integrator(fingers, plan, plan.scope, **options).add(*arrays, LitMaterial("D65"), found)
 
     turns = (angles / (2.0 * np.pi)) % 1.0
     places = logs + table.node_of_one
@@ -244,7 +246,7 @@ def test_a_mirror_has_its_colour():
 @pytest.mark.parametrize("nodes", [8, 24, 64])
 @pytest.mark.parametrize("illuminant", ["D65", "A", "E"])
 def test_weights_hold_white_and_a_slope(nodes, illuminant):
-    weights = colour_projection.colour_weights(nodes, illuminant)
+    weights = colour_projection.colour_weights(nodes, LitMaterial(illuminant))
     step = np.log(2.0) / nodes
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
@@ -265,15 +267,16 @@ def test_functions_of_w_serve_all_terms():
     plan = dataclasses.replace(
         wd.plan(wd.HeightField(np.zeros((8, 8)), 0.08), method="low-rank"), nodes=16, rays_per_width=1.1
     )
-    found = colour_projection.projection(plan, colour_projection.Terms(basis_at, kappas, np.ones(6), 0.2), "D65")
-    weights = colour_projection.colour_weights(16, "D65")
+    terms, layout = colour_projection.Terms(basis_at, kappas, np.ones(6), 0.2), Layout.of(plan, 4.0)
+    found = colour_projection.projection(plan, terms, LitMaterial("D65"), layout)
+    weights = colour_projection.colour_weights(16, LitMaterial("D65"))
     node = 12
     per_um = 1e3 / 780.0 * 2.0 ** ((node - 1) / 16)
     inside = (found.ws * per_um > kappas[0]) & (found.ws * per_um < kappas[1])
     for term in range(6):
         for c in range(3):
             given = weights[node, c] * basis_at(found.ws * per_um)[:, term]
-            back = found.weights[node, c] * (found.functions @ found.matrices[node, term])
+            back = found.weights[node, c] * (found.functions @ found.octaves[0][0].matrices[node, term])
             assert np.max(np.abs(given - back)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 

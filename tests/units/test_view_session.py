@@ -169,7 +169,7 @@ def test_a_body_is_framed_whole():
 
 
 def test_scenes_are_written_as_they_are_made():
-    scene = Scene.of(VALUES | {"coherence": "source", "masking": False, "mirror": True}, NamedFiles())
+    scene = Scene.of(VALUES | {"coherence": "source", "masking": False, "material": "mirror"}, NamedFiles())
     view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
     made = {}
     lines = scene.python(view, 0.5, {}).partition("renderer.image()")[0]
@@ -188,3 +188,13 @@ def test_scenes_are_written_as_they_are_made():
     assert words[:4] == ["warpdiff", "render", "disc", "blazed:period_um=2.0,depth_um=0.25"]
     assert words[words.index("--ior") + 1] == "inf"
     assert {"--no-masking", "--angular-diameter-deg", "--display"} < set(words)
+
+
+def test_metals_of_a_scene_are_written():
+    scene = Scene.of(VALUES | {"material": "Au", "ior": 2.0}, NamedFiles())
+    view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
+    assert scene.shading["material"] == wd.Material.metal("Au")
+    assert "material=wd.Material.metal('Au')" in scene.python(view, 0.5, {})
+    words = scene.command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--material") + 1] == "Au"
+    assert "--ior" not in words

@@ -46,6 +46,7 @@ _BODIES: dict[str, Callable[[], Any]] = {
     "disc": wd.meshes.disc,
     "snake": wd.meshes.snake,
 }
+METAL_SYMBOLS = ("Al", "Ag", "Au", "Cr", "Cu", "Ni")
 # How else the library calls what the command line takes.
 _FLAGS = {
     "mesh": "MESH", "hf": "HEIGHTFIELD", "heightfield": "HEIGHTFIELD", "path": "HEIGHTFIELD", "kind": "--coherence",
@@ -406,13 +407,24 @@ def _evaluation_options() -> argparse.ArgumentParser:
         "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
     )
     group.add_argument("--copies", type=int, nargs=2, metavar=("NY", "NX"), help="copies of the patch, for replicas")
+    group.add_argument("--ior", type=float, help="index of refraction; inf is a perfect mirror (default: 1.5)")
     group.add_argument(
-        "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
+        "--material",
+        help="what the surface is made of, in place of --ior: Al, Ag, Au, Cr, Cu, Ni, an index of refraction, or a "
+        "file of refractiveindex.info, YAML or CSV",
+    )
+    group.add_argument(
+        "--film", nargs=2, metavar=("MATERIAL", "NM"), help="a film on it of so many nanometres, of a material as above"
     )
     group.add_argument(
         "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
     )
-    group.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
+    group.add_argument(
+        "--illuminant",
+        default="D65",
+        help="a CIE illuminant or light source by name, a temperature of a black body, such as 2856K, or a CSV file of "
+        "wavelengths in nm and powers (default: D65)",
+    )
     group.add_argument("--exposure", type=float, help="linear factor (default for PNG: from the picture; for EXR: 1)")
     group.add_argument("--exposure-stops", type=float, default=0.0, help="doublings of light on top of it (default: 0)")
     _add_display(group)
@@ -431,6 +443,9 @@ def _add_scene(command: Any) -> None:
         "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
         help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
     )  # fmt: skip
+    command.add_argument(
+        "--light-diameter-deg", type=float, default=0.0, metavar="DEG", help="size of these in the sky (default: 0)"
+    )
     command.add_argument(
         "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)"
     )
@@ -543,10 +558,54 @@ def _shared(options: argparse.Namespace) -> dict[str, Any]:
             copies=options.copies and tuple(options.copies),
         ),
         "ior": options.ior,
+        "material": _material(options),
         "masking": not options.no_masking,
         "device": options.device,
         "threads": options.threads,
     }
+
+
+def _material(options: argparse.Namespace) -> wd.Material | None:
+    """The material that options name, under its film."""
+    if options.material is None:
+        if options.film is not None:
+            raise ValueError("--film lies on a --material: give both")
+        return None
+    found = _named_material(options.material, "--material")
+    if options.film is None:
+        return found
+    name, thickness = options.film
+    try:
+        thickness_nm = float(thickness)
+    except ValueError:
+        raise ValueError(f"--film must be a material and a number of nanometres, got {thickness!r}") from None
+    return found.coated(_named_material(name, "--film"), thickness_nm)
+
+
+def _illuminant(options: argparse.Namespace) -> str | wd.Spectrum:
+    """The illuminant by its name, or the spectrum of a temperature or a file."""
+    given: str = options.illuminant
+    if re.fullmatch(r"[0-9.]+K", given):
+        try:
+            return wd.Spectrum.blackbody(float(given[:-1]))
+        except ValueError:
+            raise ValueError(f"--illuminant must be a temperature of 500K to 100000K, got {given!r}") from None
+    return wd.Spectrum.from_csv(given) if Path(given).suffix else given
+
+
+def _named_material(name: str, option: str) -> wd.Material:
+    """A metal, a dielectric of a constant index, or what a file says."""
+    if name in METAL_SYMBOLS:
+        return wd.Material.metal(name)
+    try:
+        index = float(name)
+    except ValueError:
+        if not Path(name).is_file():
+            raise ValueError(
+                f"{option} must be one of {', '.join(METAL_SYMBOLS)}, an index of refraction, or a file, got {name!r}"
+            ) from None
+        return wd.Material.from_file(name)
+    return wd.Material.dielectric(index)
 
 
 def _demo(options: argparse.Namespace) -> None:
@@ -617,7 +676,8 @@ def _scene(options: argparse.Namespace) -> tuple[Any, wd.HeightField, list[wd.Di
     )
     frame = view.frame()
     directions = options.light or [list(frame.back + 0.6 * frame.up + 0.3 * frame.right)]
-    lights = [wd.DirectionalLight(tuple(each), illuminant=options.illuminant) for each in directions]
+    size, illuminant = options.light_diameter_deg, _illuminant(options)
+    lights = [wd.DirectionalLight(tuple(each), illuminant=illuminant, angular_diameter_deg=size) for each in directions]
     return mesh, hf, lights, view
 
 
@@ -713,7 +773,7 @@ def _brdf(options: argparse.Namespace) -> None:
     theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     image = wd.brdf_map(
-        _height_field(options), to_light, size=options.size, illuminant=options.illuminant, **_shared(options),
+        _height_field(options), to_light, size=options.size, illuminant=_illuminant(options), **_shared(options),
         progress=Bar(options.command),
     )  # fmt: skip
     _report(image, options)

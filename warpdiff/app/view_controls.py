@@ -26,6 +26,10 @@ ILLUMINANTS = {
     "D65": "daylight, D65", "D50": "daylight, D50", "A": "incandescent, A", "E": "equal energy, E",
     "FL2": "fluorescent, FL2", "FL11": "fluorescent, three bands, FL11", "LED-B3": "LED, B3",
 }  # fmt: skip
+METALS = {
+    "Al": "aluminium", "Ag": "silver", "Au": "gold", "Cr": "chromium", "Cu": "copper", "Ni": "nickel",
+}  # fmt: skip
+MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
 # Rows of a picture at rest.
 HEIGHTS = (240, 360, 480, 720, 960)
@@ -139,8 +143,8 @@ def controls(meshes: Sequence[str] = (), heights: Sequence[str] = ()) -> dict[st
                 shown=(("coherence", ("source",)),)),
         _number("copies_y", "copies along y", optics, 2, 1, 50, 1, shown=(("coherence", ("replicas",)),)),
         _number("copies_x", "copies along x", optics, 2, 1, 50, 1, shown=(("coherence", ("replicas",)),)),
-        Control("mirror", "perfect mirror", optics, default=False),
-        _number("ior", "index of refraction", optics, 1.5, 1.01, 4.0, 0.01, shown=(("mirror", (False,)),)),
+        _choice("material", "material", optics, MATERIALS),
+        _number("ior", "index of refraction", optics, 1.5, 1.01, 4.0, 0.01, shown=(("material", ("dielectric",)),)),
         Control("masking", "masking and shadowing of the relief", optics, default=True),
         _choice("height", "rows", picture, {each: str(each) for each in HEIGHTS}, 360),
         _choice("tolerance", "tolerance", picture, {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}, 0.03),

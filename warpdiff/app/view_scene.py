@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import warpdiff as wd
-from warpdiff.app.view_controls import AXES, LONG_BODIES
+from warpdiff.app.view_controls import AXES, LONG_BODIES, METALS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -116,7 +116,8 @@ class Scene:
         options = {
             "method": values["method"],
             "coherence": _coherence(values),
-            "ior": math.inf if values["mirror"] else values["ior"],
+            "ior": {"dielectric": values["ior"], "mirror": math.inf}.get(values["material"], 1.5),
+            "material": Call.of("Material.metal", values["material"]) if values["material"] in METALS else None,
             "masking": values["masking"],
             "pigment": values["pigment"],
             "shadows": values["shadows"],
@@ -124,7 +125,7 @@ class Scene:
             "tangents": tangents,
         }
         usual = {
-            "method": "auto", "coherence": None, "ior": 1.5, "masking": True, "pigment": 1.0, "shadows": True,
+            "method": "auto", "coherence": None, "ior": 1.5, "material": None, "masking": True, "pigment": 1.0, "shadows": True,
             "smooth": True, "tangents": None,
         }  # fmt: skip
         changed = tuple((name, value) for name, value in options.items() if value != usual[name])
@@ -169,7 +170,7 @@ class Scene:
         words += _flags({"tolerance": tolerance})
         for name, value in self.options:
             if isinstance(value, Call):
-                words += ["--coherence", *value.operands, *_flags(dict(value.options))]
+                words += [f"--{name}", *value.operands, *_flags(dict(value.options))]
             elif isinstance(value, bool):
                 words.append({"masking": "--no-masking", "shadows": "--no-shadows", "smooth": "--flat"}[name])
             else:

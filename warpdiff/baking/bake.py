@@ -85,6 +85,7 @@ def bake(
         MemoryError: More memory than is free; the message says what fits.
     """
     tolerance = checks.number(tolerance, "tolerance", least=0.2, most=20.0)
+    checks.instance(illuminant, str, "illuminant")
     request = Request.checked(
         hf, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto", coherence=coherence, ior=1.5, masking=True,
         strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
@@ -95,14 +96,14 @@ def bake(
             "or 'source'"
         )
     with allocations.named("bake()", "take a larger tolerance, or a smaller sigma_um"):
-        return _Bakery(request, tolerance).baked(progress or (lambda _: None))
+        return _Bakery(request, illuminant, tolerance).baked(progress or (lambda _: None))
 
 
 class _Bakery:
     """What a height field's colours are sampled by, and the directions that judge a table."""
 
-    def __init__(self, request: Request, tolerance: float) -> None:
-        self._request, self._tolerance = request, tolerance
+    def __init__(self, request: Request, illuminant: str, tolerance: float) -> None:
+        self._request, self._illuminant, self._tolerance = request, illuminant, tolerance
         scope, sample, _ = directions_of(request)
         plan = plan_for(request, scope, sample, _LOOK_UPS)
         self._integrator = Integrator(
@@ -164,10 +165,6 @@ class _Bakery:
                 break
         return result
 
-    @property
-    def _illuminant(self) -> str:
-        return self._request.illuminants[0]
-
     def _drawn(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
         """Deflections at random, and as many that were drawn for being bright, with their gains and colours.
 
@@ -195,7 +192,7 @@ class _Bakery:
         self._integrator.add(
             wp.array(deflections, dtype=wp.vec3d, device=self._request.device),
             wp.array(above, dtype=wp.vec3f, device=self._request.device),
-            wp.ones(count, dtype=wp.float32, device=self._request.device), self._illuminant, xyz,
+            wp.ones(count, dtype=wp.float32, device=self._request.device), self._request.lit[0], xyz,
         )  # fmt: skip
         return np.asarray(xyz.numpy().astype(np.float64))
 

@@ -73,6 +73,7 @@ class BakedLobes:
         checks.instance(self.coherence, Coherence, "coherence")
         if self.coherence.kind not in _KINDS:
             raise ValueError(f"coherence must be of kind {' or '.join(_KINDS)}, got {self.coherence.kind!r}")
+        checks.instance(self.illuminant, str, "illuminant")
         colorimetry.check_illuminant(self.illuminant)
         checks.positive(self.tolerance, "tolerance")
         checks.number(self.error, "error", least=0.0)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 # Elements of a slice on the CPU, unless told: what the launches cost is little against them.
-_ELEMENTS_OF_SLICE = 512
+ELEMENTS_OF_SLICE = 512
 # A thread takes slices until they are so many elements, or such a share of all for each thread, before it looks whether
 # it was interrupted and tells of progress.
 _MOST_AT_A_TIME, _TURNS_PER_THREAD = 32_768, 4
@@ -163,7 +163,7 @@ def begin_pipeline(
     *,
     device: wp.Device,
     threads: int,
-    slice_size: int = _ELEMENTS_OF_SLICE,
+    slice_size: int = ELEMENTS_OF_SLICE,
     progress: Callable[[float], None] | None = None,
     joins: bool = False,
 ) -> Work:

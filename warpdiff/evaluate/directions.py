@@ -12,11 +12,12 @@ import warp as wp
 from warpdiff.compute.pipeline import launch
 from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
-from warpdiff.fourier import direct_sum
+from warpdiff.fourier import direct_sum, energy_balance
 from warpdiff.image.image import Image, relative_errors
 from warpdiff.kernels.limits import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import LitMaterial, check_reflection, reflectances
 from warpdiff.planning.planner import broadcast_directions, plan_for, warn_outside
 from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
 
@@ -48,7 +51,8 @@ def spectral_reflectance(
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
-    ior: float = 1.5,
+    ior: float | None = None,
+    material: Material | None = None,
     masking: bool = True,
     plan: Plan | None = None,
     strict: bool = True,
@@ -70,7 +74,9 @@ def spectral_reflectance(
         method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
             ``"direct"`` (float64, slow and certain).
         coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
+            relative to what it reflects at normal incidence.
+        material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
@@ -84,8 +90,9 @@ def spectral_reflectance(
     """
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
     request = Request.checked(
-        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
-        strict=strict, device=device, threads=threads, progress=progress, wavelengths_nm=wavelengths,
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        wavelengths_nm=wavelengths,
     )  # fmt: skip
     with allocations.named("spectral_reflectance()", _REMEDY):
         call = _Call(request, to_light, to_view)
@@ -97,11 +104,12 @@ def reflectance(
     to_light: ArrayLike,
     to_view: ArrayLike,
     *,
-    illuminant: str = "D65",
+    illuminant: str | Spectrum = "D65",
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
-    ior: float = 1.5,
+    ior: float | None = None,
+    material: Material | None = None,
     masking: bool = True,
     plan: Plan | None = None,
     strict: bool = True,
@@ -115,13 +123,15 @@ def reflectance(
         hf: The height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
         to_view: Directions to the viewer, the same; one and many broadcast.
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the call's directions and of the bright ones
             (Y at least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
         method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
             ``"direct"`` (float64, slow and certain).
         coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
+            relative to what it reflects at normal incidence.
+        material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
         masking: Whether V-cavity masking and shadowing is included.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
@@ -134,8 +144,9 @@ def reflectance(
         normal incidence gives the illuminant's white, Y = 1.
     """
     request = Request.checked(
-        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
-        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        illuminants=(illuminant,),
     )  # fmt: skip
     with allocations.named("reflectance()", _REMEDY):
         call = _Call(request, to_light, to_view)
@@ -147,11 +158,12 @@ def brdf_map(
     to_light: ArrayLike,
     *,
     size: int = 512,
-    illuminant: str = "D65",
+    illuminant: str | Spectrum = "D65",
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
-    ior: float = 1.5,
+    ior: float | None = None,
+    material: Material | None = None,
     masking: bool = True,
     samples_per_pixel: int = 1,
     plan: Plan | None = None,
@@ -173,6 +185,7 @@ def brdf_map(
         method: As in :func:`reflectance`.
         coherence: As in :func:`reflectance`.
         ior: As in :func:`reflectance`.
+        material: As in :func:`reflectance`.
         masking: As in :func:`reflectance`.
         samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
         plan: As in :func:`reflectance`.
@@ -189,8 +202,9 @@ def brdf_map(
         MemoryError: More memory than is free; the message says what fits.
     """
     request = Request.checked(
-        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, plan=plan,
-        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        illuminants=(illuminant,),
     )  # fmt: skip
     light, single = checks.directions(to_light, "to_light")
     if not single:
@@ -235,7 +249,9 @@ def brdf(
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
-    ior: float = 1.5,
+    ior: float | None = None,
+    material: Material | None = None,
+    energy: str = "stam",
     plan: Plan | None = None,
     strict: bool = True,
     device: Any = None,
@@ -259,6 +275,9 @@ def brdf(
         method: As in :func:`spectral_reflectance`.
         coherence: As in :func:`spectral_reflectance`.
         ior: As in :func:`spectral_reflectance`.
+        material: As in :func:`spectral_reflectance`.
+        energy: ``"stam"``, or ``"normalised"``, where orders of a perfect mirror sum to 1 from everywhere, as in
+            :func:`order_efficiencies`; it is reciprocal, too, but for what interpolation leaves.
         plan: As in :func:`spectral_reflectance`.
         strict: As in :func:`spectral_reflectance`.
         device: As in :func:`spectral_reflectance`.
@@ -268,16 +287,20 @@ def brdf(
     Returns:
         Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
     """
+    checks.choice(energy, "energy", energy_balance.FORMS)
     relative = spectral_reflectance(
         hf, to_light, to_view, wavelengths_nm, tolerance=tolerance, method=method, coherence=coherence, ior=ior,
-        masking=False, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        material=material, masking=False, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
     )  # fmt: skip
-    lights, _, single = broadcast_directions(to_light, to_view)
+    lights, views, single = broadcast_directions(to_light, to_view)
     used = plan.coherence if plan is not None else coherence or Coherence()
     wavelengths_um = colorimetry.check_wavelengths(wavelengths_nm) * 1e-3
     cos_light = np.where(lights[:, 2] > HORIZON, lights[:, 2], 1.0)
     scale = reflectance_factors.brdf_scale(cos_light, wavelengths_um, used, hf.size_um[0] * hf.size_um[1])
-    scale *= reflectance_factors.normal_reflectance(ior)
+    scale *= check_reflection(ior, material)[0]
+    lit = (lights[:, 2] > HORIZON) & (views[:, 2] > HORIZON)
+    if energy == "normalised" and lit.any():
+        scale[lit] *= energy_balance.between(hf, lights[lit], views[lit], 1e3 * wavelengths_um)
     return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))
 
 
@@ -325,25 +348,29 @@ class _Call:
                 hf, self.plan.coherence, self._deflections[lit], wavelengths_nm * 1e-3, to_lights=self._lights[lit],
                 progress=progress,
             )  # fmt: skip
-            result[lit] = self._gains[lit, None] * power
+            result[lit] = self._gains[lit, None] * power * self._reflectances(wavelengths_nm, lit)
             return result
         table = table_for(hf, self.plan, self._scope, **self._where)
         wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._request.device)
         values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._request.device)
         inputs = [table.arguments, *self._deflect(), wavenumbers]
         launch(table.sample, len(self._lights), inputs, [values], progress=progress, **self._where)
-        return np.asarray(values.numpy())
+        found: NDArray[np.float32] = values.numpy()
+        if self._request.lit[0].material is not None:
+            found *= self._reflectances(wavelengths_nm).astype(np.float32)
+        return found
+
+    def _reflectances(self, wavelengths_nm: NDArray[np.float64], some: Any = slice(None)) -> NDArray[np.float64]:
+        return reflectances(self._request.lit[0].material, self._deflections[some], wavelengths_nm)
 
     def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """XYZ, shape (n, 3)."""
-        hf, (illuminant,) = self._request.hf, self._request.illuminants
+        hf, (lit,) = self._request.hf, self._request.lit
         if self.plan.method == "direct":
-            return direct_colour(
-                hf, self._deflections, self._lights, self._gains, self.plan, illuminant, progress=progress
-            )
+            return direct_colour(hf, self._deflections, self._lights, self._gains, self.plan, lit, progress=progress)
         integrator = Integrator(hf, self.plan, self._scope, **self._where)
         xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._request.device)
-        integrator.add(*self._deflect(), illuminant, xyz, progress=progress)
+        integrator.add(*self._deflect(), lit, xyz, progress=progress)
         return np.asarray(xyz.numpy())
 
     def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
@@ -362,7 +389,7 @@ def direct_colour(
     to_lights: NDArray[np.float64],
     gains: NDArray[np.float64],
     plan: Plan,
-    illuminant: str,
+    lit_material: LitMaterial,
     *,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:
@@ -379,13 +406,13 @@ def direct_colour(
         found = direct_sum.window_power(
             hf, plan.coherence, deflections[one], wavelengths_nm * 1e-3, to_lights=to_lights[one]
         )
-        return np.asarray(found[0])
+        return np.asarray(found[0] * reflectances(lit_material.material, deflections[one], wavelengths_nm)[0])
 
     for done, i in enumerate(lit.tolist()):
         count = plan.wavelengths * plan.subdivisions
         wavelengths = colorimetry.wavelengths_uniform_in_wavenumber(count)
         values = powers(i, wavelengths)
-        colour = values @ colorimetry.quadrature_weights(wavelengths, illuminant)
+        colour = values @ colorimetry.quadrature_weights(wavelengths, lit_material.illuminant)
         settled = False
         while not settled and 2 * count < _DIRECT_MOST_WAVELENGTHS:
             count = 2 * count - 1
@@ -394,7 +421,7 @@ def direct_colour(
             refined[::2] = values
             refined[1::2] = powers(i, finer[1::2])
             values, before = refined, colour
-            colour = values @ colorimetry.quadrature_weights(finer, illuminant)
+            colour = values @ colorimetry.quadrature_weights(finer, lit_material.illuminant)
             change = float(np.linalg.norm(colour - before))
             settled = change <= _DIRECT_SETTLED * plan.tolerance * float(np.linalg.norm(colour))
         unsettled += not settled

@@ -17,14 +17,16 @@ import numpy as np
 from warpdiff.core import checks, free_memory
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
-from warpdiff.fourier import chebyshev
+from warpdiff.fourier import chebyshev, energy_balance
 from warpdiff.kernels.limits import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import check_covers, check_reflection, reflectances
 from warpdiff.surface.heightfield import check_whole
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.optics.materials import Material
     from warpdiff.surface.heightfield import HeightField
 
 
@@ -55,19 +57,30 @@ class OrderEfficiencies:
 
 
 def order_efficiencies(
-    hf: HeightField, to_light: ArrayLike, wavelengths_nm: ArrayLike, *, ior: float = 1.5
+    hf: HeightField,
+    to_light: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    *,
+    ior: float | None = None,
+    material: Material | None = None,
+    energy: str | None = None,
 ) -> OrderEfficiencies:
     """Absolute efficiencies of all propagating orders of a height field that repeats without end, in float64.
 
     Order (m_y, m_x) leaves where ωi + ωr = (m_x λ/Lx, m_y λ/Ly) along x and y (the grating equation, sin θi + sin θr =
     mλ/L), and its amplitude is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh). There is no masking. The
     efficiencies sum to R only nearly, and to more for short periods at grazing angles: that is the scalar theory's.
+    With ``energy="normalised"`` they are a(ωi) a(ωr) times that, a such that orders of a perfect mirror sum to 1 from
+    everywhere (Sinkhorn 1967), which is nearer to rigorous solutions of mirrors and metals, and reciprocal.
 
     Args:
         hf: One period of the surface; an axis of one sample is constant and has no order but 0.
         to_light: Direction to the light in the local frame, above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
+        material: What the surface is made of, in place of ``ior``.
+        energy: ``"stam"``, as Stam (1999) has it, or ``"normalised"``; None is normalised for metals and perfect
+            mirrors, which let no light through, and Stam's for others.
 
     Returns:
         Orders, their directions and efficiencies.
@@ -82,7 +95,12 @@ def order_efficiencies(
     if light[0, 2] <= HORIZON:
         raise ValueError(f"to_light must be above the horizon, z > 0, got {to_light!r}")
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
-    normal = reflectance_factors.normal_reflectance(ior)
+    normal, material = check_reflection(ior, material)
+    if material is not None:
+        check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
+    if energy is None:
+        energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
+    checks.choice(energy, "energy", energy_balance.FORMS)
     # Along an axis |mλ/L − ωi| < 1 where an order propagates; pairs are (y, x).
     ranges = []
     for length, n, component in zip(hf.size_um, hf.shape, light[0, 1::-1], strict=True):
@@ -110,9 +128,48 @@ def order_efficiencies(
         views = to_view[row, live]
         lights = np.broadcast_to(light, views.shape)
         powers = np.abs(_coefficients(hf, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
-        gains = reflectance_factors.gain(lights, views, normal=normal, masking=False, per_light_cosine=True)
-        efficiencies[row, live] = normal * gains * powers
+        mirrors = powers * reflectance_factors.gain(lights, views, normal=1.0, masking=False, per_light_cosine=True)
+        if energy == "normalised":
+            mirrors *= _balance(hf, light[0], orders[live], views, mirrors, wavelength)
+        if material is not None:
+            reflected = reflectances(material, -lights - views, 1e3 * wavelength * np.ones(1))[:, 0]
+        else:
+            cosines = np.minimum(np.linalg.norm(lights + views, axis=1) / 2.0, 1.0)
+            reflected = reflectance_factors.schlick(cosines, normal)
+        efficiencies[row, live] = reflected * mirrors
     return OrderEfficiencies(wavelengths, orders, to_view, efficiencies)
+
+
+def _balance(
+    hf: HeightField,
+    light: NDArray[np.float64],
+    orders: NDArray[np.int64],
+    views: NDArray[np.float64],
+    mirrors: NDArray[np.float64],
+    wavelength_um: float,
+) -> NDArray[np.float64]:
+    """What normalised efficiencies are of Stam's, for the orders of one light that propagate, (n,)."""
+    if len(orders) > energy_balance.MOST_EXACT:
+        factors = energy_balance.factors_of(hf, (1e3 * wavelength_um,))
+        found = factors.at(views, factors.wavelengths_nm)[:, 0]
+        return np.asarray(found / (mirrors @ found))
+    # Orders lead from lights of one family, which differ by whole orders, to views of another, and from these back.
+    steps = wavelength_um / np.asarray(hf.size_um[::-1])
+    reach = [
+        range(-math.ceil(2.0 / step) - 1, math.ceil(2.0 / step) + 2) if n > 1 else range(1)
+        for step, n in zip(steps, hf.shape[::-1], strict=True)
+    ]
+    shifts = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 2)
+    entering = light[:2] + shifts * steps
+    upward = 1.0 - np.sum(entering**2, axis=1)
+    lives = upward > HORIZON**2
+    shifts, entering, cosines = shifts[lives], entering[lives], np.sqrt(upward[lives])
+    indices = -(shifts[:, None, ::-1] + orders[None, :, :]).reshape(-1, 2)
+    w = cosines[:, None] + views[:, 2]
+    powers = np.abs(_coefficients(hf, indices, -w.ravel() / wavelength_um)).reshape(w.shape) ** 2
+    matrix = powers * energy_balance.stam(cosines[:, None], views[:, 2], entering @ views[:, :2].T)
+    first, second = energy_balance.balanced(matrix)
+    return np.asarray(first[np.flatnonzero(~shifts.any(axis=1))] * second)
 
 
 @on_one_thread()

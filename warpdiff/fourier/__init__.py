@@ -2,5 +2,5 @@
 
 In: a height field, a number of terms.
 Out: Fourier coefficients as functions of κ, in a basis fitted to them; the direct sum that approximates nothing.
-May import: core, optics, surface.
+May import: core, optics, surface, kernels.
 """

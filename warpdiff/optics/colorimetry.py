@@ -8,16 +8,18 @@ The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 
 from __future__ import annotations
 
 import functools
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.core import checks
+from warpdiff.optics.spectra import Spectrum, colour_science
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+Illuminant = str | Spectrum
 
 LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
@@ -38,25 +40,24 @@ RGB_TO_XYZ = np.linalg.inv(XYZ_TO_RGB)
 RGB_TO_XYZ.setflags(write=False)
 
 
-def _colour() -> Any:
-    with warnings.catch_warnings():
-        # colour-science announces at import which of its optional packages are absent; none is used here.
-        warnings.simplefilter("ignore")
-        import colour
-
-    return colour
-
-
-def check_illuminant(illuminant: Any, name: str = "illuminant") -> str:
-    """Return the name of an illuminant that covers 380 to 780 nm, or raise ``ValueError``."""
+def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
+    """Return an illuminant, a spectrum or a name of one that covers 380 to 780 nm, or raise ``ValueError``."""
+    if isinstance(illuminant, Spectrum):
+        return illuminant
     if not isinstance(illuminant, str):
-        raise TypeError(f"{name} must be the name of a CIE illuminant, such as 'D65', got {type(illuminant).__name__}")
+        raise TypeError(
+            f"{name} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
+            f"{type(illuminant).__name__}"
+        )
     if illuminant in KEPT:
         return illuminant
     tabulated = _tabulated_nm(illuminant)
     if tabulated is None:
-        names = ", ".join(sorted(_colour().SDS_ILLUMINANTS))
-        raise ValueError(f"{name} must be one of {names}, got {illuminant!r}")
+        names = ", ".join(sorted(colour_science().SDS_ILLUMINANTS))
+        raise ValueError(
+            f"{name} must be one of {names}, a light source that colour-science knows, or a warpdiff.Spectrum, got "
+            f"{illuminant!r}"
+        )
     start, end = tabulated
     if start > LAMBDA_MIN_NM or end < LAMBDA_MAX_NM:
         raise ValueError(
@@ -66,44 +67,59 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> str:
     return illuminant
 
 
+def _distribution(illuminant: str) -> Any:
+    """The spectrum of colour-science of a name, of an illuminant or a light source; None if there is none."""
+    for distributions in (colour_science().SDS_ILLUMINANTS, colour_science().SDS_LIGHT_SOURCES):
+        if illuminant in distributions:
+            return distributions[illuminant]
+    return None
+
+
 @functools.cache
 def _tabulated_nm(illuminant: str) -> tuple[float, float] | None:
     """The first and the last wavelength of an illuminant of this name; to look one up takes half a millisecond."""
-    distributions = _colour().SDS_ILLUMINANTS
-    if illuminant not in distributions:
-        return None
-    shape = distributions[illuminant].shape
-    return float(shape.start), float(shape.end)
+    found = _distribution(illuminant)
+    return None if found is None else (float(found.shape.start), float(found.shape.end))
 
 
-@functools.cache
-def colour_products(illuminant: str = "D65") -> NDArray[np.float64]:
+@functools.lru_cache(maxsize=256)
+def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
     """S·(x̄, ȳ, z̄) at 380, 381, … 780 nm over the 1 nm sum of S·ȳ, shape (401, 3).
 
     Args:
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a spectrum.
 
     Returns:
         The products; their column sums are the XYZ of a perfect mirror, (0.950423, 1, 1.088610) for D65.
     """
     name = check_illuminant(illuminant)
-    products = np.load(KEPT[name]) if name in KEPT else products_by_colour_science(name)
+    if isinstance(name, Spectrum):
+        nm = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1)
+        products = _products(np.interp(nm, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
+    else:
+        products = np.load(KEPT[name]) if name in KEPT else products_by_colour_science(name)
     products.setflags(write=False)
     return products
 
 
 def products_by_colour_science(name: str) -> NDArray[np.float64]:
     """``colour_products`` of an illuminant, without those that are kept."""
-    colour = _colour()
-    shape = colour.SpectralShape(LAMBDA_MIN_NM, LAMBDA_MAX_NM, 1)
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
-    source = colour.SDS_ILLUMINANTS[name].copy().align(shape).values
+    return _products(_distribution(name).copy().align(_shape()).values)
+
+
+def _shape() -> Any:
+    return colour_science().SpectralShape(LAMBDA_MIN_NM, LAMBDA_MAX_NM, 1)
+
+
+def _products(source: NDArray[np.float64]) -> NDArray[np.float64]:
+    """S·(x̄, ȳ, z̄) over the sum of S·ȳ, of a spectrum at 1 nm."""
+    observer = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(_shape()).values
     # The interpolation to 1 nm leaves values of −1e-24 where the curves end.
     products = np.maximum(np.asarray(observer * source[:, None], dtype=np.float64), 0.0)
     return np.asarray(products / products[:, 1].sum())
 
 
-def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: str = "D65") -> NDArray[np.float64]:
+def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65") -> NDArray[np.float64]:
     """Weights that turn samples of ρ(λ) into XYZ.
 
     ρ is interpolated in 1/λ by the quintic through the six nearest samples and held constant outside them; its product
@@ -175,7 +191,7 @@ def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
 
 @functools.lru_cache(maxsize=256)
 def uniform_quadrature(
-    count: int, illuminant: str, *, geometric: bool = False
+    count: int, illuminant: Illuminant, *, geometric: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``count`` wavenumbers [1/µm] over the visible range, shape (m,), and weights, shape (m, 3).
 
@@ -219,7 +235,7 @@ def rgb_to_xyz(rgb: ArrayLike) -> NDArray[np.float64]:
 
 def colour_difference(xyz: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
     """ΔE2000 (CIE 142) between XYZ, shape (..., 3), seen beside D65's white of Y = 1."""
-    colour = _colour()
+    colour = colour_science()
     white = colour.XYZ_to_xy(colour_products("D65").sum(axis=0))
     labs = [colour.XYZ_to_Lab(np.asarray(each, dtype=np.float64), white) for each in (xyz, other)]
     return np.asarray(colour.delta_E(*labs, method="CIE 2000"))

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
     from warpdiff.surface.heightfield import HeightField
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
@@ -100,11 +102,12 @@ def plan(
     to_light: ArrayLike | None = None,
     to_view: ArrayLike | None = None,
     *,
-    illuminant: str = "D65",
+    illuminant: str | Spectrum = "D65",
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
-    ior: float = 1.5,
+    ior: float | None = None,
+    material: Material | None = None,
     masking: bool = True,
     strict: bool = True,
     device: Any = None,
@@ -116,12 +119,13 @@ def plan(
         hf: The height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         to_view: Directions to the viewer; None is the whole hemisphere.
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         tolerance: Error of XYZ that is asked for, in 1e-5 to 0.5.
         method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"`` or
             ``"direct"``.
         coherence: The window, source or copies; the default is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; it and masking decide which directions are bright.
+        ior: Index of refraction, > 1, 1.5 unless a material is given; it and masking decide what is bright.
+        material: What the surface is made of, in place of ``ior``.
         masking: Whether V-cavity masking and shadowing is included.
         strict: Raise a ``ValueError`` where the tolerance cannot be met; otherwise warn.
         device: ``"cpu"`` (None) or a CUDA device, on which the sample of directions is tried.
@@ -131,8 +135,8 @@ def plan(
         The plan; ``print(plan)`` explains it.
     """
     request = Request.checked(
-        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking, strict=strict,
-        device=device, threads=threads, illuminants=(illuminant,),
+        hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, strict=strict, device=device, threads=threads, illuminants=(illuminant,),
     )  # fmt: skip
     with allocations.named("plan()", "take a larger tolerance, or a smaller hf"):
         scope, sample, count = directions_of(request, to_light, to_view)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks
-from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import LitMaterial, check_materials
 from warpdiff.plans.plan import METHODS, Plan, check_method, check_tolerance
 from warpdiff.surface.heightfield import check_whole
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
+    from warpdiff.optics.materials import Material
     from warpdiff.surface.heightfield import HeightField
 
 
@@ -29,13 +31,14 @@ class Request:
         tolerance: Error of XYZ, or of ρ.
         method: A legal name.
         coherence: The window, source or copies: what was given, an explicit plan's, or the default.
-        normal_reflectance: R(0) of the index of refraction.
+        normal_reflectance: R(0) of the index of refraction; 1 of a material.
+        materials: Those by name of a geometry; one has none, ``""``, and None is that of the index of refraction.
         masking: Whether V-cavity masking is included.
         plan: An explicit plan.
         strict: Whether a tolerance that cannot be met is an error.
         device: The Warp device.
         threads: Threads on the CPU.
-        illuminants: Names, of which the worst counts.
+        lit: Illuminants with the materials that they fall on, of which the worst counts.
         wavelengths_nm: In place of an integral over λ.
         footprint: Whether pixels show means over what they see.
     """
@@ -45,12 +48,13 @@ class Request:
     method: str
     coherence: Coherence
     normal_reflectance: float
+    materials: dict[str, Material | None]
     masking: bool
     plan: Plan | None
     strict: bool
     device: wp.Device
     threads: int
-    illuminants: tuple[str, ...] = ("D65",)
+    lit: tuple[LitMaterial, ...] = (LitMaterial("D65"),)
     wavelengths_nm: NDArray[Any] | None = None
     footprint: bool = False
 
@@ -69,10 +73,15 @@ class Request:
         threads: Any,
         plan: Any = None,
         progress: Any = None,
+        material: Any = None,
+        by_geometry: bool = False,
         illuminants: tuple[Any, ...] = (),
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> Request:
-        """Refuse what is no such thing, before anything is computed; wavelengths are checked by who takes them."""
+        """Refuse what is no such thing, before anything is computed; wavelengths are checked by who takes them.
+
+        Materials may be given ``by_geometry``, as a mapping from its name.
+        """
         check_whole(hf)
         check_tolerance(tolerance)
         checks.choice(method, "method", METHODS)
@@ -85,13 +94,17 @@ class Request:
         on = resolve_device(device)
         for name in illuminants:
             colorimetry.check_illuminant(name)
-        normal = reflectance_factors.normal_reflectance(ior)
+        band = (float(colorimetry.LAMBDA_MIN_NM), float(colorimetry.LAMBDA_MAX_NM))
+        if wavelengths_nm is not None:
+            band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
+        normal, materials = check_materials(ior, material, band, by_geometry=by_geometry)
+        lit = LitMaterial.of(illuminants or ("D65",), materials.values())
         if plan is not None:
             _check_plan(plan, coherence, colour=wavelengths_nm is None)
         return cls(
             hf=hf, tolerance=tolerance, method=method,
             coherence=plan.coherence if plan is not None else coherence or Coherence(), normal_reflectance=normal,
-            masking=masking, plan=plan, strict=strict, device=on, threads=workers, illuminants=illuminants or ("D65",),
+            materials=materials, masking=masking, plan=plan, strict=strict, device=on, threads=workers, lit=lit,
             wavelengths_nm=wavelengths_nm,
         )  # fmt: skip
 

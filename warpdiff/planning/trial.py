@@ -15,6 +15,7 @@ import warp as wp
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import launch
 from warpdiff.fourier import low_rank_basis
+from warpdiff.optics.materials import reflectances
 from warpdiff.planning import pilot_directions
 from warpdiff.plans.direction_range import lateral
 from warpdiff.plans.plan import MOST_FUNCTIONS
@@ -98,7 +99,7 @@ class Trial:
     ) -> None:
         self.hf, self._scope, self._device, self._threads = request.hf, scope, request.device, request.threads
         hf, device, threads, wavelengths_nm = request.hf, request.device, request.threads, request.wavelengths_nm
-        self._illuminants = request.illuminants
+        self._lit = request.lit
         self._wavenumbers, self._points = None, 1
         self.integrates = wavelengths_nm is None
         if wavelengths_nm is not None:
@@ -203,27 +204,27 @@ class Trial:
                 table.sample, len(group), [table.arguments, *seen, self._wavenumbers], [values], device=self._device,
                 threads=self._threads, slice_size=_DIRECTIONS_OF_SLICE,
             )  # fmt: skip
-            return np.asarray(values.numpy(), dtype=np.float64).reshape(1, -1, 1)
+            found = np.asarray(values.numpy(), dtype=np.float64)
+            found = found * reflectances(
+                self._lit[0].material, group.sample.deflections, 1e3 / self._wavenumbers.numpy()
+            )
+            return np.asarray(found).reshape(1, -1, 1)
         integrator = Integrator(self.hf, plan, self._scope, device=self._device, threads=self._threads)
         results = []
-        for illuminant in self._illuminants:
+        for each in self._lit:
             xyz = wp.zeros(len(group), dtype=wp.vec3f, device=self._device)
-            integrator.add(*seen, illuminant, xyz, slice_size=_DIRECTIONS_OF_SLICE)
+            integrator.add(*seen, each, xyz, slice_size=_DIRECTIONS_OF_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
     def begin_to_load(self, plan: Plan) -> None:
         """Begin to load what a plan's table takes."""
-        colour_table.begin_to_load(
-            self.hf, plan, self._scope, self._illuminants[0], device=self._device, threads=self._threads
-        )
+        colour_table.begin_to_load(self.hf, plan, self._scope, self._lit[0], device=self._device, threads=self._threads)
 
     def with_functions(self, plan: Plan, more: int = 0) -> Plan:
         """A plan that says how many functions of w its table has, those for its tolerance or some more."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
-        counts = [
-            colour_table.function_count(self.hf, plan, self._scope, each, **options) for each in self._illuminants
-        ]
+        counts = [colour_table.function_count(self.hf, plan, self._scope, each, **options) for each in self._lit]
         return dataclasses.replace(plan, functions=min(max(counts) + more, MOST_FUNCTIONS))
 
     def fitted(self, plan: Plan) -> low_rank_basis.Coefficients:

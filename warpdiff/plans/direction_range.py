@@ -78,7 +78,8 @@ class DirectionSample:
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
     """Which of so many lit directions a plan looks at, where ``parts`` passes share the sample."""
-    most = min(_MOST_SAMPLED // parts, count // 2)
+    # Of as many passes as many lights have, each gives one at least.
+    most = max(min(_MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
 

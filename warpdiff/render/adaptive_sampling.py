@@ -11,6 +11,7 @@ import warp as wp
 from warpdiff.compute.pipeline import KernelCall
 from warpdiff.kernels import adaptive, cell_levels
 from warpdiff.render import pixel_filters
+from warpdiff.render.gbuffer import BufferKind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +32,6 @@ class LightRefinement:
         frame: What rays meet.
         integrator: What colours are from.
         light_index: Which of the picture's lights it is.
-        illuminant: Its name.
         colours: XYZ of pixels, before and after.
         errors: What they err by, ‖ΔXYZ‖.
         others: Their coverage, and which are lit.
@@ -43,13 +43,17 @@ class LightRefinement:
     frame: Frame
     integrator: Integrator
     light_index: int
-    illuminant: str
     colours: wp.array
     errors: wp.array
     others: Sequence[wp.array]
     tolerance: float
     least: int
     refine: bool
+
+    @property
+    def buffer_kind(self) -> BufferKind:
+        """The arrays that cells take."""
+        return BufferKind(self.integrator.leaves_out, self.frame.pigmented, self.frame.has_materials)
 
     @property
     def splits(self) -> bool:
@@ -78,9 +82,7 @@ class LightRefinement:
     def splat_cells(self, level: int, buffers: TileBuffers, given: Any, *, shadows: bool) -> list[KernelCall]:
         """The calls that shade the cells in the buffers and splat them to the pixels around."""
         means, name = self.integrator.blurs, self.frame.rays.options["device"].alias
-        steps = self.frame.steps_of_cells(
-            self.integrator, self.light_index, self.illuminant, level, buffers, shadows=shadows
-        )
+        steps = self.frame.steps_of_cells(self.integrator, self.light_index, level, buffers, shadows=shadows)
         weights = pixel_filters.weights_at(level, means, name)
         inputs = [
             buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows),

@@ -42,8 +42,7 @@ class DeviceSchedule:
         self._taken, self._left = empty(1), empty(1)
         whole = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
-        kind = {"leaves_out": light.integrator.leaves_out, "coloured": light.frame.pigmented}
-        self._buffers = TileBuffers.by(rays, **kind, device=device)
+        self._buffers = TileBuffers.by(rays, kind=light.buffer_kind, device=device)
 
     @property
     def counts(self) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from warpdiff.kernels import adaptive, ray_hits, scattering
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Sampling
 from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import LitMaterial, transmittances
 from warpdiff.plans.direction_range import DirectionRange, DirectionSample
 from warpdiff.render import adaptive_sampling, pixel_filters
 from warpdiff.render.device_schedule import DeviceSchedule
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
     from warpdiff.render.gbuffer import GBuffer, TileBuffers
     from warpdiff.scene.camera import View
-    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.scene.lights import Lobe
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.tables.integrator import Integrator
@@ -66,11 +68,14 @@ class Frame:
         smooth: bool = True,
         samples: int = 1,
         means: bool = False,
+        materials_of_faces: NDArray[np.int32] | None = None,
         device_driven: bool | None = None,
         device: wp.Device,
         threads: int,
     ) -> None:
         """A frame of so many samples a pixel, or of means over pixels that are split into at least as many cells.
+
+        ``materials_of_faces`` says which of several materials each face is of; None is that there is one.
 
         If ``device_driven`` the device fills it from the view and the lights on without the host, so that its launches
         may be recorded; None is so on a GPU. Otherwise the host has a part, which is faster on the CPU.
@@ -79,7 +84,12 @@ class Frame:
         self._samples, self._least = 1 if means else samples, samples
         self._device, self._surface, self._means = device, surface, means
         self._size = size = view.width * view.height
+        self.has_materials = materials_of_faces is not None
+        self._of_faces = wp.array(
+            [] if materials_of_faces is None else materials_of_faces, dtype=wp.int32, device=device
+        )
         options: dict[str, Any] = {"smooth": smooth, "means": means, "device": device, "threads": threads}
+        options["materials"] = self.has_materials
         on_device = not device.is_cpu if device_driven is None else device_driven
         self.rays = (
             PixelRays(surface, view, **options)
@@ -102,7 +112,10 @@ class Frame:
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._schedule: HostSchedule | DeviceSchedule | None = None
         self._lights: Any = None
+        self._lit: list[tuple[LitMaterial, ...]] = []
+        self._transmittances: wp.array | None = None
         self._to_lights: list[tuple[float, float, float]] = []
+        self._spreads: list[float] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
 
@@ -128,11 +141,12 @@ class Frame:
 
     def set_lights(
         self,
-        lights: Sequence[DirectionalLight],
+        lights: Sequence[Lobe],
         window: Coherence,
         area_um2: float,
         *,
         normal: float,
+        materials: Sequence[Material | None] = (None,),
         masking: bool = True,
         pigment: float = 0.0,
         shadows: bool = True,
@@ -144,6 +158,7 @@ class Frame:
             window: The coherence.
             area_um2: Of the height field.
             normal: R(0).
+            materials: Those of faces; None is one by Schlick's reflectance of ``normal``.
             masking: Whether V-cavity masking is included.
             pigment: Its strength.
             shadows: Whether the mesh may hide the lights.
@@ -157,26 +172,39 @@ class Frame:
         ]
         if self._lights is None or len(self._to_lights) != len(lights):
             self._lights = scattering.Lights()
-            for name, dtype in (("to_lights", wp.vec3d), ("strengths", wp.vec2d), ("white_rgb", wp.vec3d)):
+            for name, dtype in (
+                ("to_lights", wp.vec3d), ("strengths", wp.vec2d), ("spreads", wp.float32), ("white_rgb", wp.vec3d),
+            ):  # fmt: skip
                 setattr(self._lights, name, wp.empty(len(lights), dtype=dtype, device=self._device))
             self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
         of_pigment = pigment / normal if self.pigmented else 0.0
         self._lights.to_lights.assign(np.array([each.to_light for each in lights]))
         self._lights.strengths.assign(np.array([(each.power, of_pigment) for each in lights]))
         self._lights.white_rgb.assign(np.array(whites))
+        self._spreads = [each.spread for each in lights]
+        self._lights.spreads.assign(np.array(self._spreads, dtype=np.float32))
         self._to_lights = [each.to_light for each in lights]
+        self._lit = [tuple(LitMaterial(each.illuminant, material) for material in materials) for each in lights]
         self._shadows = shadows
         self._grids = {}
         self._reflection = scattering.Reflection()
         self._reflection.normal_reflectance = normal
         self._reflection.masking = masking
         self._reflection.per_light_cosine = window.kind == "source"
+        through = [transmittances(normal, each) for each in materials] if self.pigmented else np.zeros((0, 0, 3))
+        if self._transmittances is None or self._transmittances.shape != np.shape(through)[:2]:
+            self._transmittances = wp.empty(np.shape(through)[:2], dtype=wp.vec3f, device=self._device)
+        # Into the same array, which a recorded picture finds again.
+        self._transmittances.assign(np.asarray(through, dtype=np.float32))
+        self._reflection.transmittances = self._transmittances
+        self._reflection.materials = self._of_faces
         self._now = self._now[0], None
 
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
-        return len(self._to_lights), self.view.extent_y is None, self.casts_shadows, self.pigmented
+        sizes = tuple(spread > 0.0 for spread in self._spreads)
+        return sizes, self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(
         self, hf: HeightField, window: Coherence, *, sampled: bool = True
@@ -223,7 +251,6 @@ class Frame:
     def integrate(
         self,
         integrator: Integrator,
-        illuminants: list[str],
         *,
         tolerance: float,
         refine: bool = True,
@@ -231,14 +258,42 @@ class Frame:
     ) -> None:
         """Add the diffraction colours of all samples and lights."""
         if self._means:
-            self._integrate_means(integrator, illuminants, tolerance=tolerance, refine=refine, progress=progress)
+            self._integrate_means(integrator, tolerance=tolerance, refine=refine, progress=progress)
             return
         left_out = self._left_out_buffer(integrator)
         for light_index, share in self._passes(progress):
-            integrator.add(
-                *self.seen.directions, illuminants[light_index], self._sums[0], left_out=left_out,
-                among=self.rays.may_see, progress=share,
-            )  # fmt: skip
+            steps = self._colour_steps(integrator, light_index, self.seen, self._sums[0], None, left_out)
+            launch_pipeline(
+                steps, self.rays.may_see, slice_size=integrator.slice_size, progress=share, **self.rays.options
+            )
+
+    def _footprints(self, light_index: int, seen: GBuffer, level: int) -> list[KernelCall]:
+        """The calls that find the footprints of cells at a level under a light, of which its size is a part."""
+        steps = [self.rays.footprints(seen, pixel_filters.deviation_at(level, means=True))]
+        if self._spreads[light_index] > 0.0:
+            inputs = [self._lights, light_index, seen.to_lights]
+            steps.append(KernelCall(scattering.widen_footprints, inputs, [seen.footprints], in_runs=True))
+        return steps
+
+    def _colour_steps(
+        self,
+        integrator: Integrator,
+        light_index: int,
+        seen: GBuffer,
+        colours: wp.array,
+        footprints: wp.array | None,
+        left_out: wp.array,
+    ) -> list[KernelCall]:
+        """The calls that add the colours of what rays see under a light, one material after the other."""
+        deflections, to_lights, gains = seen.directions
+        steps: list[KernelCall] = []
+        for index, lit in enumerate(self._lit[light_index]):
+            if self.has_materials:
+                inputs = [seen.gains, seen.pixels.face, self._of_faces, index]
+                gains = seen.gains_of_one
+                steps.append(KernelCall(scattering.select_material, inputs, [gains], in_runs=True))
+            steps += integrator.steps(deflections, to_lights, gains, lit, colours, footprints, left_out)
+        return steps
 
     def _left_out_buffer(self, integrator: Integrator) -> wp.array:
         """An array of a picture's size, which is made once, for a table that leaves directions out."""
@@ -249,7 +304,6 @@ class Frame:
     def _integrate_means(
         self,
         integrator: Integrator,
-        illuminants: list[str],
         *,
         tolerance: float,
         refine: bool,
@@ -267,15 +321,14 @@ class Frame:
         for light_index, share in self._passes(progress):
             if several:
                 errors.zero_()
-            illuminant, seen = illuminants[light_index], self.seen
-            steps = [self.rays.footprints(seen, pixel_filters.deviation_at(0, means=True))] if integrator.blurs else []
-            steps += integrator.steps(
-                *seen.directions, illuminant, colours, seen.footprints if integrator.blurs else None, left_out
-            )
+            seen = self.seen
+            steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
+            footprints = seen.footprints if integrator.blurs else None
+            steps += self._colour_steps(integrator, light_index, seen, colours, footprints, left_out)
             first, rest = part_of(share, 0.0, _PROGRESS_OF_FIRST_RAYS), part_of(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
             launch_pipeline(steps, self.rays.may_see, slice_size=_COLOURS_OF_SLICE, progress=first, **self.rays.options)
             light = adaptive_sampling.LightRefinement(
-                self, integrator, light_index, illuminant, colours, errors, self._sums[1:], tolerance,
+                self, integrator, light_index, colours, errors, self._sums[1:], tolerance,
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._scheduled(light)
@@ -307,7 +360,6 @@ class Frame:
         self,
         integrator: Integrator,
         light_index: int,
-        illuminant: str,
         level: int,
         buffers: TileBuffers,
         *,
@@ -321,18 +373,23 @@ class Frame:
         sums = [buffers.colours, *self._no_sums[1:]]
         steps += self._deflect(light_index, seen, 1.0, sums, sample=0, shadows=shadows)
         if means:
-            steps.append(self.rays.footprints(seen, pixel_filters.deviation_at(level, means=True)))
+            steps += self._footprints(light_index, seen, level)
         footprints = seen.footprints if means else None
-        return [*steps, *integrator.steps(*seen.directions, illuminant, buffers.colours, footprints, buffers.left_out)]
+        steps += self._colour_steps(integrator, light_index, seen, buffers.colours, footprints, buffers.left_out)
+        return steps
 
-    def sum_directly(
-        self, hf: HeightField, plan: Plan, illuminants: list[str], *, progress: Callable[[float], None] | None
-    ) -> None:
+    def sum_directly(self, hf: HeightField, plan: Plan, *, progress: Callable[[float], None] | None) -> None:
         """Add the colours of all samples and lights by the direct sum."""
         for light_index, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
-            added = direct_colour(hf, deflections, to_lights, gains, plan, illuminants[light_index], progress=share)
-            self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
+            for index, lit in enumerate(self._lit[light_index]):
+                part = part_of(share, index / len(self._lit[light_index]), (index + 1) / len(self._lit[light_index]))
+                of_one = gains
+                if self.has_materials:
+                    faces = np.maximum(self.rays.on_host(self.seen.pixels.face), 0)
+                    of_one = np.where(self._of_faces.numpy()[faces] == index, gains, 0.0)
+                added = direct_colour(hf, deflections, to_lights, of_one, plan, lit, progress=part)
+                self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
 
     def cast(self, sample: int) -> None:
         """Send one ray through every pixel."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import warp as wp
 
@@ -34,10 +35,16 @@ class GBuffer:
     to_lights: wp.array
     gains: wp.array
     footprints: wp.array
+    gains_of_one: wp.array
 
     @classmethod
-    def by(cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False) -> GBuffer:
-        """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``."""
+    def by(
+        cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False, materials: bool = False
+    ) -> GBuffer:
+        """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``.
+
+        Of several ``materials`` gains are picked, those of one after the other.
+        """
 
         def empty(dtype: Any, size: int = rays) -> Any:
             return wp.empty(size, dtype=dtype, device=device)
@@ -49,12 +56,21 @@ class GBuffer:
             setattr(pixels, name, empty(wp.vec3f))
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
         footprints = empty(Footprint, rays if means else 0)
-        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32), footprints)
+        gains, of_one = empty(wp.float32), empty(wp.float32, rays * materials)
+        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), gains, footprints, of_one)
 
     @property
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:
         """Deflections, directions to the light and gains."""
         return self.deflections, self.to_lights, self.gains
+
+
+class BufferKind(NamedTuple):
+    """Which arrays tile buffers have: of what a table leaves out, base colours, gains of one material of several."""
+
+    leaves_out: bool
+    coloured: bool
+    materials: bool
 
 
 @dataclass(frozen=True)
@@ -74,15 +90,16 @@ class TileBuffers:
     tiles: dict[int, wp.array]
 
     @classmethod
-    def by(cls, rays: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> TileBuffers:
-        """Buffers for so many rays, with base colours if ``coloured``."""
-        left_out = wp.empty(rays * leaves_out, dtype=wp.float32, device=device)
+    def by(cls, rays: int, *, kind: BufferKind, device: wp.Device) -> TileBuffers:
+        """Buffers of a kind for so many rays."""
+        left_out = wp.empty(rays * kind.leaves_out, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
         tiles = {
             level: wp.empty(rays // cell_levels.rays_at(level), dtype=wp.int32, device=device)
             for level in cell_levels.LEVELS
         }
-        return cls(GBuffer.by(rays, device=device, means=True, coloured=coloured), colours, left_out, tiles)
+        seen = GBuffer.by(rays, device=device, means=True, coloured=kind.coloured, materials=kind.materials)
+        return cls(seen, colours, left_out, tiles)
 
 
 class SharedTileBuffers:
@@ -93,18 +110,19 @@ class SharedTileBuffers:
         parts: How many there are.
     """
 
-    def __init__(self, parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device) -> None:
+    def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Make so many parts."""
         self.parts, self._run = parts, RUN
         # Whole pixels of any level, and whole runs of look-ups.
         whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
         self._size = -(-pixel_filters.MOST_RAYS // whole) * whole
         rays = parts * self._size
-        self.buffers = TileBuffers.by(rays, leaves_out=leaves_out, coloured=coloured, device=device)
+        self.buffers = TileBuffers.by(rays, kind=kind, device=device)
         self.buffers.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
         self._nearest = self.buffers.seen.pixels.nearest.numpy()
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
-        self._colours, self._gains = self.buffers.colours.numpy(), self.buffers.seen.gains.numpy()
+        self._colours = self.buffers.colours.numpy()
+        self._gains = [self.buffers.seen.gains.numpy(), self.buffers.seen.gains_of_one.numpy()]
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]
 
@@ -140,33 +158,32 @@ class SharedTileBuffers:
             self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
             self._colours[first:end] = 0.0
             # Look-ups take whole runs.
-            self._gains[end : -(-end // self._run) * self._run] = 0.0
+            for gains in self._gains:
+                gains[end : -(-end // self._run) * self._run] = 0.0
             pipeline.launch(range(first, end))
             self._free.append(first)
 
         side_by_side(work, slices, threads=threads, progress=progress)
 
 
-# Those that no picture is in, with and without arrays for what is left out and for base colours, and how many are kept:
-# to make one takes as long as to look up thousands of pixels.
-_free: dict[tuple[bool, bool], list[SharedTileBuffers]] = {
-    (leaves_out, coloured): [] for leaves_out in (False, True) for coloured in (False, True)
+# Those that no picture is in, by kind, and how many are kept: to make one takes as long as to look up thousands of
+# pixels.
+_free: dict[BufferKind, list[SharedTileBuffers]] = {
+    BufferKind(*each): [] for each in itertools.product((False, True), repeat=3)
 }
 _MOST_FREE = 2
 
 
 @contextlib.contextmanager
-def shared_tile_buffers(
-    parts: int, *, leaves_out: bool, coloured: bool, device: wp.Device
-) -> Iterator[SharedTileBuffers]:
+def shared_tile_buffers(parts: int, *, kind: BufferKind, device: wp.Device) -> Iterator[SharedTileBuffers]:
     """Borrow buffers of so many parts or more, which nobody else has meanwhile."""
-    free = _free[leaves_out, coloured]
+    free = _free[kind]
     try:
         buffers = free.pop()
     except IndexError:
         buffers = None
     if buffers is None or buffers.parts < parts:
-        buffers = SharedTileBuffers(parts, leaves_out=leaves_out, coloured=coloured, device=device)
+        buffers = SharedTileBuffers(parts, kind=kind, device=device)
     yield buffers
     free.append(buffers)
     del free[_MOST_FREE:]

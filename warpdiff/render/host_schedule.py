@@ -97,9 +97,7 @@ class _Splitting:
         pixels = (np.flatnonzero(wanted) + among.start).astype(np.int32)
         light.frame.expect_cells(light.light_index, len(pixels))
         unsettled = 0
-        with shared_tile_buffers(
-            self._threads, leaves_out=light.integrator.leaves_out, coloured=light.frame.pigmented, device=self._device
-        ) as shared:
+        with shared_tile_buffers(self._threads, kind=light.buffer_kind, device=self._device) as shared:
             for first in range(0, len(pixels), _MOST_PIXELS):
                 part = self._part(pixels[first : first + _MOST_PIXELS])
                 together = len(part.pixels)

@@ -41,10 +41,22 @@ class PixelRays:
     """
 
     def __init__(
-        self, surface: Surface, view: View, *, smooth: bool, means: bool, device: wp.Device, threads: int
+        self,
+        surface: Surface,
+        view: View,
+        *,
+        smooth: bool,
+        means: bool,
+        materials: bool,
+        device: wp.Device,
+        threads: int,
     ) -> None:
-        """Rays of a view, and of others of as many pixels; with footprints if they show ``means``."""
+        """Rays of a view, and of others of as many pixels.
+
+        They have footprints if they show ``means``, and gains of one of several ``materials``.
+        """
         self._surface, self._means, self._size = surface, means, view.width * view.height
+        self._materials = materials
         self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
@@ -64,7 +76,7 @@ class PixelRays:
     def seen(self) -> GBuffer:
         """The G-buffer of the pixels' own rays, under the last light."""
         coloured, device = self._surface.has_base_colour, self.options["device"]
-        return GBuffer.by(self._size, device=device, means=self._means, coloured=coloured)
+        return GBuffer.by(self._size, device=device, means=self._means, coloured=coloured, materials=self._materials)
 
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel."""

@@ -15,21 +15,30 @@ from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, plan_for, warn_outside
 from warpdiff.planning.request import Request
 from warpdiff.render.frame import load_kernels
-from warpdiff.render.shade import PictureRequest, check_lights, memory_named, require_room, warn_unsettled
+from warpdiff.render.shade import (
+    PictureRequest,
+    check_light_sizes,
+    check_lights,
+    lobes_for,
+    memory_named,
+    require_room,
+    warn_unsettled,
+)
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
     from warpdiff.image.image import Image
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
     from warpdiff.render.frame import Frame
-    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.scene.lights import DirectionalLight, Lobe
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
@@ -66,7 +75,8 @@ class Renderer:
         tolerance: float = 1e-2,
         method: str = "auto",
         coherence: Coherence | None = None,
-        ior: float = 1.5,
+        ior: float | None = None,
+        material: Material | Mapping[str, Material] | None = None,
         masking: bool = True,
         pigment: float = 1.0,
         shadows: bool = True,
@@ -86,9 +96,10 @@ class Renderer:
         illuminants of these lights. The method ``"direct"`` is for single pictures.
         """
         wanted = PictureRequest.checked(
-            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-            pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
-            refine=refine, plan=plan, strict=strict, device=device, threads=threads,
+            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+            masking=masking, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
+            samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device,
+            threads=threads,
         )  # fmt: skip
         if (method if plan is None else plan.method) == "direct":
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
@@ -107,7 +118,7 @@ class Renderer:
             scope, sample, count = directions_of(request)
             if request.plan is not None:
                 warn_outside(request.plan, request.hf, scope)
-            self.plan = request.plan or plan_for(request, scope, sample, count)
+            self.plan = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
             self._integrator = Integrator(request.hf, self.plan, scope, device=request.device, threads=request.threads)
             self._recorded = records(request.device)
             self._mine = _Picture(
@@ -172,7 +183,8 @@ class Renderer:
         """
         checks.callback(progress, "progress")
         mine = self._mine
-        lights = mine.lights if light is None else check_lights(light)
+        lights = mine.lights if light is None else lobes_for(check_lights(light))
+        check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
@@ -209,9 +221,8 @@ class Renderer:
 
     def _launch(self, mine: _Picture, progress: Callable[[float], None] | None = None) -> None:
         """Launch what a picture takes."""
-        names = [each.illuminant for each in mine.lights]
         mine.frame.integrate(
-            self._integrator, names, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress
+            self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress
         )
 
     def _replay(self, mine: _Picture) -> None:
@@ -253,7 +264,7 @@ class _Picture(threading.local):
         graph_is_for: What these depend on.
     """
 
-    def __init__(self, make: Callable[[], Frame], lights: list[DirectionalLight], view: View) -> None:
+    def __init__(self, make: Callable[[], Frame], lights: list[Lobe], view: View) -> None:
         self.frame, self.lights, self.view, self.drawn = make(), lights, view, False
         self.graph: Any = None
         self.graph_is_for: tuple[Any, ...] = ()

@@ -13,27 +13,31 @@ from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.kernels import cell_levels
 from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.planning import search
 from warpdiff.planning.planner import FEWEST_SEARCHED, plan_for, warn_outside
 from warpdiff.planning.request import Request
-from warpdiff.plans.plan import AUTOMATIC
+from warpdiff.plans.plan import AUTOMATIC, has_table
 from warpdiff.render.frame import Frame, load_kernels
 from warpdiff.render.layers import check_layers, layers_of
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import DirectionalLight
+from warpdiff.scene.lights import DirectionalLight, lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.tables import polar_layout
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
     import contextlib
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Mapping
 
     import warp as wp
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.image.image import Image
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
+    from warpdiff.scene.lights import Lobe
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
@@ -47,7 +51,8 @@ def shade(
     tolerance: float = 1e-2,
     method: str = "auto",
     coherence: Coherence | None = None,
-    ior: float = 1.5,
+    ior: float | None = None,
+    material: Material | Mapping[str, Material] | None = None,
     masking: bool = True,
     pigment: float = 1.0,
     shadows: bool = True,
@@ -78,7 +83,10 @@ def shade(
         method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
             ``"direct"`` (float64, slow and certain).
         coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
+            Pictures are relative to what it reflects at normal incidence.
+        material: What the mesh is made of, in place of ``ior``, or a mapping from the names of its geometries, each
+            with its material; pictures are then relative to a perfect mirror. Below metals no pigment is seen.
         masking: Whether V-cavity masking and shadowing is included.
         pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
         shadows: Whether lights are hidden by the mesh itself.
@@ -112,9 +120,10 @@ def shade(
     """
     layers = check_layers(layers)
     wanted = PictureRequest.checked(
-        hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, masking=masking,
-        pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint, samples_per_pixel=samples_per_pixel,
-        refine=refine, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
+        samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device, threads=threads,
+        progress=progress,
     )  # fmt: skip
     request = wanted.request
     load_kernels(request.device)
@@ -130,12 +139,12 @@ def shade(
             warn_outside(found, hf, scope)
         else:
             found = plan_for(request, scope, sample, count)
-        names = [each.illuminant for each in wanted.lights]
+        found = wanted.with_sizes(found)
         if found.method == "direct":
-            picture.sum_directly(hf, found, names, progress=progress)
+            picture.sum_directly(hf, found, progress=progress)
         else:
             integrator = Integrator(hf, found, scope, device=request.device, threads=request.threads)
-            picture.integrate(integrator, names, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+            picture.integrate(integrator, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
         image = picture.image(found)
         if layers:
             told = layers_of(
@@ -160,7 +169,7 @@ class PictureRequest:
 
     Attributes:
         request: What it has in common with other requests.
-        lights: One or several.
+        lights: The lobes of one or several.
         pigment: Strength of the base colour.
         shadows: Whether the mesh may hide the lights.
         smooth: Whether vertex normals are interpolated.
@@ -169,7 +178,7 @@ class PictureRequest:
     """
 
     request: Request
-    lights: list[DirectionalLight]
+    lights: list[Lobe]
     pigment: float
     shadows: bool
     smooth: bool
@@ -192,8 +201,8 @@ class PictureRequest:
         **common: Any,
     ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
-        request = Request.checked(hf, **common)
-        lights = check_lights(light)
+        request = Request.checked(hf, by_geometry=True, **common)
+        lights = lobes_for(check_lights(light))
         checks.instance(view, View, "view")
         checks.flag(shadows, "shadows")
         checks.flag(smooth, "smooth")
@@ -209,26 +218,49 @@ class PictureRequest:
                 f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
                 "footprint=False takes more points"
             )
+        check_light_sizes(lights, request.coherence, means=blurred)
         plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
-        illuminants = tuple(dict.fromkeys(each.illuminant for each in lights))
-        request = replace(request, plan=plan, footprint=blurred, illuminants=illuminants)
+        lit = LitMaterial.of([each.illuminant for each in lights], request.materials.values())
+        request = replace(request, plan=plan, footprint=blurred, lit=lit)
         return cls(request, lights, pigment, shadows, smooth, samples, checks.flag(refine, "refine"))
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
         """The arrays of a picture, whose faces begin to find their pixels."""
         result = Frame(
             surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint,
-            device=self.request.device, threads=self.request.threads, **options,
+            materials_of_faces=self.materials_of_faces(surface), device=self.request.device,
+            threads=self.request.threads, **options,
         )  # fmt: skip
         result.set_view(view)
         return result
 
-    def set_lights(self, picture: Frame, lights: list[DirectionalLight]) -> None:
+    def materials_of_faces(self, surface: Surface) -> NDArray[np.int32] | None:
+        """Which of several materials each face is of; None where there is one."""
+        if "" in self.request.materials:
+            return None
+        named, known = surface.geometry_names, list(self.request.materials)
+        if lacking := sorted(set(named) - set(known)) or sorted(set(known) - set(named)):
+            raise ValueError(
+                f"material must name each of the mesh's geometries, {', '.join(map(repr, sorted(set(named))))}, and no "
+                f"others, got {', '.join(map(repr, known))}: see {lacking[0]!r}"
+            )
+        return np.array([known.index(name) for name in named], dtype=np.int32)[surface.geometries]
+
+    def with_sizes(self, plan: Plan) -> Plan:
+        """A plan whose table serves lights of a size: what no table keeps for single directions, it does for these."""
+        if plan.blurs or all(each.spread == 0.0 for each in self.lights):
+            return plan
+        method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
+        nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
+        return replace(plan, method=method, nodes=nodes, rays_per_width=rays_per_width, footprint=True)
+
+    def set_lights(self, picture: Frame, lights: list[Lobe]) -> None:
         """Set a picture's lights."""
         request = self.request
         picture.set_lights(
             lights, request.coherence, request.hf.size_um[0] * request.hf.size_um[1],
-            normal=request.normal_reflectance, masking=request.masking, pigment=self.pigment, shadows=self.shadows,
+            normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
+            pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
 
     def load_likely_kernels(self, view: View) -> None:
@@ -284,6 +316,22 @@ def warn_unsettled(plan: Plan) -> None:
         )
 
 
+def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool) -> None:
+    """Refuse lights of a size where it is the coherence's, or where pixels show no means over directions."""
+    if all(each.spread == 0.0 for each in lights):
+        return
+    if window.kind == "source":
+        raise ValueError(
+            "light: angular_diameter_deg is given beside coherence of kind='source', whose size is that of all lights: "
+            "give one of them"
+        )
+    if not (means and window.adds_powers):
+        raise ValueError(
+            f"light: angular_diameter_deg takes footprints, which pictures of coherence {window.kind!r} lack, or which "
+            "footprint=False or method='direct' leaves out: give several lights of angular_diameter_deg=0"
+        )
+
+
 def check_lights(light: Any) -> list[DirectionalLight]:
     """Check lights: one or several, as a list."""
     lights = [light] if isinstance(light, DirectionalLight) else light
@@ -293,3 +341,8 @@ def check_lights(light: Any) -> list[DirectionalLight]:
         checks.instance(each, DirectionalLight, f"light[{index}]")
         colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
     return list(lights)
+
+
+def lobes_for(lights: Sequence[DirectionalLight]) -> list[Lobe]:
+    """The lobes of lights."""
+    return [lobe for each in lights for lobe in lobes_of(each)]

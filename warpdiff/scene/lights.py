@@ -1,35 +1,95 @@
-"""Light sources: directional lights with an illuminant and a power."""
+"""Light sources: directional lights with an illuminant, a power and a size, and the lobes that pictures are lit by."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass
 
+import numpy as np
+
 from warpdiff.core import checks
+from warpdiff.optics.spectra import Spectrum
 
 # Squares of colours are float32.
 _MOST_POWER = 1e12
+# Softboxes: beyond, a light is an environment.
+_WIDEST_DEG = 60.0
+# A light up to this wide is one Gaussian; of a wider one there are lobes of so much of it each, up to so many, and each
+# is as wide as is even between them: a deviation of so many radii of its part.
+_ONE_LOBE_DEG, _LOBE_DEG, _MOST_LOBES, _LOBE_WIDTH = 5.0, 2.5, 128, 0.9
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
 @dataclass(frozen=True)
 class DirectionalLight:
-    """Light from infinitely far away.
+    """Light from infinitely far away, from a point or a disc in the sky.
 
     Attributes:
         to_light: Direction from the surface towards the light, world frame; it is normalised.
-        illuminant: Name of the light's CIE illuminant.
-        power: Linear factor, up to 1e12; at 1 a flat mirror in the mirror direction shows Y = 1.
+        illuminant: Name of the light's CIE illuminant, or a light source that colour-science knows, or a ``Spectrum``.
+        power: Linear factor, up to 1e12; at 1 a flat mirror in the mirror direction of a point shows Y = 1. That of a
+            disc is shared out over it.
+        angular_diameter_deg: Diameter of a disc of even brightness, 0 to 60°; 0 is a point. A disc takes footprints
+            (``footprint=`` of pictures), and up to 5° it has a hard shadow.
     """
 
     to_light: tuple[float, float, float]
     _: KW_ONLY
-    illuminant: str = "D65"
+    illuminant: str | Spectrum = "D65"
     power: float = 1.0
+    angular_diameter_deg: float = 0.0
 
     def __post_init__(self) -> None:
         unit = checks.directions(checks.vector(self.to_light, "to_light"), "to_light")[0][0]
         object.__setattr__(self, "to_light", (float(unit[0]), float(unit[1]), float(unit[2])))
-        if not isinstance(self.illuminant, str):
+        if not isinstance(self.illuminant, (str, Spectrum)):
             raise TypeError(
-                f"illuminant must be the name of a CIE illuminant, such as 'D65', got {type(self.illuminant).__name__}"
+                "illuminant must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
+                f"{type(self.illuminant).__name__}"
             )
         object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=_MOST_POWER))
+        diameter = checks.number(self.angular_diameter_deg, "angular_diameter_deg", least=0.0, most=_WIDEST_DEG)
+        object.__setattr__(self, "angular_diameter_deg", diameter)
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """A part of a light: a Gaussian of directions, or one direction.
+
+    Attributes:
+        to_light: Unit vector towards it, world frame.
+        illuminant: Its illuminant.
+        power: Its linear factor.
+        spread: Standard deviation of its directions [radians]; 0 is a single one.
+    """
+
+    to_light: tuple[float, float, float]
+    illuminant: str | Spectrum
+    power: float
+    spread: float = 0.0
+
+
+def lobes_of(light: DirectionalLight) -> list[Lobe]:
+    """The lobes that stand for a light: their directions have the mean and the variance of its disc.
+
+    A disc of radius α has a variance of α²/4 along either axis. Several lobes lie on a spiral by the golden angle, each
+    in the middle of as large a part of a disc that is smaller by what they themselves spread.
+    """
+    radius = math.radians(light.angular_diameter_deg / 2.0)
+    if light.angular_diameter_deg <= _ONE_LOBE_DEG:
+        return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0)]
+    count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
+    spread = _LOBE_WIDTH * radius / math.sqrt(count)
+    inner = math.sqrt(radius**2 - 4.0 * spread**2)
+    axis = np.asarray(light.to_light)
+    aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    aside /= np.linalg.norm(aside)
+    other = np.cross(axis, aside)
+    index = np.arange(count) + 0.5
+    # Equal parts of the solid angle.
+    cosine = 1.0 - index / count * (1.0 - math.cos(inner))
+    sine, around = np.sqrt(1.0 - cosine**2), _GOLDEN_ANGLE * index
+    towards = cosine[:, None] * axis + sine[:, None] * (
+        np.cos(around)[:, None] * aside + np.sin(around)[:, None] * other
+    )
+    return [Lobe((float(x), float(y), float(z)), light.illuminant, light.power / count, spread) for x, y, z in towards]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -63,6 +63,7 @@ class Surface:
             ``None`` where that is all of them.
         has_base_colour: Whether the mesh came with a colour of any kind.
         geometries: Which of the mesh's geometries a face belongs to, shape (m,), int32.
+        geometry_names: Their names in a scene; of a mesh alone, one that is empty.
         is_convex: Whether the mesh bounds a convex body or lies in a plane, so that nothing on its outside is shadowed.
         centre: The origin of ``vertices``, world frame, shape (3,), float64.
         radius: The unit of ``vertices``, in the mesh's unit.
@@ -81,6 +82,7 @@ class Surface:
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
+    geometry_names: tuple[str, ...] = ("",)
 
 
 def prepare_surface(
@@ -122,7 +124,9 @@ def prepare_surface(
 
 def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surface:
     """A surface, made or found again."""
-    told_by = [np.asarray(each) for mesh, transform, _ in geometries for each in (transform, *_told_by(mesh))]
+    told_by = [np.asarray(each) for mesh, transform, *_ in geometries for each in (transform, *_told_by(mesh))]
+    names = tuple(each.name for each in geometries)
+    told_by.append(np.asarray(names))
     given = None if tangents is None else checks.finite_array(tangents, "tangents")
     if given is not None:
         told_by.append(given)
@@ -134,7 +138,7 @@ def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surfac
         if given is not None and given.shape == (3,):
             given = np.broadcast_to(given, (part.count, 3))
         _check_tangents(part, given)
-        surface = _build(part, given)
+        surface = replace(_build(part, given), geometry_names=names)
     _kept.put(_Contents([each.copy() for each in told_by]), surface)
     return surface
 
@@ -184,11 +188,12 @@ def _told_by(mesh: Any) -> list[Any]:
 
 
 class _Geometry(NamedTuple):
-    """A mesh with its transform, and how messages call it: ``mesh``, or by its name where there are several."""
+    """A mesh with its transform, how messages call it, ``mesh`` or by its name if there are several, and its name."""
 
     mesh: Any
     transform: NDArray[np.float64]
     called: str
+    name: str
 
 
 @dataclass
@@ -214,7 +219,7 @@ def _geometries(mesh: Any) -> list[_Geometry]:
     if isinstance(mesh, (str, os.PathLike)):
         return _geometries(mesh_files.load(mesh))
     if isinstance(mesh, trimesh.Trimesh):
-        return [_Geometry(mesh, np.eye(4), "mesh")]
+        return [_Geometry(mesh, np.eye(4), "mesh", "")]
     if not isinstance(mesh, trimesh.Scene):
         raise TypeError(f"mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}")
     found = []
@@ -222,7 +227,8 @@ def _geometries(mesh: Any) -> list[_Geometry]:
         transform, name = mesh.graph[node]
         geometry = mesh.geometry[name]
         if isinstance(geometry, trimesh.Trimesh):
-            found.append(_Geometry(geometry, np.asarray(transform, dtype=np.float64), f"mesh's geometry {name!r}"))
+            called = f"mesh's geometry {name!r}"
+            found.append(_Geometry(geometry, np.asarray(transform, dtype=np.float64), called, str(name)))
     if not found:
         raise ValueError("mesh must have triangles, got a scene or file without any")
     return found if len(found) > 1 else [found[0]._replace(called="mesh")]

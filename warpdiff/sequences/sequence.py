@@ -191,6 +191,8 @@ def _key(renderer: Renderer, shots: Sequence[Shot], how: Any) -> str:
     # A hundred thousand of them are soon written.
     for shot in shots:
         digest.update(repr(shot).encode())
+        # Of a spectrum that says no more than the name.
+        _feed(digest, [each.illuminant for each in shot.light if not isinstance(each.illuminant, str)])
     return digest.hexdigest()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import VISIBLE_NM, LitMaterial, reflectance_at
 from warpdiff.plans.plan import FUNCTIONS, MOST_FUNCTIONS
 from warpdiff.tables.polar_layout import LOG_RED, node_count
 
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
+    from warpdiff.tables.polar_layout import Layout
 
 # Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
 _ENTRIES_OVER_W = 160
@@ -29,6 +32,11 @@ _LEAST_SCALE_OVER_W = 1e-2
 _SAMPLES_PER_NODE = 64
 # Errors of the colour curves count relative to them, down to this share of the largest: they vanish at both ends.
 _LEAST_SCALE = 0.005
+# Colour curves hold a material's reflectance at this cos θd. What it is elsewhere, relative to that, is a sum of
+# products of a function of |(u, v)| and of one of λ and w, which may leave out this share of the tolerance.
+_MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
+# They hold no less of it than this share of its largest value, as films reflect nothing at some wavelengths.
+_LEAST_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -49,35 +57,58 @@ class Terms:
 
 
 @dataclass(frozen=True)
+class Product:
+    """A part of an octave's colours: a projection of the spectrum, times a number for each node of |(u, v)|.
+
+    Attributes:
+        matrices: For each node from the one before a colour's own to its blue end and beyond, and for each term, the
+            coefficients of the functions of w, shape (nodes, terms, m).
+        factors: The number for each node of the octave, shape (nodes of an octave,); None is 1.
+    """
+
+    matrices: NDArray[np.float32]
+    factors: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
 class Projection:
     """The weights that turn rows of the spectrum into colours.
 
     Attributes:
         ws: |w| at equal steps.
         functions: Functions of these that all colours share, shape (entries, m).
-        matrices: For each node from the one before a colour's own to its blue end and beyond, and for each term, the
-            coefficients of the functions, shape (nodes, terms, m).
-        weights: What these count for X, Y and Z, shape (nodes, 3).
+        weights: What nodes count for X, Y and Z, shape (nodes, 3).
+        octaves: For each octave of |(u, v)| the products whose sum its colours are: a single one without a material.
     """
 
     ws: NDArray[np.float64]
     functions: NDArray[np.float32]
-    matrices: NDArray[np.float32]
     weights: NDArray[np.float32]
+    octaves: tuple[tuple[Product, ...], ...]
 
 
 @on_one_thread()
-def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
-    """The projection for a plan's nodes and its functions of w, or as many of these as its tolerance asks for."""
+def projection(plan: Plan, terms: Terms, lit: LitMaterial, layout: Layout) -> Projection:
+    """The projection for a plan's nodes and its functions of w, or as many of these as its tolerance asks for.
+
+    As cos θd = |(u, v, w)|/2, a material's R(θd, λ) is a function of λ, of w and of a node's |(u, v)|: it is within the
+    integral over λ, and look-ups do not know of it.
+    """
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws = np.linspace(low, high, _ENTRIES_OVER_W)
-    weights = colour_weights(plan.nodes, illuminant, lines=plan.coherence.kind == "source")
+    weights = colour_weights(plan.nodes, lit, lines=plan.coherence.kind == "source")
     per_um = np.exp(LOG_RED + (np.arange(len(weights)) - 1.0) * math.log(2.0) / plan.nodes)
     count = len(terms.sizes)
     kappas = np.clip(ws[:, None] * per_um, *terms.kappas)
     basis = terms.basis_at(kappas.ravel()).reshape(len(ws), len(per_um), count)
-    matrix = (basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]).reshape(len(ws), -1)
+    parts = _material_products(lit.material, plan, layout, ws, per_um)
+    # Octaves that share a product, as those of small |(u, v)| do, count once.
+    each = {id(over_w): (over_w, size) for octave in parts for over_w, _, size in octave}
+    sized = basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]
+    matrix = np.concatenate(
+        [(sized * (size * over_w)[:, :, None]).reshape(len(ws), -1) for over_w, size in each.values()], axis=1
+    )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
     # A singular value decomposition, by the eigenvectors of so small a matrix that threads of a library, which wait for
@@ -90,29 +121,93 @@ def projection(plan: Plan, terms: Terms, illuminant: str) -> Projection:
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.functions or min(FUNCTIONS * math.ceil(max(needed, 1) / FUNCTIONS), MOST_FUNCTIONS)
     functions = left[:, :m] / relative
-    matrices = np.einsum("wm,wil->ilm", left[:, :m] * relative, basis)
-    return Projection(ws, functions.astype(np.float32), matrices.astype(np.float32), weights.astype(np.float32))
+    projected = {
+        key: np.einsum("wm,wi,wil->ilm", left[:, :m] * relative, over_w, basis, optimize=True).astype(np.float32)
+        for key, (over_w, _) in each.items()
+    }
+    octaves = tuple(tuple(Product(projected[id(over_w)], factors) for over_w, factors, _ in octave) for octave in parts)
+    return Projection(ws, functions.astype(np.float32), weights.astype(np.float32), octaves)
+
+
+def _held(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of a material's reflectance that colour curves hold, a function of the wavelength alone."""
+    most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max()
+    found = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
+    return np.asarray(np.maximum(found, _LEAST_SHARE * most))
+
+
+_Part = tuple["NDArray[np.float64]", "NDArray[np.float32] | None", float]
+
+
+def _material_products(
+    material: Material | None, plan: Plan, layout: Layout, ws: NDArray[np.float64], per_um: NDArray[np.float64]
+) -> list[list[_Part]]:
+    """For each octave, functions of (w, λ), numbers for its nodes, and how large these are at most.
+
+    Their products add up to R relative to what colour curves hold of it.
+    """
+    count = len(layout.spokes[0])
+    if material is None:
+        whole = np.ones((len(ws), len(per_um)))
+        return [[(whole, None, 1.0)]] * count
+    wavelengths = np.clip(1e3 / per_um, colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
+    middle = _held(material, wavelengths)
+
+    def ratio(uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        cosines = 0.5 * np.sqrt(uv[:, None] ** 2 + ws**2)
+        return np.asarray(reflectance_at(material, wavelengths, cosines[..., None]) / middle)
+
+    most = _PRODUCTS_SHARE * plan.tolerance
+    centre: NDArray[np.float64] = ratio(np.zeros(1))[0]
+    result: list[list[_Part]] = []
+    for octave in range(count):
+        logs = layout.log_low - LOG_RED + (octave + np.arange(layout.nodes) / layout.nodes) * math.log(2.0)
+        # Beyond 2 there is no |(u, v)|.
+        uv = np.minimum(np.exp(logs), 2.0)
+        if np.abs(ratio(uv[-1:]) - centre).max() <= most:
+            result.append([(centre, None, 1.0)])
+            continue
+        values = ratio(uv).reshape(len(uv), -1)
+        # A singular value decomposition by the smaller side.
+        left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
+        right = left.T @ values
+        taken = 1
+        while taken < len(uv) and np.abs(values - left[:, :taken] @ right[:taken]).max() > most:
+            taken += 1
+        result.append(
+            [
+                (right[j].reshape(centre.shape), left[:, j].astype(np.float32), float(np.abs(left[:, j]).max()))
+                for j in range(taken)
+            ]
+        )
+    return result
 
 
 @functools.lru_cache(maxsize=64)
-def colour_weights(nodes: int, illuminant: str, *, lines: bool = False) -> NDArray[np.float64]:
+def colour_weights(nodes: int, lit: LitMaterial, *, lines: bool = False) -> NDArray[np.float64]:
     """Projections of colour curves on the splines of so many nodes an octave.
 
     Args:
         nodes: Nodes an octave.
-        illuminant: A name.
+        lit: The illuminant, and the material whose reflectance at a middle angle the curves hold.
         lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
 
     Returns:
         Shape (node_count(nodes), 3); times the spectrum's values from the node before the red end on they add up to
         XYZ.
     """
-    products = colorimetry.colour_products(illuminant)
+    products = colour_products(lit)
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, nodes)
     # A spectrum without features keeps its colour to rounding.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / nodes * result.sum(axis=0)))
+
+
+def colour_products(lit: LitMaterial) -> NDArray[np.float64]:
+    """S·x̄ȳz̄ at 1 nm, times what colour curves hold of a material's reflectance, shape (401, 3)."""
+    products = colorimetry.colour_products(lit.illuminant)
+    return products if lit.material is None else products * _held(lit.material, VISIBLE_NM)[:, None]
 
 
 def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: float) -> NDArray[np.float64]:

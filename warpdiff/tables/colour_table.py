@@ -15,8 +15,9 @@ from warpdiff.core import free_memory
 from warpdiff.fourier import chebyshev
 from warpdiff.kernels import colour_lookup, spectrum_sampling
 from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import reflectance_at
 from warpdiff.tables import coefficient_table, line_spectrum
-from warpdiff.tables.colour_projection import Projection, Terms, projection
+from warpdiff.tables.colour_projection import Product, Projection, Terms, colour_products, projection
 from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_mip_levels, megabytes, near
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import LitMaterial
     from warpdiff.plans.direction_range import DirectionRange
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
@@ -41,6 +43,8 @@ _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
 _MIRROR_ENTRIES, _MIRROR_WAVELENGTHS = 2048, 40
+# Of a material's reflectance, by cos θd.
+_MIRROR_ANGLES = 512
 _ROWS_OF_SLICE = 32
 
 
@@ -96,13 +100,13 @@ class _Source:
 
 
 def table_for(
-    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any]:
     """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
     kept = coefficient_table.kept(hf)
     held, spectra = kept.colours, kept.spectra
-    source, how = _prepared(hf, plan, scope, illuminant, device=device, threads=threads)
-    wanted, sharp = (*source.key, illuminant, has_mip_levels(plan)), (*source.key, illuminant, False)
+    source, how = _prepared(hf, plan, scope, lit, device=device, threads=threads)
+    wanted, sharp = (*source.key, lit, has_mip_levels(plan)), (*source.key, lit, False)
     options: dict[str, Any] = {"device": device, "threads": threads}
     # Other threads may make the same meanwhile, or let it go.
     found = held.get(wanted)
@@ -117,7 +121,7 @@ def table_for(
             )  # fmt: skip
             _load_kernels(source, how, plan, device)
             if rows is None:
-                # The last one serves other illuminants.
+                # The last one serves other illuminants and materials.
                 spectra.clear()
                 rows = (
                     line_spectrum.of_table(source.base.arguments, source.layout.highest)
@@ -125,7 +129,7 @@ def table_for(
                     else _sampled(source, **options)
                 )
                 spectra.put(source.key, rows)
-            found = _coloured(source, how, rows, illuminant, **options)
+            found = _coloured(source, how, rows, lit, **options)
             held.put(sharp, found)
         if wanted != sharp:
             # Levels are added to colours that have none, whose rows both then have.
@@ -137,17 +141,17 @@ def table_for(
 
 
 def function_count(
-    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
 ) -> int:
     """Functions of w that colours of a plan's table share."""
-    return int(_prepared(hf, plan, scope, illuminant, device=device, threads=threads)[1].functions.shape[1])
+    return int(_prepared(hf, plan, scope, lit, device=device, threads=threads)[1].functions.shape[1])
 
 
 def begin_to_load(
-    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
 ) -> None:
     """Begin to load the kernels that make a plan's table and look it up."""
-    _load_kernels(*_prepared(hf, plan, scope, illuminant, device=device, threads=threads), plan, device)
+    _load_kernels(*_prepared(hf, plan, scope, lit, device=device, threads=threads), plan, device)
 
 
 def kernel_of_look_ups(functions: int, coherence: Coherence) -> Any:
@@ -163,25 +167,27 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
         needed = [source.sampler.gather, projector.project_lines]
     else:
         needed = [source.sampler.resample, projector.project]
+    if any(len(products) > 1 for products in how.octaves):
+        needed.append(projector.add_product)
     needed += [target.interpolate, target.integrate]
     load([*needed, target.blur] if has_mip_levels(plan) else needed, device)
 
 
 def _prepared(
-    hf: HeightField, plan: Plan, scope: DirectionRange, illuminant: str, *, device: wp.Device, threads: int
+    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
 ) -> tuple[_Source, Projection]:
     """Prepare layout, terms and projection, before any rows are made."""
     reached = coefficient_table.Reached.by(plan.scope.joined(scope))
     numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.functions, plan.tolerance
     key = device.alias, plan.method, plan.coherence, numbers, reached
 
-    def make() -> tuple[_Source, dict[str, Projection]]:
+    def make() -> tuple[_Source, dict[LitMaterial, Projection]]:
         return _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
 
     source, projections = coefficient_table.kept(hf).prepared.get_or_make(key, make)
-    if illuminant not in projections:
-        projections[illuminant] = projection(plan, source.terms, illuminant)
-    return source, projections[illuminant]
+    if lit not in projections:
+        projections[lit] = projection(plan, source.terms, lit, source.layout)
+    return source, projections[lit]
 
 
 def _source(
@@ -254,10 +260,10 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
 
 
 def _coloured(
-    source: _Source, how: Projection, spectrum_rows: Any, illuminant: str, *, device: wp.Device, threads: int
+    source: _Source, how: Projection, spectrum_rows: Any, lit: LitMaterial, *, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
     """The kernel, the table of colours without levels, and its size."""
-    layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
+    layout, count = source.layout, how.functions.shape[1]
     target = colour_lookup.lookup(count, source.is_lines)
     table = target.Colours()
     table.functions = wp.array(how.functions, dtype=target.functions, device=device)
@@ -265,7 +271,7 @@ def _coloured(
     table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
-    table.detail = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminant, per_log) else _NO_DECIMATION
+    table.detail = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(lit, per_log) else _NO_DECIMATION
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
     table.lobe_uv = math.sqrt(source.lobe2) * MIDDLE_UM
@@ -273,46 +279,82 @@ def _coloured(
     table.least_kappa, highest = source.terms.kappas
     table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)
     table.lobe2 = source.lobe2
-    wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, illuminant)
+    wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, lit.illuminant)
     table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
     table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
+    reflectances = np.zeros((len(weights), 0))
+    if lit.material is not None:
+        angles = np.linspace(0.0, 1.0, _MIRROR_ANGLES)
+        reflectances = reflectance_at(lit.material, 1e3 / wavenumbers[::-1, None], angles)
+    table.reflectances = wp.array(reflectances, dtype=wp.float32, device=device)
     if source.is_lines:
         table.line_blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
         table.spread2 = source.coherence.spread**2
         table.near2 = near(source.coherence) ** 2
     # Levels come behind, if any: until then theirs is no memory on the CPU.
     table.rows = wp.empty(layout.with_mip_levels().rows, dtype=target.row, device=device)
+    fill = _filler(source, how, spectrum_rows, device=device, threads=threads)
+    _fill(table, target, layout, 0, fill, device=device, threads=threads)
+    return target.integrate, table, _megabytes(layout, count)
+
+
+def _filler(
+    source: _Source, how: Projection, spectrum_rows: Any, *, device: wp.Device, threads: int
+) -> Callable[[int, int, Any], None]:
+    """What puts the sharp colours of an octave on its spokes."""
+    layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
-    matrices = wp.array(how.matrices.reshape(-1, count), dtype=projector.functions, device=device)
     curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
+    before = len(how.weights) - 1
+    held: dict[int, wp.array] = {}
 
-    def fill_from_lines(_level: int, octave: int, on_spokes: Any) -> None:
+    def matrices_of(product: Product) -> wp.array:
+        """The matrices of a product on the device: octaves share them."""
+        key = id(product.matrices)
+        if key not in held:
+            flat = product.matrices.reshape(-1, count)
+            held[key] = wp.array(flat, dtype=projector.functions, device=device)
+        return held[key]
+
+    def project_lines(octave: int, matrices: wp.array, on_spokes: wp.array) -> None:
         begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
-        given = layout.nodes + len(how.matrices) - 1 + 2 * colour_lookup.FILTER_REACH
+        given = layout.nodes + before + 2 * colour_lookup.FILTER_REACH
         values = line_spectrum.gathered(
-            spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin, per_log=per_log, nodes=given,
-            spokes=layout.spokes[0][octave], blur=layout.blurs[octave], **options,
+            spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin,
+            per_log=layout.nodes / math.log(2.0),
+            nodes=given, spokes=layout.spokes[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
         inputs = [values, matrices, curves, terms, layout.nodes, given]
         launch(projector.project_lines, layout.spokes[0][octave] // projector.abreast, inputs, [on_spokes], **options)
 
-    if source.is_lines:
-        _fill(table, target, layout, 0, fill_from_lines, device=device, threads=threads)
-        return target.integrate, table, _megabytes(layout, count)
     # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
-    length = layout.nodes + len(how.matrices) - 1 + colour_lookup.FILTER_REACH
-    sequence = wp.empty(layout.spokes[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
-    starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
-    spokes = wp.array(layout.spectrum_spokes, dtype=wp.int32, device=device)
+    length = layout.nodes + before + colour_lookup.FILTER_REACH
+    sequence, starts, spokes = None, None, None
+    if not source.is_lines:
+        sequence = wp.empty(layout.spokes[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
+        starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
+        spokes = wp.array(layout.spectrum_spokes, dtype=wp.int32, device=device)
 
-    def fill(_level: int, octave: int, on_spokes: Any) -> None:
+    def project(octave: int, matrices: wp.array, on_spokes: wp.array) -> None:
         inputs = [spectrum_rows, starts, spokes, matrices, curves, terms, layout.nodes, octave, length, sequence]
         groups = layout.spokes[0][octave] // projector.abreast
         launch(projector.project, groups, inputs, [on_spokes], in_runs=True, **options)
 
-    _fill(table, target, layout, 0, fill, device=device, threads=threads)
-    return target.integrate, table, _megabytes(layout, count)
+    def fill(_level: int, octave: int, on_spokes: wp.array) -> None:
+        products = how.octaves[octave]
+        of_octave = project_lines if source.is_lines else project
+        if products[0].factors is None:
+            of_octave(octave, matrices_of(products[0]), on_spokes)
+            return
+        values = wp.empty(layout.spokes[0][octave] * layout.nodes, dtype=projector.row, device=device)
+        for index, product in enumerate(products):
+            of_octave(octave, matrices_of(product), values)
+            factors = wp.array(product.factors, dtype=wp.float32, device=device)
+            inputs = [values, factors, index == 0]
+            launch(projector.add_product, layout.spokes[0][octave], inputs, [on_spokes], **options)
+
+    return fill
 
 
 def _megabytes(layout: Layout, functions: int) -> float:
@@ -373,9 +415,9 @@ def _fill(
             launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
 
 
-def _is_smooth(illuminant: str, per_log: float) -> bool:
+def _is_smooth(lit: LitMaterial, per_log: float) -> bool:
     """Whether colours under a light are so smooth in ln λ that every second node tells their mean; lines are not."""
-    products = colorimetry.colour_products(illuminant)
+    products = colour_products(lit)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
     left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
     return bool(left.max() < _MOST_AT_ALIAS)

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpdiff.compute.pipeline import KernelCall, launch_pipeline
+from warpdiff.compute.pipeline import ELEMENTS_OF_SLICE, KernelCall, launch_pipeline
 from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import coefficient_table, colour_table
 from warpdiff.tables.footprint_taps import footprint_taps
 
 if TYPE_CHECKING:
+    from warpdiff.optics.materials import LitMaterial
     from warpdiff.plans.direction_range import DirectionRange
     from warpdiff.plans.plan import Plan
     from warpdiff.surface.heightfield import HeightField
@@ -37,8 +38,8 @@ class Integrator:
         """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
         self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
         self._scope, self._zeroth_order = scope, zeroth_order
-        self._colours: dict[str, Any] = {}
-        self._quadratures: dict[str, Any] = {}
+        self._colours: dict[LitMaterial, Any] = {}
+        self._quadratures: dict[LitMaterial, Any] = {}
         self._table: coefficient_table.Table | None = None
         if plan.nodes:
             self._taps = footprint_taps(device.alias, is_lines=plan.coherence.kind == "source")
@@ -49,7 +50,7 @@ class Integrator:
         deflections: wp.array,
         to_lights: wp.array,
         gains: wp.array,
-        illuminant: str,
+        lit: LitMaterial,
         xyz: wp.array,
         *,
         footprints: wp.array | None = None,
@@ -63,19 +64,23 @@ class Integrator:
             deflections: (u, v, w).
             to_lights: Directions to the light in the local frame.
             gains: Their factors.
-            illuminant: A name.
+            lit: The illuminant, and the material that it falls on.
             xyz: What is added to.
             footprints: What each pixel's filter does to (u, v), for a plan with footprints.
             left_out: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
             among: Which of them, from a whole run on; None is all.
             options: Of ``launch_pipeline``, ``slice_size`` and ``progress``.
         """
-        if self._plan.nodes and not self.leaves_out:
-            options.setdefault("slice_size", _LOOK_UPS_OF_SLICE)
-        steps = self.steps(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)
+        options.setdefault("slice_size", self.slice_size)
+        steps = self.steps(deflections, to_lights, gains, lit, xyz, footprints, left_out)
         launch_pipeline(
             steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
         )
+
+    @property
+    def slice_size(self) -> int:
+        """How many directions of a picture or a call go through the kernels together."""
+        return _LOOK_UPS_OF_SLICE if self._plan.nodes and not self.leaves_out else ELEMENTS_OF_SLICE
 
     @property
     def leaves_out(self) -> bool:
@@ -92,19 +97,19 @@ class Integrator:
         deflections: wp.array,
         to_lights: wp.array,
         gains: wp.array,
-        illuminant: str,
+        lit: LitMaterial,
         xyz: wp.array,
         footprints: wp.array | None = None,
         left_out: wp.array | None = None,
     ) -> list[KernelCall]:
         """The kernel calls of ``add``."""
         if not self._plan.nodes:
-            return [self._sample(deflections, to_lights, gains, illuminant, xyz)]
+            return [self._sample(deflections, to_lights, gains, lit, xyz)]
         if left_out is None:
             left_out = wp.empty(len(gains) * self.leaves_out, dtype=wp.float32, device=self._device)
-        steps = [self._look_up(deflections, to_lights, gains, illuminant, xyz, footprints, left_out)]
+        steps = [self._look_up(deflections, to_lights, gains, lit, xyz, footprints, left_out)]
         if self.leaves_out:
-            steps.append(self._sample(deflections, to_lights, left_out, illuminant, xyz))
+            steps.append(self._sample(deflections, to_lights, left_out, lit, xyz))
         return steps
 
     def _look_up(
@@ -112,28 +117,28 @@ class Integrator:
         deflections: wp.array,
         to_lights: wp.array,
         gains: wp.array,
-        illuminant: str,
+        lit: LitMaterial,
         xyz: wp.array,
         footprints: wp.array | None,
         left_out: wp.array,
     ) -> KernelCall:
         """Add what a table serves."""
-        if illuminant not in self._colours:
+        if lit not in self._colours:
             kernel, table = colour_table.table_for(
-                self._hf, self._plan, self._scope, illuminant, device=self._device, threads=self._threads
+                self._hf, self._plan, self._scope, lit, device=self._device, threads=self._threads
             )
-            self._colours[illuminant] = (
+            self._colours[lit] = (
                 kernel,
                 table if self._zeroth_order else colour_table.without_zeroth_order(table, self._plan.coherence),
             )
-        kernel, table = self._colours[illuminant]
+        kernel, table = self._colours[lit]
         seen = self._no_footprints if footprints is None else footprints
         run = colour_lookup.RUN if self._device.is_cpu else 1
         inputs = [table, deflections, to_lights, gains, seen, self._taps, run]
         return KernelCall(kernel, inputs, [left_out, xyz], block=run)
 
     def _sample(
-        self, deflections: wp.array, to_lights: wp.array, gains: wp.array, illuminant: str, xyz: wp.array
+        self, deflections: wp.array, to_lights: wp.array, gains: wp.array, lit: LitMaterial, xyz: wp.array
     ) -> KernelCall:
         """Add the sums over wavelengths."""
         given: dict[str, Any] = {"device": self._device}
@@ -142,7 +147,7 @@ class Integrator:
             self._table = coefficient_table.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
             if not self._zeroth_order:
                 self._table = coefficient_table.without_zeroth_order(self._table)
-        if illuminant not in self._quadratures:
-            self._quadratures[illuminant] = coefficient_table.quadrature_for(self._hf, self._plan, illuminant, **given)
-        inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[illuminant]]
+        if lit not in self._quadratures:
+            self._quadratures[lit] = coefficient_table.quadrature_for(self._hf, self._plan, lit, **given)
+        inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[lit]]
         return KernelCall(self._table.integrate, inputs, [xyz])

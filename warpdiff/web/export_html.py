@@ -96,8 +96,9 @@ def export_html(
         raise ValueError("view must be a perspective one, got an orthographic one")
     normal = reflectance_factors.normal_reflectance(ior)
     pigment = checks.number(pigment, "pigment", least=0.0)
-    for name, value in {"masking": masking, "shadows": shadows, "smooth": smooth}.items():
-        checks.flag(value, name)
+    masking, shadows, smooth = (
+        checks.flag(value, name) for name, value in (("masking", masking), ("shadows", shadows), ("smooth", smooth))
+    )
     if exposure is not None:
         checks.positive(exposure, "exposure")
     if not isinstance(title, str):
@@ -131,6 +132,11 @@ def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight]:
         )
     for index, each in enumerate(lights):
         checks.instance(each, DirectionalLight, f"light[{index}]")
+        if each.angular_diameter_deg > 0.0:
+            raise ValueError(
+                f"light[{index}].angular_diameter_deg must be 0 on a page, got {each.angular_diameter_deg:g}: bake lobes "
+                "of a source"
+            )
         if each.illuminant != lobes.illuminant:
             raise ValueError(
                 f"light[{index}].illuminant must be that of lobes, {lobes.illuminant!r}, got {each.illuminant!r}"

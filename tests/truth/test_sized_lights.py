@@ -1,0 +1,127 @@
+"""Lights of a size: the lobes that stand for a disc, and pictures against a disc of many points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+import warpdiff as wd
+from warpdiff.scene.lights import lobes_of
+
+SHORT = wd.Coherence(sigma_um=8.0)
+VIEW = wd.View((0, 2, 4), (0, 0, 0), width=96, height=72)
+TOWARDS = (0.2, 0.5, 1.0)
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
+
+
+def points_of(light, count):
+    """Point lights that are even over the disc, on rings of as many as their lengths."""
+    axis, radius = np.asarray(light.to_light), math.radians(light.angular_diameter_deg / 2.0)
+    aside = np.cross(axis, (1.0, 0.0, 0.0))
+    aside /= np.linalg.norm(aside)
+    other = np.cross(axis, aside)
+    rings = round(math.sqrt(count / math.pi))
+    found = []
+    for ring in range(rings):
+        # Rings of equal width: their solid angles are shared out among as many points as their lengths take.
+        inner, outer = radius * ring / rings, radius * (ring + 1) / rings
+        middle, points = 0.5 * (inner + outer), max(round(2.0 * math.pi * (ring + 0.5)), 3)
+        share = (math.cos(inner) - math.cos(outer)) / (1.0 - math.cos(radius)) / points
+        for k in range(points):
+            around = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / points
+            across = math.cos(around) * aside + math.sin(around) * other
+            towards = math.cos(middle) * axis + math.sin(middle) * across
+            found.append(wd.DirectionalLight(tuple(towards), power=share))
+    return found
+
+
+@pytest.mark.parametrize("diameter", [0.0, 0.53, 5.0, 12.0, 40.0, 60.0])
+def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter):
+    light = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter)
+    lobes, axis = lobes_of(light), np.asarray(light.to_light)
+    powers = np.array([each.power for each in lobes])
+    assert powers.sum() == pytest.approx(3.0)
+    cosines = np.clip([axis @ each.to_light for each in lobes], -1.0, 1.0)
+    # Per axis: of where lobes lie, half of the mean squared distance, and of what they spread.
+    variance = np.average(np.arccos(cosines) ** 2, weights=powers) / 2.0 + lobes[0].spread ** 2
+    assert variance == pytest.approx((math.radians(diameter) / 4.0) ** 2, rel=0.03)
+    assert len(lobes) == 1 if diameter <= 5.0 else len(lobes) > 15
+
+
+@pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 200, 0.02, 0.1), (20.0, 320, 0.02, 0.1)])
+def test_a_light_of_a_size_is_a_disc_of_points(diameter, count, median, most, fingers):
+    light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter)
+    body = wd.meshes.tube(segments_along=48, segments_around=36)
+    options = {"tolerance": 1e-1, "coherence": SHORT, "pigment": 0.0, "shadows": False, "refine": False}
+    exact = wd.shade(body, fingers, points_of(light, count), VIEW, **options)
+    found = wd.shade(body, fingers, light, VIEW, plan=exact.plan, **options | {"coherence": None})
+    seen = exact.lit & found.lit
+    floor = 1e-3 * np.percentile(exact.xyz[seen][:, 1], 99.0)
+    errors = np.linalg.norm(found.xyz - exact.xyz, axis=-1)[seen]
+    errors /= np.maximum(np.linalg.norm(exact.xyz, axis=-1)[seen], floor)
+    assert np.median(errors) < median
+    assert np.percentile(errors, 90.0) < most
+    # Without its size the light is another one.
+    point = wd.shade(
+        body, fingers, wd.DirectionalLight(TOWARDS), VIEW, plan=exact.plan, **options | {"coherence": None}
+    )
+    others = np.linalg.norm(point.xyz - exact.xyz, axis=-1)[seen]
+    others /= np.maximum(np.linalg.norm(exact.xyz, axis=-1)[seen], floor)
+    assert np.percentile(errors, 90.0) < 0.7 * np.percentile(others, 90.0)
+
+
+@pytest.mark.filterwarnings("ignore:plan= is used beyond")
+def test_a_wide_light_has_a_soft_shadow(fingers):
+    """Behind the edge of a tube that hides the middle of a light, its rim still shines."""
+    body = wd.meshes.snake(segments=2)
+    view = wd.View((0, 3.4, 4), (0, 0, 0), fov_y_deg=13, width=64, height=48)
+    options = {"tolerance": 2e-1, "coherence": SHORT, "pigment": 0.0, "refine": False}
+    towards = (0.6, 0.25, -0.1)
+    point, wide = (
+        wd.shade(body, fingers, wd.DirectionalLight(towards, angular_diameter_deg=size), view, **options)
+        for size in (0.0, 40.0)
+    )
+    assert np.count_nonzero(wide.lit & ~point.lit) > 20
+    renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
+    renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
+    # Its table is for the whole hemisphere.
+    assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
+
+
+def test_a_size_is_said_once_and_takes_footprints(fingers):
+    light, view = (
+        wd.DirectionalLight(TOWARDS, angular_diameter_deg=3.0),
+        wd.View((0, 0, 4), (0, 0, 0), width=8, height=6),
+    )
+    for options, message in {
+        "source": ({"coherence": wd.Coherence("source")}, "beside coherence of kind='source'"),
+        "points": ({"footprint": False}, "takes footprints"),
+        "centred": ({"coherence": wd.Coherence("centred")}, "takes footprints"),
+        "direct": ({"method": "direct"}, "takes footprints"),
+    }.values():
+        with pytest.raises(ValueError, match=message):
+            wd.shade(wd.meshes.disc(), fingers, light, view, **options)
+    with pytest.raises(ValueError, match="angular_diameter_deg must be a finite number >= 0 <= 60, got 61"):
+        wd.DirectionalLight(TOWARDS, angular_diameter_deg=61)
+
+
+def test_a_mirror_under_a_wide_light_is_no_darker_than_it_should_be():
+    """Where a flat surface shows the middle of a disc, Y is the part of it that the window's lobe takes."""
+    square = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    mirror = trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
+    flat = wd.HeightField(np.zeros((32, 32)), 0.09)
+    view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
+    light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
+    image = wd.shade(mirror, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
+    # The lobe is λ/(2√2πσ) wide at each wavelength, and the light's α/2.
+    middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
+    lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * 8.0)) ** 2
+    assert middle[1] == pytest.approx(lobe2 / (lobe2 + alpha**2), rel=0.2)

@@ -1,0 +1,246 @@
+"""Energy: factors by which the orders of Stam's efficiencies send back what comes in, and stay reciprocal.
+
+With a perfect mirror, order m of light from ωi has the efficiency K = (1 + ωi·ωr)² |H|² / (cos θi cos θr w²), which is
+symmetric in light and view, but whose sum over orders, the directional albedo, is not 1: it exceeds 1 at grazing angles
+and falls short where few orders propagate. Dividing by the albedo of the incidence alone conserves energy and loses
+reciprocity. Here K becomes a(ωi) K a(ωr), with the one function a of directions and wavelengths that makes the sums
+over orders 1 from everywhere (Sinkhorn 1967, Diagonal equivalence to matrices with prescribed row and column sums),
+which does both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.blas_threads import on_one_thread
+from warpdiff.core.lru_cache import LruCache
+from warpdiff.fourier import chebyshev
+from warpdiff.kernels.limits import HORIZON
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.surface.heightfield import HeightField
+
+# Orders of a family whose sums are made 1 by themselves; the factors of more come from a grid of directions.
+MOST_EXACT = 600
+FORMS = ("stam", "normalised")
+# That grid: angles from the normal and around it, and how wide orders that go together are, in parts of directions.
+_POLAR, _AROUND, _BIN = 16, 16, 0.08
+# A grid's last angle: beyond, factors are those there.
+_STEEPEST = math.radians(88.0)
+_SWEEPS, _SETTLED = 200, 1e-10
+# Entries over |κ| for each half radian that a power turns by, between which it is a parabola.
+_PER_RADIAN = 6.0
+_KEPT = 8
+# Of wavelengths that are asked for: nodes of the grid's factors at most; and lights whose sums are made 1 exactly.
+_MOST_NODES, _MOST_LIGHTS = 5, 64
+# A share of the light that no sum is divided by less than: no order propagates whose coefficient does not vanish.
+_LEAST_SUM = 1e-12
+
+
+class Powers:
+    """|H_q(κ)|² of a height field, parabolas between equally spaced |κ|, those of neighbouring orders summed up.
+
+    Attributes:
+        frequencies: Middles of the bins of orders, (u, v) [1/µm], shape (p, 2).
+    """
+
+    def __init__(self, hf: HeightField, highest_kappa: float, bin_um: float) -> None:
+        """Up to ``highest_kappa`` [1/µm], in bins of frequencies of at most ``bin_um`` [1/µm]; 0 leaves all apart."""
+        # As a function of κ a power is a polynomial of so many terms.
+        argument = math.pi * highest_kappa * hf.height_range_um
+        count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
+        heights = hf.heights_um - (hf.heights_um.max() + hf.heights_um.min()) / 2.0
+        starts = [
+            _around(n, max(1, min(round(bin_um * length), n))) for length, n in zip(hf.size_um, hf.shape, strict=True)
+        ]
+        sums = []
+        for kappa in chebyshev.nodes(0.0, highest_kappa, count):
+            # κ is negative.
+            power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
+            sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
+        dense = math.ceil(_PER_RADIAN * argument) + 32
+        self._per_kappa = (dense - 1) / highest_kappa
+        places = [
+            ((first + np.append(first[1:], n) - 1) / 2.0 - n // 2) / length * (n > 1)
+            for first, n, length in zip(starts, hf.shape, hf.size_um, strict=True)
+        ]
+        v, u = np.meshgrid(*places, indexing="ij")
+        # As |(u, v)| and |w| are at most 2, no order beyond the largest |κ| is ever seen.
+        seen = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
+        self.frequencies = np.stack([u.ravel()[seen], v.ravel()[seen]], axis=1)
+        cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
+        self._values = np.maximum(cardinals @ np.stack(sums)[:, seen], 0.0).astype(np.float32)
+
+    def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Powers of some bins, each at a |κ| of its own."""
+        steps = kappas * self._per_kappa
+        middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
+        t = steps - middle
+        before, at, after = (self._values[middle + k, places] for k in (-1, 0, 1))
+        return np.asarray(np.maximum(at + 0.5 * t * (after - before) + 0.5 * t * t * (after - 2.0 * at + before), 0.0))
+
+
+def _around(n: int, block: int) -> NDArray[np.int64]:
+    """Where blocks of indices begin, one of which lies around the middle, n // 2: the mean plane's."""
+    first = (n // 2 - block // 2) % block
+    return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
+
+
+def stam(
+    cos_light: NDArray[np.float64], cos_view: NDArray[np.float64], tangential: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²), ``tangential`` the part of ωi·ωr along the surface."""
+    w = cos_light + cos_view
+    return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
+
+
+@dataclass(frozen=True)
+class EnergyFactors:
+    """The factor a of directions and wavelengths, on a grid.
+
+    Attributes:
+        wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
+        values: At angles from the normal, 0 to 88°, and around it, from x on, a turn twice, shape (k, n, m).
+    """
+
+    wavelengths_nm: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+    def at(self, directions: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The factors at unit vectors (n, 3) and wavelengths [nm] (m,), shape (n, m); linear between what is there."""
+        corners, weights = grid_weights(directions)
+        flat = self.values.reshape(len(self.values), -1)
+        at_nodes = np.einsum("nc,knc->nk", weights, flat[:, corners])
+        share = np.interp(wavelengths_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm)))
+        before = np.minimum(share.astype(np.int64), max(len(self.wavelengths_nm) - 2, 0))
+        after = np.minimum(before + 1, len(self.wavelengths_nm) - 1)
+        t = share - before
+        return np.asarray((1.0 - t) * at_nodes[:, before] + t * at_nodes[:, after])
+
+
+def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The grid's four nodes around unit vectors (n, 3), and their weights, both (n, 4)."""
+    polar = np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2])
+    row = np.minimum(polar / _STEEPEST, 1.0) * (_POLAR - 1)
+    column = (np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * math.pi) % 1.0) * _AROUND
+    r = np.minimum(row.astype(np.int64), _POLAR - 2)
+    c = np.minimum(column.astype(np.int64), _AROUND - 1)
+    s, t = row - r, column - c
+    nodes = np.stack([r * _AROUND + c, r * _AROUND + (c + 1) % _AROUND], axis=1)
+    weights = np.stack([(1.0 - s) * (1.0 - t), (1.0 - s) * t, s * (1.0 - t), s * t], axis=1)
+    return np.concatenate([nodes, nodes + _AROUND], axis=1), weights
+
+
+def _grid() -> NDArray[np.float64]:
+    """The grid's directions, (n, 3)."""
+    polar, around = np.meshgrid(
+        np.linspace(0.0, _STEEPEST, _POLAR), 2.0 * math.pi * np.arange(_AROUND) / _AROUND, indexing="ij"
+    )
+    sine = np.sin(polar)
+    return np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=-1).reshape(-1, 3)
+
+
+def _leaving(
+    powers: Powers, light: NDArray[np.float64], wavelength_um: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where bins of orders leave from a light, unit vectors (n, 3), and their K, (n,)."""
+    # Coefficient q leaves where ωi + ωr = −λq along the surface.
+    tangential = -powers.frequencies * wavelength_um - light[:2]
+    upward2 = 1.0 - np.sum(tangential**2, axis=1)
+    live = np.flatnonzero(upward2 > HORIZON**2)
+    cosines = np.sqrt(upward2[live])
+    views = np.column_stack([tangential[live], cosines])
+    found = powers.at(live, (light[2] + cosines) / wavelength_um)
+    return views, found * stam(np.full_like(cosines, light[2]), cosines, views[:, :2] @ light[:2])
+
+
+@on_one_thread()
+def factors_of(hf: HeightField, wavelengths_nm: tuple[float, ...]) -> EnergyFactors:
+    """The factors of a height field on a grid of directions, at some wavelengths; kept for the next call."""
+    key = hf.heights_um.tobytes(), hf.shape, hf.pitch_um, wavelengths_nm
+
+    def make() -> EnergyFactors:
+        shortest = 1e-3 * min(wavelengths_nm)
+        powers = Powers(hf, 2.0 / shortest, _BIN / (1e-3 * max(wavelengths_nm)))
+        values = [_balanced(_on_grid(powers, 1e-3 * each)) for each in wavelengths_nm]
+        return EnergyFactors(np.array(wavelengths_nm), np.stack(values).reshape(-1, _POLAR, _AROUND))
+
+    return _kept.get_or_make(key, make)
+
+
+_kept: LruCache[EnergyFactors] = LruCache(_KEPT)
+
+
+def _on_grid(powers: Powers, wavelength_um: float) -> NDArray[np.float64]:
+    """K from each of the grid's directions to each other, which orders are shared out to, (n, n)."""
+    directions = _grid()
+    result = np.zeros((len(directions), len(directions)))
+    for row, light in enumerate(directions):
+        views, found = _leaving(powers, light, wavelength_um)
+        nodes, weights = grid_weights(views)
+        result[row] = np.bincount(nodes.ravel(), (weights * found[:, None]).ravel(), len(directions))
+    return result
+
+
+def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Factors a of rows and b of columns with a (K b) = 1 and b (Kᵀ a) = 1, (n,) and (m,)."""
+    first, second = np.ones(matrix.shape[0]), np.ones(matrix.shape[1])
+    for _ in range(_SWEEPS):
+        before = first
+        first = 1.0 / np.maximum(matrix @ second, _LEAST_SUM)
+        second = 1.0 / np.maximum(matrix.T @ first, _LEAST_SUM)
+        if np.max(np.abs(first / before - 1.0)) < _SETTLED:
+            break
+    return 1.0 / np.maximum(matrix @ second, _LEAST_SUM), second
+
+
+def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The factors a with a (K a) = 1 of a matrix that is symmetric but for what quadratures leave, (n,)."""
+    factors = np.ones(len(matrix))
+    for _ in range(_SWEEPS):
+        before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))
+        if np.max(np.abs(factors / before - 1.0)) < _SETTLED:
+            break
+    return factors
+
+
+def sums_from(
+    hf: HeightField, factors: EnergyFactors, lights: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Σ K a(ωr) over all orders of each light (n, 3) at each wavelength [nm] (m,), shape (n, m)."""
+    powers = Powers(hf, 2e3 / float(wavelengths_nm.min()), 0.0)
+    result = np.ones((len(lights), len(wavelengths_nm)))
+    for row, light in enumerate(lights):
+        for column, wavelength in enumerate(wavelengths_nm):
+            views, found = _leaving(powers, light, 1e-3 * wavelength)
+            at_views = factors.at(views, wavelengths_nm[column : column + 1])[:, 0]
+            result[row, column] = max(float(found @ at_views), _LEAST_SUM)
+    return result
+
+
+def between(
+    hf: HeightField,
+    lights: NDArray[np.float64],
+    views: NDArray[np.float64],
+    wavelengths_nm: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """a(ωi) a(ωr) of pairs of directions above the horizon, (n, 3) both, at wavelengths [nm] (m,), shape (n, m).
+
+    Of few lights a(ωi) is such that the sum over all orders is 1; of many it comes from the grid, too.
+    """
+    nodes = np.unique(wavelengths_nm)
+    if len(nodes) > _MOST_NODES:
+        nodes = np.geomspace(nodes[0], nodes[-1], _MOST_NODES)
+    factors = factors_of(hf, tuple(nodes.tolist()))
+    distinct, which = np.unique(lights, axis=0, return_inverse=True)
+    if len(distinct) <= _MOST_LIGHTS:
+        first = 1.0 / sums_from(hf, factors, distinct, wavelengths_nm)
+    else:
+        first = factors.at(distinct, wavelengths_nm)
+    return np.asarray(first[which.ravel()] * factors.at(views, wavelengths_nm))

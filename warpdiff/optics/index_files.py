@@ -1,0 +1,182 @@
+"""Files of indices of refraction: the YAML and the CSV of refractiveindex.info."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_MOST_BYTES = 16 << 20
+# Steps at which a formula is tabulated.
+_STEPS = 512
+_BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
+_TAGS = re.compile(r"<[^>]*>")
+
+Table = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
+
+
+def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
+    """Wavelengths [nm], n and k, and what the file says of its source.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds nothing of the kind.
+    """
+    if not file.is_file():
+        raise FileNotFoundError(f"path: there is no file {str(file)!r}")
+    with file.open("rb") as opened:
+        raw = opened.read(_MOST_BYTES + 1)
+    if len(raw) > _MOST_BYTES:
+        raise ValueError(f"{file.name}: a table of an index of refraction has at most {_MOST_BYTES} bytes")
+    text = raw.decode("utf-8", errors="replace")
+    try:
+        if file.suffix.lower() in {".yml", ".yaml"}:
+            parts, source = _yaml(text)
+        else:
+            parts, source = _csv(text), ""
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{file.name}: {error}") from None
+    if "n" not in parts:
+        raise ValueError(f"{file.name}: there is no index of refraction n in it")
+    um = _shared_wavelengths(parts)
+    n = np.interp(um, *parts["n"])
+    k = np.interp(um, *parts["k"]) if "k" in parts else np.zeros_like(um)
+    return 1e3 * um, n, k, source
+
+
+def _shared_wavelengths(parts: dict[str, Table]) -> NDArray[np.float64]:
+    """The wavelengths of either table within the range of both."""
+    tables = [wavelengths for wavelengths, _ in parts.values()]
+    low, high = max(each[0] for each in tables), min(each[-1] for each in tables)
+    found = np.unique(np.concatenate(tables))
+    found = found[(found >= low) & (found <= high)]
+    if not len(found):
+        raise ValueError("n and k have no wavelengths in common")
+    return np.asarray(found)
+
+
+def _yaml(text: str) -> tuple[dict[str, Table], str]:
+    """The tables and formulas of a YAML file of refractiveindex.info, which lists them by type."""
+    blocks = list(_BLOCK.finditer(text))
+    if not blocks:
+        raise ValueError("no '- type: tabulated nk' or the like is in it, as the YAML of refractiveindex.info has")
+    parts: dict[str, Table] = {}
+    for index, block in enumerate(blocks):
+        end = blocks[index + 1].start() if index + 1 < len(blocks) else len(text)
+        body, kind = text[block.end() : end], block["type"]
+        if kind.startswith("tabulated "):
+            columns = kind.removeprefix("tabulated ").strip()
+            if columns not in {"nk", "n", "k"}:
+                raise ValueError(f"a table of type {kind!r} holds no n and k")
+            rows = _rows([line.split() for line in body.split("\n")], 1 + len(columns))
+            for column, name in enumerate(columns):
+                parts[name] = _ordered(rows[:, 0], rows[:, 1 + column])
+        elif kind.startswith("formula "):
+            parts["n"] = _formula(kind.removeprefix("formula ").strip(), body)
+        else:
+            raise ValueError(f"data of type {kind!r} are not read: use a table, or formula 1, 2, 3 or 5")
+    reference = re.search(r"^REFERENCES:\s*\|?\s*(.*?)^(?=[A-Z]+:)", text, re.MULTILINE | re.DOTALL)
+    source = " ".join(_TAGS.sub("", reference[1]).split()).strip("\"' ") if reference else ""
+    return parts, source
+
+
+def _formula(number: str, body: str) -> Table:
+    """Tabulate one of the formulas of refractiveindex.info, c in the order of its ``coefficients``."""
+    if number not in _FORMULAS:
+        raise ValueError(f"formula {number} is not read: use a table, or formula 1, 2, 3 or 5")
+    found = {}
+    for name in ("wavelength_range", "coefficients"):
+        line = re.search(
+            rf"^\s*(?:{name}|range):[ \t]*([^\n]*)$" if name != "coefficients" else rf"^\s*{name}:[ \t]*([^\n]*)$",
+            body,
+            re.MULTILINE,
+        )
+        if line is None:
+            raise ValueError(f"formula {number} has no {name}")
+        found[name] = [float(each) for each in line[1].split()]
+    limits, c = found["wavelength_range"], found["coefficients"]
+    if len(limits) != 2 or not 0.0 < limits[0] < limits[1] < math.inf or len(c) < 1:
+        raise ValueError(f"formula {number} must have two wavelengths and its coefficients")
+    um = np.geomspace(max(limits[0], 0.1), min(limits[1], 10.0), _STEPS)
+    with np.errstate(all="ignore"):
+        n = _FORMULAS[number](um, c[0], list(zip(c[1::2], c[2::2], strict=False)))
+    if not np.all(np.isfinite(n)):
+        raise ValueError(f"formula {number} has no finite index of refraction at all wavelengths")
+    return um, n
+
+
+def _sellmeier(um: Any, first: float, pairs: list[tuple[float, float]], *, squared: bool) -> Any:
+    return np.sqrt(1.0 + first + sum(b * um**2 / (um**2 - (c**2 if squared else c)) for b, c in pairs))
+
+
+_FORMULAS: dict[str, Callable[[Any, float, list[tuple[float, float]]], Any]] = {
+    "1": lambda um, first, pairs: _sellmeier(um, first, pairs, squared=True),
+    "2": lambda um, first, pairs: _sellmeier(um, first, pairs, squared=False),
+    "3": lambda um, first, pairs: np.sqrt(first + sum(c * um**power for c, power in pairs)),
+    "5": lambda um, first, pairs: first + sum(c * um**power for c, power in pairs),
+}
+
+
+def _csv(text: str) -> dict[str, Table]:
+    """The columns of a CSV file: wavelength, n and perhaps k, or one block after the other of each."""
+    parts: dict[str, Table] = {}
+    names, rows, scale = ["n", "k"], list[list[str]](), 1.0
+
+    def finish() -> None:
+        if not rows:
+            return
+        values = _rows(rows, min(1 + len(names), *map(len, rows)))
+        for column, name in enumerate(names[: values.shape[1] - 1]):
+            parts[name] = _ordered(scale * values[:, 0], values[:, 1 + column])
+        rows.clear()
+
+    for line in text.lstrip("\ufeff").split("\n"):
+        cells = [cell.strip() for cell in re.split(r"[,;\t]", line)]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        if _number(cells[0]) is None:
+            finish()
+            names = [cell.lower() for cell in cells[1:]]
+            if not set(names) <= {"n", "k"} or not names:
+                raise ValueError(f"columns must be a wavelength, n and k, got {line.strip()!r}")
+            scale = 1e-3 if "nm" in cells[0].lower() else 1.0
+        else:
+            rows.append(cells)
+    finish()
+    return parts
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def _rows(lines: list[list[str]], columns: int) -> NDArray[np.float64]:
+    """The lines that begin with as many numbers, as an array."""
+    found = []
+    for cells in lines:
+        numbers = [_number(cell) for cell in cells[:columns]]
+        if len(numbers) == columns and None not in numbers:
+            found.append(numbers)
+    if not found or columns < 2:
+        raise ValueError("there is no line of a wavelength and an index of refraction in it")
+    values = np.array(found, dtype=np.float64)
+    if not np.all(np.isfinite(values)):
+        raise ValueError("its numbers must be finite")
+    return values
+
+
+def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
+    """A table in the order of wavelengths, of which each counts once."""
+    wavelengths, first = np.unique(um, return_index=True)
+    return wavelengths, values[first]

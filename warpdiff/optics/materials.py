@@ -1,0 +1,339 @@
+"""Materials: what a smooth surface reflects, by complex indices of refraction, with or without a thin film on it.
+
+A flat boundary reflects by the equations of Fresnel, a film on it by Airy's sum (Born and Wolf, Principles of Optics,
+sections 1.5, 1.6 and 14.4). Indices are n + ik, k >= 0 where light is absorbed, and light comes through air.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import checks
+from warpdiff.optics import colorimetry, index_files
+from warpdiff.optics.reflectance_factors import normal_reflectance, schlick
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike, NDArray
+
+METALS = Path(__file__).with_name("metals.json")
+POLARISATIONS = ("s", "p")
+# A thicker film's fringes are narrower than colours are sampled for.
+_THICKEST_FILM_NM = 1000.0
+# What absorbs so much lets no light through to a pigment: it falls to 1/e within 4 µm.
+_OPAQUE = 0.01
+# Linear between them they err by 3e-6 of Schlick's.
+_TRANSMITTANCE_ANGLES = 1025
+VISIBLE_NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A material by its complex index of refraction n + ik, linear between wavelengths; a film may lie on it.
+
+    Two are equal if their numbers are.
+
+    Attributes:
+        wavelengths_nm: Wavelengths of the table [nm], increasing, shape (m,); one holds for all wavelengths.
+        n: Real parts, > 0, shape (m,).
+        k: Imaginary parts, >= 0, shape (m,).
+        name: What errors and ``print`` call it.
+        source: Where the numbers are from, and their licence.
+        film: The material of a film on it, or None.
+        film_nm: The film's thickness [nm].
+    """
+
+    wavelengths_nm: ArrayLike = field(repr=False)
+    n: ArrayLike = field(repr=False)
+    k: ArrayLike = field(default=0.0, repr=False)
+    name: str = "material"
+    source: str = ""
+    film: Material | None = None
+    film_nm: float = 0.0
+    _key: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        wavelengths = colorimetry.check_wavelengths(self.wavelengths_nm)
+        if np.any(np.diff(wavelengths) <= 0.0):
+            raise ValueError("wavelengths_nm must be strictly increasing")
+        object.__setattr__(self, "wavelengths_nm", wavelengths)
+        for name, least in (("n", 1e-3), ("k", 0.0)):
+            values = np.atleast_1d(checks.finite_array(getattr(self, name), name))
+            if values.shape not in (wavelengths.shape, (1,)):
+                raise ValueError(
+                    f"{name} must have one number, or one a wavelength, {wavelengths.shape}, got {values.shape}"
+                )
+            values = np.array(np.broadcast_to(values, wavelengths.shape))
+            if values.min() < least or values.max() > 100.0:
+                raise ValueError(f"{name} must lie within {least:g} to 100, got {values.min():g} to {values.max():g}")
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        wavelengths.setflags(write=False)
+        for name in ("name", "source"):
+            if not isinstance(getattr(self, name), str):
+                raise TypeError(f"{name} must be a string, got {type(getattr(self, name)).__name__}")
+        checks.instance(self.film, Material, "film", optional=True)
+        thickness = checks.number(self.film_nm, "film_nm", least=0.0, most=_THICKEST_FILM_NM)
+        if self.film is not None and self.film.film is not None:
+            raise ValueError(f"film must be a material without a film of its own, got {self.film}")
+        object.__setattr__(self, "film_nm", thickness if self.film is not None else 0.0)
+        numbers = [np.asarray(each).tobytes() for each in (wavelengths, self.n, self.k)]
+        object.__setattr__(self, "_key", (*numbers, self.film, self.film_nm))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Material) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __str__(self) -> str:
+        return self.name if self.film is None else f"{self.name} under {self.film_nm:g} nm of {self.film.name}"
+
+    @classmethod
+    def dielectric(cls, n: float) -> Material:
+        """A transparent material of one index of refraction ``n`` > 1 at all wavelengths."""
+        return cls([550.0], [checks.number(n, "n", above=1.0)], name=f"n = {n:g}")
+
+    @classmethod
+    def metal(cls, symbol: str) -> Material:
+        """A metal by its chemical symbol: Al, Ag, Au, Cr, Cu or Ni; ``source`` names the measurement."""
+        found = _metals()
+        return found[checks.choice(symbol, "symbol", found)]
+
+    @classmethod
+    def from_nk(
+        cls, wavelengths_nm: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0, *, name: str = "material"
+    ) -> Material:
+        """A material by a table: wavelengths [nm], increasing, with n and k at each, linear in between."""
+        return cls(wavelengths_nm, n, k, name=name)
+
+    @classmethod
+    def from_file(cls, path: Any) -> Material:
+        """A material of a file of refractiveindex.info: its YAML (tables, formulas 1, 2, 3 and 5) or its CSV.
+
+        Args:
+            path: The file; ``.yml`` and ``.yaml`` are YAML, others CSV with columns or blocks of wavelengths [µm, or
+                nm where the header says so], n and k.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It holds no index of refraction that can be read; the message says what is wrong.
+        """
+        file = checks.path(path, "path")
+        wavelengths_nm, n, k, source = index_files.read(file)
+        try:
+            return cls(wavelengths_nm, n, k, name=file.stem, source=source)
+        except ValueError as error:
+            raise ValueError(f"{file.name}: {error}") from None
+
+    def coated(self, film: Material, thickness_nm: float) -> Material:
+        """This material under a film of another one, ``thickness_nm`` up to 1000 nm thick."""
+        checks.instance(film, Material, "film")
+        thickness = checks.number(thickness_nm, "thickness_nm", above=0.0, most=_THICKEST_FILM_NM)
+        if self.film is not None:
+            raise ValueError(f"{self} has a film already: a single one is modelled")
+        return Material(self.wavelengths_nm, self.n, self.k, self.name, self.source, film, thickness)
+
+    def reflectance(
+        self, wavelengths_nm: ArrayLike, angle_deg: ArrayLike, *, polarisation: str | None = None
+    ) -> NDArray[np.float64]:
+        """Power reflectance R of a flat surface in air.
+
+        Args:
+            wavelengths_nm: Wavelengths [nm], within the table.
+            angle_deg: Angles of incidence from the normal [degrees], 0 to 90; they broadcast against the wavelengths.
+            polarisation: ``"s"``, across the plane of incidence, ``"p"``, along it, or None, unpolarised: their mean.
+
+        Returns:
+            R, 0 to 1, of the broadcast shape.
+        """
+        wavelengths = checks.finite_array(wavelengths_nm, "wavelengths_nm")
+        angles = checks.finite_array(angle_deg, "angle_deg")
+        if angles.size and (angles.min() < 0.0 or angles.max() > 90.0):
+            raise ValueError(f"angle_deg must lie within 0 to 90, got {angles.min():g} to {angles.max():g}")
+        if polarisation is not None:
+            checks.choice(polarisation, "polarisation", POLARISATIONS)
+        try:
+            np.broadcast_shapes(wavelengths.shape, angles.shape)
+        except ValueError:
+            raise ValueError(
+                f"wavelengths_nm and angle_deg must broadcast, got shapes {wavelengths.shape} and {angles.shape}"
+            ) from None
+        if wavelengths.size:
+            colorimetry.check_wavelengths(wavelengths.ravel())
+            check_covers(self, float(wavelengths.min()), float(wavelengths.max()))
+        return reflectance_at(self, wavelengths, np.cos(np.radians(angles)), polarisation)
+
+    @property
+    def is_opaque(self) -> bool:
+        """Whether no visible light comes through to what lies below it."""
+        return bool(np.max(_index(self, VISIBLE_NM).imag) > _OPAQUE)
+
+
+def reflectance_at(
+    material: Material,
+    wavelengths_nm: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    polarisation: str | None = None,
+) -> NDArray[np.float64]:
+    """R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
+    cosine = np.clip(cosine, 0.0, 1.0)
+    media = [_index(each, wavelengths_nm) for each in (material.film, material) if each is not None]
+    # Cosines in each medium by Snell's law; the roots decay into what absorbs.
+    along2 = 1.0 - cosine * cosine
+    indices = [np.ones_like(media[0]), *media]
+    cosines = [cosine + 0j, *(np.sqrt(1.0 - along2 / (index * index) + 0j) for index in media)]
+    result: NDArray[np.float64] = np.zeros(np.broadcast_shapes(np.shape(wavelengths_nm), np.shape(cosine)))
+    taken = POLARISATIONS if polarisation is None else (polarisation,)
+    for each in taken:
+        amplitude, *below = (
+            _fresnel(first, second, one, other, each)
+            for first, second, one, other in zip(indices, indices[1:], cosines, cosines[1:], strict=False)
+        )
+        if below:
+            # Airy's sum of all that goes to and fro in the film.
+            below[0] = below[0] * np.exp(4j * np.pi * material.film_nm / wavelengths_nm * indices[1] * cosines[1])
+            amplitude = (amplitude + below[0]) / (1.0 + amplitude * below[0])
+        result = result + np.abs(amplitude) ** 2 / len(taken)
+    return np.asarray(result)
+
+
+def reflectances(
+    material: Material | None, deflections: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """R(θd, λ) of deflections (n, 3), whose cos θd is |(u, v, w)|/2, at wavelengths [nm] (m,), shape (n, m).
+
+    Without a material it is 1: the reflectance is in the gains.
+    """
+    if material is None:
+        return np.ones((1, 1))
+    return reflectance_at(material, wavelengths_nm, np.linalg.norm(deflections, axis=1)[:, None] / 2.0)
+
+
+def check_covers(material: Material, low_nm: float, high_nm: float, name: str = "material") -> None:
+    """Refuse wavelengths beyond a material's table."""
+    for part in (material, material.film):
+        table = np.zeros(1) if part is None else np.asarray(part.wavelengths_nm)
+        if part is not None and len(table) > 1 and (low_nm < table[0] or high_nm > table[-1]):
+            raise ValueError(
+                f"{name} must cover {low_nm:g} to {high_nm:g} nm, but {part.name!r} is tabulated from {table[0]:g} to "
+                f"{table[-1]:g} nm"
+            )
+
+
+def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """N + ik at wavelengths [nm], without the film; the ends hold beyond the table."""
+    table, n, k = (np.asarray(each) for each in (material.wavelengths_nm, material.n, material.k))
+    return np.asarray(np.interp(wavelengths_nm, table, n) + 1j * np.interp(wavelengths_nm, table, k))
+
+
+def _fresnel(first: Any, second: Any, cosine: Any, beyond: Any, polarisation: str) -> Any:
+    """Fresnel's amplitude at the boundary from a medium to the next one, by their indices and cosines."""
+    a, b = (first * cosine, second * beyond) if polarisation == "s" else (second * cosine, first * beyond)
+    total = a + b
+    # Both vanish at 90° to a medium of the same index alone.
+    return (a - b) / np.where(total == 0.0, 1.0, total)
+
+
+@functools.cache
+def _metals() -> dict[str, Material]:
+    """The metals of the data file by symbol."""
+    tables = json.loads(METALS.read_text(encoding="utf-8"))
+    return {
+        symbol: Material(
+            table["wavelengths_nm"], table["n"], table["k"], table["name"], f"{table['source']}; {table['licence']}"
+        )
+        for symbol, table in tables.items()
+    }
+
+
+@dataclass(frozen=True)
+class LitMaterial:
+    """An illuminant and the material that it falls on: what the colours of a table, or of a sum, are for.
+
+    Attributes:
+        illuminant: Its name, or its spectrum.
+        material: None stands for one whose reflectance is in the gains.
+    """
+
+    illuminant: colorimetry.Illuminant
+    material: Material | None = None
+
+    @classmethod
+    def of(cls, illuminants: Iterable[Any], materials: Iterable[Material | None]) -> tuple[LitMaterial, ...]:
+        """Each illuminant on each material, once."""
+        return tuple(dict.fromkeys(itertools.starmap(cls, itertools.product(illuminants, materials))))
+
+
+@functools.lru_cache(maxsize=64)
+def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
+    """R at equal steps of the cosine from 0 to 1, and at 380, 381, … 780 nm, shape (angles, 401)."""
+    cosines = np.linspace(0.0, 1.0, angles)[:, None]
+    result = reflectance_at(material, VISIBLE_NM, cosines).astype(np.float32)
+    result.setflags(write=False)
+    return result
+
+
+def check_reflection(ior: Any, material: Any) -> tuple[float, Material | None]:
+    """R(0) that reflectances are relative to, and the material: of an index of refraction, or 1 of a material's."""
+    if material is None:
+        return normal_reflectance(1.5 if ior is None else ior), None
+    checks.instance(material, Material, "material")
+    _check_no_ior(ior)
+    return 1.0, material
+
+
+def check_materials(
+    ior: Any, material: Any, band_nm: tuple[float, float], *, by_geometry: bool
+) -> tuple[float, dict[str, Material | None]]:
+    """The same with materials by name of a geometry, where they may be so; one has no name, ``""``.
+
+    They must cover a band of wavelengths [nm].
+    """
+    if not (by_geometry and isinstance(material, Mapping)):
+        normal, one = check_reflection(ior, material)
+        if one is not None:
+            check_covers(one, *band_nm)
+        return normal, {"": one}
+    _check_no_ior(ior)
+    if not material:
+        raise ValueError("material must name a material for each of the mesh's geometries, got none")
+    found: dict[str, Material | None] = {}
+    for name, each in material.items():
+        if not isinstance(name, str):
+            raise TypeError(f"material must have names of geometries as keys, got {type(name).__name__}")
+        checks.instance(each, Material, f"material[{name!r}]")
+        check_covers(each, *band_nm, f"material[{name!r}]")
+        found[name] = each
+    return 1.0, found
+
+
+def _check_no_ior(ior: Any) -> None:
+    if ior is not None:
+        raise ValueError(f"give ior or material, not both: got ior={ior!r} besides a material")
+
+
+def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
+    """1 − R in linear RGB at equal steps of the cosine from 0 to 1, what comes through to a pigment, shape (n, 3).
+
+    By Schlick's reflectance of R(0) without a material. What absorbs lets nothing through; a film's colours are means
+    over what each of RGB sees of daylight.
+    """
+    cosines = np.linspace(0.0, 1.0, _TRANSMITTANCE_ANGLES)
+    if material is None:
+        through = np.repeat((1.0 - schlick(cosines, normal))[:, None], 3, axis=1)
+        return np.asarray(through)
+    if material.is_opaque:
+        return np.zeros((len(cosines), 3))
+    left = 1.0 - reflectance_at(material, VISIBLE_NM, cosines[:, None])
+    weights = colorimetry.xyz_to_rgb(VISIBLE_NM[:, None] ** 2 * colorimetry.colour_products("D65"))
+    return np.asarray(np.clip(left @ weights / weights.sum(axis=0), 0.0, 1.0))

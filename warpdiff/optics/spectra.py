@@ -1,0 +1,132 @@
+"""Spectra of lights: measured ones, black bodies and daylight of a colour temperature."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import checks
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+_MOST_BYTES = 16 << 20
+# c₂ of Planck's law [nm K], as CIE 15 has it.
+_SECOND_RADIATION_CONSTANT = 1.4388e7
+# The range of CIE's formula for phases of daylight.
+_DAYLIGHT_K = (4000.0, 25_000.0)
+
+
+def colour_science() -> Any:
+    """colour-science, imported once it is asked for."""
+    with warnings.catch_warnings():
+        # colour-science announces at import which of its optional packages are absent; none is used here.
+        warnings.simplefilter("ignore")
+        import colour
+
+    return colour
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A relative spectral power distribution, linear between wavelengths, for ``illuminant=``.
+
+    Two are equal if their numbers are.
+
+    Attributes:
+        wavelengths_nm: Wavelengths [nm], increasing, shape (m,), which cover 380 to 780 nm.
+        values: Relative powers, none negative, shape (m,).
+        name: What errors and ``print`` call it.
+    """
+
+    wavelengths_nm: ArrayLike = field(repr=False)
+    values: ArrayLike = field(repr=False)
+    name: str = "spectrum"
+    _key: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        wavelengths = np.atleast_1d(checks.finite_array(self.wavelengths_nm, "wavelengths_nm"))
+        values = np.atleast_1d(checks.finite_array(self.values, "values", most=checks.MOST))
+        if wavelengths.ndim != 1 or wavelengths.shape != values.shape or len(wavelengths) < 2:
+            raise ValueError(
+                f"wavelengths_nm and values must have the same shape (m,), m > 1, got {wavelengths.shape} and "
+                f"{values.shape}"
+            )
+        if np.any(np.diff(wavelengths) <= 0.0):
+            raise ValueError("wavelengths_nm must be strictly increasing")
+        if wavelengths[0] > 380.0 or wavelengths[-1] < 780.0:
+            raise ValueError(
+                f"wavelengths_nm must cover 380 to 780 nm, got {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+            )
+        visible = np.interp(np.arange(380.0, 781.0), wavelengths, values)
+        if values.min() < 0.0 or visible[20:-80].max() <= checks.LEAST:
+            raise ValueError("values must not be negative, and there must be light between 400 and 700 nm")
+        if not isinstance(self.name, str):
+            raise TypeError(f"name must be a string, got {type(self.name).__name__}")
+        for name, array in (("wavelengths_nm", wavelengths), ("values", values)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "_key", (wavelengths.tobytes(), values.tobytes()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Spectrum) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __str__(self) -> str:
+        return self.name
+
+    @classmethod
+    def blackbody(cls, temperature_k: float) -> Spectrum:
+        """A black body of a temperature, 500 to 100,000 K, by Planck's law; filaments have 2700 to 3200 K."""
+        kelvin = checks.number(temperature_k, "temperature_k", least=500.0, most=1e5)
+        nm = np.arange(360.0, 831.0)
+        # Relative to 560 nm, so that nothing overflows.
+        exponents = _SECOND_RADIATION_CONSTANT / kelvin * (1.0 / nm - 1.0 / 560.0)
+        ratio = np.expm1(-_SECOND_RADIATION_CONSTANT / (kelvin * 560.0)) / np.expm1(
+            -_SECOND_RADIATION_CONSTANT / (kelvin * nm)
+        )
+        return cls(nm, (560.0 / nm) ** 5 * np.exp(-exponents) * ratio, name=f"black body of {kelvin:g} K")
+
+    @classmethod
+    def daylight(cls, temperature_k: float) -> Spectrum:
+        """A phase of daylight of a colour temperature, 4000 to 25,000 K (CIE 15)."""
+        kelvin = checks.number(temperature_k, "temperature_k", least=_DAYLIGHT_K[0], most=_DAYLIGHT_K[1])
+        colour = colour_science()
+        found = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(kelvin))
+        return cls(found.wavelengths, np.maximum(found.values, 0.0), name=f"daylight of {kelvin:g} K")
+
+    @classmethod
+    def from_csv(cls, path: Any) -> Spectrum:
+        """A spectrum of a text file with two columns, wavelength [nm] and relative power, parted by commas or blanks.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It holds no such columns.
+        """
+        file = checks.path(path, "path")
+        if not file.is_file():
+            raise FileNotFoundError(f"path: there is no file {str(file)!r}")
+        with file.open("rb") as opened:
+            raw = opened.read(_MOST_BYTES + 1)
+        if len(raw) > _MOST_BYTES:
+            raise ValueError(f"{file.name}: a spectrum has at most {_MOST_BYTES} bytes")
+        rows = []
+        for line in raw.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines():
+            try:
+                rows.append([float(cell) for cell in re.split(r"[,;\s]+", line.strip())[:2]])
+            except ValueError:
+                continue
+        rows = [row for row in rows if len(row) == 2]
+        if len(rows) < 2:
+            raise ValueError(f"{file.name}: there are no two columns of numbers in it, wavelength [nm] and power")
+        table = np.array(rows)
+        try:
+            return cls(table[:, 0], table[:, 1], name=file.stem)
+        except ValueError as error:
+            raise ValueError(f"{file.name}: {error}") from None
