@@ -75,15 +75,15 @@ def test_more_is_kept_where_less_may_differ(fingers, lobes):
 
 
 def test_lobes_of_a_source_are_those_of_light_from_above():
-    fingers = wd.gratings.fingers(size_um=6.4, seed=4)
+    bumps = wd.gratings.bumps(height_um=0.1)
     sun = wd.Coherence("source", angular_diameter_deg=6.0)
-    found = wd.bake(fingers, coherence=sun, tolerance=4.0)
+    found = wd.bake(bumps, coherence=sun, tolerance=6.0)
     views = hemisphere(np.random.default_rng(7), 300)
     above = np.array([0.0, 0.0, 1.0])
-    exact = wd.reflectance(fingers, above, views, coherence=sun, method="low-rank", tolerance=3e-3)
+    exact = wd.reflectance(bumps, above, views, coherence=sun, method="low-rank", tolerance=3e-3)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 99.0)))[:, None]
     differences = colorimetry.colour_difference(exposed * found.reflectance(above, views), exposed * exact)
-    assert np.percentile(differences, 95.0) <= 4.0
+    assert np.percentile(differences, 95.0) <= 6.0
 
 
 def test_a_cartesian_grid_holds_the_same(lobes):

@@ -33,11 +33,13 @@ def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
+    # Of one mesh, geometries have no names.
+    named = {each.name: None for each in dataclasses.fields(Surface) if each.name != "geometry_names"}
+
     def arrays() -> dict[str, Any]:
         made = dataclasses.asdict(prepare_surface(mesh.make(), tangents=tangents))
-        return {name: value for name, value in made.items() if value is not None}
+        return {name: made[name] for name in named if made[name] is not None}
 
-    named = {each.name: None for each in dataclasses.fields(Surface)}
     found = disk_cache.kept_on_disk(("surface", tuple(named), str(mesh), tangents), np.zeros(0), arrays)
     plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
     return Surface(**named | plain)

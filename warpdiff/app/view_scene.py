@@ -125,8 +125,8 @@ class Scene:
             "tangents": tangents,
         }
         usual = {
-            "method": "auto", "coherence": None, "ior": 1.5, "material": None, "masking": True, "pigment": 1.0, "shadows": True,
-            "smooth": True, "tangents": None,
+            "method": "auto", "coherence": None, "ior": 1.5, "material": None, "masking": True, "pigment": 1.0,
+            "shadows": True, "smooth": True, "tangents": None,
         }  # fmt: skip
         changed = tuple((name, value) for name, value in options.items() if value != usual[name])
         return cls(mesh, _height_field(values, files), light, changed, values["tolerance"])

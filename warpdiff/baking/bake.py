@@ -49,6 +49,8 @@ _JUDGES, _DRAWN, _SEED = 2048, 32_768, 27
 # A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
 _SHOWN, _FLOOR = 0.2, 1e-3
 _BYTES_A_NODE = 170
+# Of deeper relief a power oscillates over more w than can be sampled in a minute [µm].
+_MOST_HEIGHT_UM = 12.0
 
 
 def bake(
@@ -94,6 +96,11 @@ def bake(
         raise ValueError(
             f"coherence of kind={request.coherence.kind!r} adds amplitudes, whose lobes are not baked: use 'averaged' "
             "or 'source'"
+        )
+    if hf.height_range_um > _MOST_HEIGHT_UM:
+        raise ValueError(
+            f"hf has heights over {hf.height_range_um:.3g} µm, and lobes are baked of up to {_MOST_HEIGHT_UM:g} µm: "
+            "take a part of it"
         )
     with allocations.named("bake()", "take a larger tolerance, or a smaller sigma_um"):
         return _Bakery(request, illuminant, tolerance).baked(progress or (lambda _: None))

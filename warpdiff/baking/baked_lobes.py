@@ -29,7 +29,7 @@ _MIRROR_WAVELENGTHS = 40
 # What a look-up takes, as measured.
 _BYTES_A_LOOK_UP = 400
 _MOST_RINGS, _MOST_OCTAVES, _MOST_RAYS = 512, 64, 2**20
-_MOST_SIZE, _LONGEST_UM = 8192, 10.0
+_MOST_SIZE, _LONGEST_UM = 2048, 10.0
 _KINDS = ("averaged", "source")
 
 
@@ -144,7 +144,7 @@ class BakedLobes:
         """The coefficients on a Cartesian grid over (u, v), at the centres of its cells; 0 outside the disc.
 
         Args:
-            size: Cells from −2 to 2 along either axis, 2 to 8192.
+            size: Cells from −2 to 2 along either axis, 2 to 2048.
 
         Returns:
             Shape (size, size, 3, K), float32; the first index goes along v, the second along u.

@@ -179,6 +179,8 @@ def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
     try:
         with source.open(encoding="utf-8-sig", newline="") as file:
             header, *rows = [each for each in csv.reader(file) if any(map(str.strip, each))] or [[]]
+    except OSError as error:
+        raise type(error)(f"path: {str(source)!r} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"path: {str(source)!r} is no CSV file: {error}") from None
     names = [each.strip() for each in header]

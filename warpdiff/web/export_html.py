@@ -134,8 +134,8 @@ def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight]:
         checks.instance(each, DirectionalLight, f"light[{index}]")
         if each.angular_diameter_deg > 0.0:
             raise ValueError(
-                f"light[{index}].angular_diameter_deg must be 0 on a page, got {each.angular_diameter_deg:g}: bake lobes "
-                "of a source"
+                f"light[{index}].angular_diameter_deg must be 0 on a page, got {each.angular_diameter_deg:g}: bake "
+                "lobes of a source"
             )
         if each.illuminant != lobes.illuminant:
             raise ValueError(
