@@ -105,6 +105,7 @@ def _lights():
     yield dataclasses.replace(LIGHT, illuminant=wd.Spectrum([380.0, 780.0], [TINY, 1.0]))
     for diameter in (1e-15, 1e-3, 5.0, 60.0):
         yield dataclasses.replace(LIGHT, angular_diameter_deg=diameter)
+    yield wd.Environment([[[0.0, 1.0, TINY]] * 2, [[-1.0, 0.0, 1e9]] * 2], directions=16)
     yield (LIGHT, None)
     yield [LIGHT] * 3
 
@@ -213,7 +214,7 @@ KIND_OF = {
     "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
     "progress": "callback", "exposure_from": "picture", "background": "vector", "rays_per_width": "rays",
     **dict.fromkeys(["material", "film"], "material"),
-    **dict.fromkeys(["n", "k", "values"], "vector"),
+    **dict.fromkeys(["n", "k", "values", "radiance_rgb"], "vector"),
     **dict.fromkeys(["symbol", "name", "source", "polarisation", "energy"], "name"),
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
@@ -222,23 +223,14 @@ KIND_OF = {
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),
-    **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged"], "count"),
+    **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged", "directions"], "count"),
     **dict.fromkeys(["segments", "rings", "segments_along", "segments_around", "scale_rows", "ventrals"], "segments"),
     "samples_per_pixel": "segments",
 }  # fmt: skip
 _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
-_NUMBER_NAMES |= {
-    "temperature_k",
-    "scale",
-    "radiance",
-    "exposure_stops",
-    "truncation",
-    "neighbourhood",
-    "quadrature",
-    "rounding",
-    "aliasing",
-}
+_NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
+_NUMBER_NAMES |= {"temperature_k", "scale"}
 
 
 @functools.cache

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from warpdiff.render.renderer import Renderer
     from warpdiff.render.shade import shade
     from warpdiff.scene.camera import View
+    from warpdiff.scene.environment import Environment
     from warpdiff.scene.lights import DirectionalLight
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.surface.periods import Period
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Coherence",
     "DirectionalLight",
+    "Environment",
     "HeightField",
     "Image",
     "Material",
@@ -73,6 +75,7 @@ _MODULES = {
     "surface.heightfield": ("HeightField",),
     "surface.periods": ("Period",),
     "image.image": ("Image",),
+    "scene.environment": ("Environment",),
     "scene.lights": ("DirectionalLight",),
     "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
     "planning.planner": ("plan",),

@@ -137,6 +137,7 @@ disc = wd.meshes.disc()
 called = {
     "Coherence": window["coherence"].sigma_um,
     "DirectionalLight": light.power,
+    "Environment": wd.Environment(np.ones((2, 4, 3))).directions,
     "HeightField": hf.pitch_um,
     "Image": wd.shade(disc, hf, light, view, **window),
     "Material": wd.Material.metal("Al"),

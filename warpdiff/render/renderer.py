@@ -16,7 +16,6 @@ from warpdiff.render.frame import load_kernels
 from warpdiff.render.shade import (
     PictureRequest,
     check_light_sizes,
-    check_lights,
     lobes_for,
     memory_named,
     warn_unsettled,
@@ -35,7 +34,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
     from warpdiff.render.frame import Frame
-    from warpdiff.scene.lights import DirectionalLight, Lobe
+    from warpdiff.scene.environment import Light
+    from warpdiff.scene.lights import Lobe
     from warpdiff.surface.heightfield import HeightField
 
 
@@ -62,7 +62,7 @@ class Renderer:
         self,
         mesh: Any,
         hf: HeightField,
-        light: DirectionalLight | Sequence[DirectionalLight],
+        light: Light | Sequence[Light],
         view: View,
         *,
         tolerance: float = 1e-2,
@@ -117,7 +117,7 @@ class Renderer:
 
     def draw(
         self,
-        light: DirectionalLight | Sequence[DirectionalLight] | None = None,
+        light: Light | Sequence[Light] | None = None,
         view: View | None = None,
     ) -> wp.array:
         """Draw the next picture.
@@ -131,7 +131,7 @@ class Renderer:
             may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
         mine = self._mine
-        lights = mine.lights if light is None else lobes_for(check_lights(light))
+        lights = mine.lights if light is None else lobes_for(light, self._wanted.request.coherence)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")
