@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import decimal
 import fractions
@@ -106,6 +107,9 @@ def _lights():
     for diameter in (1e-15, 1e-3, 5.0, 60.0):
         yield dataclasses.replace(LIGHT, angular_diameter_deg=diameter)
     yield wd.Environment([[[0.0, 1.0, TINY]] * 2, [[-1.0, 0.0, 1e9]] * 2], directions=16)
+    for position in ((0, 0, 0), (HUGE, 0, 0), (0, TINY, -TINY), (0.1, 0, 0.5), (1e15, -1e15, 1e15)):
+        with contextlib.suppress(ValueError):
+            yield wd.PointLight(position)
     yield (LIGHT, None)
     yield [LIGHT] * 3
 
@@ -217,7 +221,7 @@ KIND_OF = {
     **dict.fromkeys(["n", "k", "values", "radiance_rgb"], "vector"),
     **dict.fromkeys(["symbol", "name", "source", "polarisation", "energy"], "name"),
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
-    **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
+    **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um", "position"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
     "exact": "flag",
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from warpdiff.render.shade import shade
     from warpdiff.scene.camera import View
     from warpdiff.scene.environment import Environment
-    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.scene.lights import DirectionalLight, PointLight
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.surface.periods import Period
 
@@ -51,6 +51,7 @@ __all__ = [
     "OrderEfficiencies",
     "Period",
     "Plan",
+    "PointLight",
     "Renderer",
     "Spectrum",
     "View",
@@ -76,7 +77,7 @@ _MODULES = {
     "surface.periods": ("Period",),
     "image.image": ("Image",),
     "scene.environment": ("Environment",),
-    "scene.lights": ("DirectionalLight",),
+    "scene.lights": ("DirectionalLight", "PointLight"),
     "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
     "planning.planner": ("plan",),
     "plans.plan": ("Plan",),

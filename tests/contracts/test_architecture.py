@@ -147,6 +147,7 @@ called = {
     "Renderer": wd.Renderer(disc, hf, light, view, **window).image(),
     "Spectrum": wd.Spectrum.blackbody(2856.0),
     "View": view.width,
+    "PointLight": wd.PointLight(up).power,
     "WarpdiffWarning": wd.WarpdiffWarning("said"),
     "brdf": wd.brdf(hf, up, up, 550.0, **window),
     "brdf_map": wd.brdf_map(hf, up, size=4, **window),

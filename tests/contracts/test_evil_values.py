@@ -44,7 +44,7 @@ LEGAL = {
     "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0), "extent_y": 1.0, "period_um": 1.0,
     "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]], "pitch_um": 0.1, "size": 4,
     "tolerance": 0.1, "extent_um": 1.0, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1, "segments_along": 12,
-    "segments_around": 3, "radiance_rgb": np.ones((2, 4, 3)), "directions": 16,
+    "segments_around": 3, "radiance_rgb": np.ones((2, 4, 3)), "directions": 16, "position": (0.0, 0.0, 2.0),
 }  # fmt: skip
 # Beyond that a call hangs; kernels may be compiled in it.
 MOST_S = 60

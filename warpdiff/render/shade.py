@@ -22,7 +22,7 @@ from warpdiff.render.frame import Frame, load_kernels
 from warpdiff.render.layers import check_layers, layers_of
 from warpdiff.scene.camera import View
 from warpdiff.scene.environment import Environment, Light, lobes_of_environment
-from warpdiff.scene.lights import DirectionalLight, lobes_of
+from warpdiff.scene.lights import DirectionalLight, PointLight, lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import polar_layout
 from warpdiff.tables.integrator import Integrator
@@ -330,9 +330,12 @@ def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool)
 
 def lobes_for(light: Any, window: Coherence) -> list[Lobe]:
     """The lobes of one or several lights, which are checked."""
-    lights = [light] if isinstance(light, (DirectionalLight, Environment)) else light
+    lights = [light] if isinstance(light, Light) else light
     if not isinstance(lights, Sequence) or not lights:
-        raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
+        raise TypeError(
+            "light must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of them, got "
+            f"{light!r}"
+        )
     result: list[Lobe] = []
     for index, each in enumerate(lights):
         if isinstance(each, Environment):
@@ -342,7 +345,8 @@ def lobes_for(light: Any, window: Coherence) -> list[Lobe]:
                 )
             result += lobes_of_environment(each, window.sigma_um)
             continue
-        checks.instance(each, DirectionalLight, f"light[{index}]")
+        if not isinstance(each, PointLight):
+            checks.instance(each, DirectionalLight, f"light[{index}]")
         colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
         result += lobes_of(each)
     return result

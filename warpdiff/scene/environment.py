@@ -12,7 +12,7 @@ from warpdiff.core import checks, free_memory, image_library
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import LOBE_WIDTH, DirectionalLight, Lobe
+from warpdiff.scene.lights import LOBE_WIDTH, DirectionalLight, Lobe, PointLight
 
 if TYPE_CHECKING:
     import os
@@ -138,7 +138,7 @@ class Environment:
         return np.asarray((1.0 - down) * upper + down * lower)
 
 
-Light = DirectionalLight | Environment
+Light = DirectionalLight | PointLight | Environment
 
 
 def lobes_of_environment(environment: Environment, sigma_um: float) -> list[Lobe]:
