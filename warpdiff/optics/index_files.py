@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.core import text_files
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-_MOST_BYTES = 16 << 20
 # Steps at which a formula is tabulated.
 _STEPS = 512
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
@@ -30,13 +31,7 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
         FileNotFoundError: There is no such file.
         ValueError: It holds nothing of the kind.
     """
-    if not file.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(file)!r}")
-    with file.open("rb") as opened:
-        raw = opened.read(_MOST_BYTES + 1)
-    if len(raw) > _MOST_BYTES:
-        raise ValueError(f"{file.name}: a table of an index of refraction has at most {_MOST_BYTES} bytes")
-    text = raw.decode("utf-8", errors="replace")
+    text = text_files.read(file)
     try:
         if file.suffix.lower() in {".yml", ".yaml"}:
             parts, source = _yaml(text)

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks
+from warpdiff.core import checks, text_files
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-_MOST_BYTES = 16 << 20
 # c₂ of Planck's law [nm K], as CIE 15 has it.
 _SECOND_RADIATION_CONSTANT = 1.4388e7
 # The range of CIE's formula for phases of daylight.
@@ -110,14 +109,8 @@ class Spectrum:
             ValueError: It holds no such columns.
         """
         file = checks.path(path, "path")
-        if not file.is_file():
-            raise FileNotFoundError(f"path: there is no file {str(file)!r}")
-        with file.open("rb") as opened:
-            raw = opened.read(_MOST_BYTES + 1)
-        if len(raw) > _MOST_BYTES:
-            raise ValueError(f"{file.name}: a spectrum has at most {_MOST_BYTES} bytes")
         rows = []
-        for line in raw.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines():
+        for line in text_files.read(file).splitlines():
             try:
                 rows.append([float(cell) for cell in re.split(r"[,;\s]+", line.strip())[:2]])
             except ValueError:
