@@ -28,7 +28,7 @@ _COARSEST, _FINEST, _ROWS_FOR_FINEST = 4, 256, 768
 # Lobes share so many spectra: each is a table of its own.
 _COLOURS = 8
 _ROWS_AT_A_TIME = 64
-_BYTES_A_PIXEL = 24.0
+_BYTES_A_PIXEL, _BYTES_SEEN = 24.0, 400.0
 _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
 
@@ -115,6 +115,10 @@ class Environment:
         normal incidence, go with a ``scale`` divided by that.
         """
         checks.instance(view, View, "view")
+        free_memory.require(
+            _BYTES_SEEN * view.width * view.height, f"view of {view.width} × {view.height} pixels",
+            "take {share} of its pixels",
+        )  # fmt: skip
         frame = view.frame()
         x = frame.half_width * (2.0 * (np.arange(view.width) + 0.5) / view.width - 1.0)
         y = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
