@@ -39,7 +39,7 @@ struct LightPlace {
 template <int N>
 struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // tangent, bitangent and normal, by axis; where light arrives
-    Batch<N, double> light[3], uvw[3]; // to the light, and the sum of both directions, in that frame
+    Batch<N, double> light[3], uvw[3];           // to the light, and the sum of both directions, in that frame
     Batch<N> gain;
 
     template <class Pixels>
