@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import text_files
+from warpdiff.core.file_reading import text_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_MOST_BYTES = 16 << 20
 # Steps at which a formula is tabulated.
 _STEPS = 512
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
@@ -28,10 +29,10 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
     """Wavelengths [nm], n and k, and what the file says of its source.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        OSError: There is no such file, or it cannot be read.
         ValueError: It holds nothing of the kind.
     """
-    text = text_files.read(file)
+    text = text_of(file, _MOST_BYTES)
     try:
         if file.suffix.lower() in {".yml", ".yaml"}:
             parts, source = _yaml(text)
@@ -133,7 +134,7 @@ def _csv(text: str) -> dict[str, Table]:
             parts[name] = _ordered(scale * values[:, 0], values[:, 1 + column])
         rows.clear()
 
-    for line in text.lstrip("\ufeff").split("\n"):
+    for line in text.split("\n"):
         cells = [cell.strip() for cell in re.split(r"[,;\t]", line)]
         if not any(cells) or cells[0].startswith("#"):
             continue

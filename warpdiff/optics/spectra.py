@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks, text_files
+from warpdiff.core import checks
+from warpdiff.core.file_reading import text_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+_MOST_BYTES = 16 << 20
 # c₂ of Planck's law [nm K], as CIE 15 has it.
 _SECOND_RADIATION_CONSTANT = 1.4388e7
 # The range of CIE's formula for phases of daylight.
@@ -105,12 +107,12 @@ class Spectrum:
         """A spectrum of a text file with two columns, wavelength [nm] and relative power, parted by commas or blanks.
 
         Raises:
-            FileNotFoundError: There is no such file.
+            OSError: There is no such file, or it cannot be read.
             ValueError: It holds no such columns.
         """
         file = checks.path(path, "path")
         rows = []
-        for line in text_files.read(file).splitlines():
+        for line in text_of(file, _MOST_BYTES).splitlines():
             try:
                 rows.append([float(cell) for cell in re.split(r"[,;\s]+", line.strip())[:2]])
             except ValueError:
