@@ -14,9 +14,9 @@ FAR = wp.constant(wp.float32(4.0))
 
 
 @wp.func
-def occluded(mesh_id: wp.uint64, origin: wp.vec3f, direction: wp.vec3f) -> wp.bool:
-    """Whether the mesh is met on the way from ``origin`` to infinity along the unit vector ``direction``."""
-    return wp.mesh_query_ray_anyhit(mesh_id, origin, direction, FAR)
+def occluded(mesh_id: wp.uint64, origin: wp.vec3f, direction: wp.vec3f, far: wp.float32) -> wp.bool:
+    """Whether the mesh is met on the way from ``origin`` along the unit vector ``direction``; ``FAR`` is infinity."""
+    return wp.mesh_query_ray_anyhit(mesh_id, origin, direction, far)
 
 
 @wp.func

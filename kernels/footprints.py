@@ -10,12 +10,12 @@ from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 # The least cosine between the view and a face that its plane is followed at: below, a footprint is a streak anyway.
-_LEAST_FACING = 1e-4
+LEAST_FACING = 1e-4
 
 
 @wp.func_native(
     "warpdiff::find_footprints<16>(camera, surface, pixels, deflections, deviation, begin, end, "
-    f"{{{float(LEAST_COSINE)}f, {_LEAST_FACING}f}}, footprints_out);"
+    f"{{{float(LEAST_COSINE)}f, {LEAST_FACING}f}}, footprints_out);"
 )
 def pixel_footprints_run(
     camera: Camera,

@@ -3,7 +3,7 @@
 import warp as wp
 
 from warpdiff.kernels import compile_options, limits
-from warpdiff.kernels.footprints import pixel_footprints_run
+from warpdiff.kernels.footprints import LEAST_FACING, pixel_footprints_run
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("scattering.h", "footprints.h"))
@@ -16,8 +16,10 @@ wp.set_module_options(compile_options.options("scattering.h", "footprints.h"))
 class Lights:
     """Lights, and what of them the pigment sends back: in arrays, so that a recorded picture finds the next ones."""
 
-    to_lights: wp.array(dtype=wp.vec3d)
-    strengths: wp.array(dtype=wp.vec2d)  # power, and the pigment's strength over R(0); 0 leaves the pigment out
+    places: wp.array(dtype=wp.vec4d)  # homogeneous: the direction to a light and 0, or where it is and 1
+    strengths: wp.array(
+        dtype=wp.vec2d
+    )  # power, from a place at a distance of 1, and the pigment's strength over R(0); 0 leaves the pigment out
     spreads: wp.array(dtype=wp.float32)  # standard deviation of the light's directions [rad]
     white_rgb: wp.array(dtype=wp.vec3d)  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
     rgb_to_xyz: wp.mat33d
@@ -35,12 +37,12 @@ class Reflection:
 
 
 @wp.func_native(
-    f"warpdiff::find_scattering_vectors<32>(pixels, towards, reflection, scale, {limits.HORIZON}, counted, begins, "
+    f"warpdiff::find_scattering_vectors<32>(pixels, place, reflection, scale, {limits.HORIZON}, counted, begins, "
     "resets, hidden, begin, end, deflections_out, to_lights_out, gains_out, xyz_out, coverage_out, lit_out);"
 )
 def scattering_vectors_run(
     pixels: Pixels,
-    towards: wp.vec3d,
+    place: wp.vec4d,
     reflection: Reflection,
     scale: wp.float64,
     counted: wp.float64,
@@ -57,6 +59,12 @@ def scattering_vectors_run(
     lit_out: wp.array(dtype=wp.bool),
 ):
     """Deflections, directions to the light and gains of pixels one after the other, and what of them is summed up."""
+
+
+@wp.func
+def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
+    """The vector from a point to a light, not of unit length."""
+    return wp.vec3d(place[0], place[1], place[2]) - place[3] * wp.vec3d(point)
 
 
 @wp.func
@@ -99,13 +107,13 @@ def scattering_vectors(
     from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these. ``hidden``
     says which pixels the light does not reach; empty is none.
     """
-    to_light = lights.to_lights[light_index]
+    place = lights.places[light_index]
     strength = lights.strengths[light_index]
     scale = weight * strength[0]
     thread, _ = wp.tid()
     begin = first + thread * run
     scattering_vectors_run(
-        pixels, to_light, reflection, scale, counted, begins, resets, hidden, begin, begin + run,
+        pixels, place, reflection, scale, counted, begins, resets, hidden, begin, begin + run,
         deflections_out, to_lights_out, gains_out, xyz_out, coverage_out, lit_out,
     )  # fmt: skip
     if strength[1] == wp.float64(0.0) or xyz_out.shape[0] == 0:
@@ -121,7 +129,64 @@ def scattering_vectors(
             under = wp.cw_mul(under, transmittance(reflection, material, cos_r))
             base = wp.vec3d(wp.cw_mul(pixels.base_colour[i], under))
             colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
-            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * wp.float64(cos_i) * colour)
+            left = wp.float64(cos_i)
+            if place[3] != wp.float64(0.0):
+                left = left / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-12))
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * left * colour)
+
+
+@wp.kernel
+def turn_footprints(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    pixels: Pixels,
+    lights: Lights,
+    light_index: wp.int32,
+    deviation: wp.float32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    footprints_out: wp.array(dtype=Footprint),
+):
+    """Add to footprints how the direction to a light at a place changes over them, in the plane of the face."""
+    place = lights.places[light_index]
+    eye = wp.vec3f(camera.axes[0])
+    back = wp.vec3f(camera.axes[3])
+    steps = wp.vec2f(
+        2.0 * deviation * wp.float32(camera.axes[4][0]) / wp.float32(camera.width),
+        -2.0 * deviation * wp.float32(camera.axes[4][1]) / wp.float32(camera.height),
+    )
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if pixels.hit[i] == 0:
+            continue
+        face = pixels.face[i]
+        corner = surface.positions[surface.faces[face, 0]]
+        edge1 = surface.positions[surface.faces[face, 1]] - corner
+        edge2 = surface.positions[surface.faces[face, 2]] - corner
+        plane = wp.normalize(wp.cross(edge1, edge2))
+        view = pixels.to_view[i]
+        facing = wp.dot(plane, view)
+        if facing < 0.0:
+            plane = -plane
+        facing = wp.max(wp.abs(facing), wp.static(LEAST_FACING))
+        point = pixels.shadow_origin[i]
+        scale = wp.float32(1.0)
+        if not camera.orthographic:
+            scale = wp.length(eye - point) * wp.dot(view, back)
+        away = wp.vec3f(away_from(place, point))
+        per_distance = 1.0 / wp.sqrt(wp.length_sq(away) + 1.0e-12)
+        towards = per_distance * away
+        given = footprints_out[i]
+        for axis in range(2):
+            step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
+            moved = scale * (step - (wp.dot(step, plane) / facing) * view)
+            # (u, v) is against the light.
+            turned = per_distance * (moved - wp.dot(towards, moved) * towards)
+            given[2 * axis] = given[2 * axis] + wp.dot(pixels.tangent[i], turned)
+            given[2 * axis + 1] = given[2 * axis + 1] + wp.dot(pixels.bitangent[i], turned)
+        footprints_out[i] = given
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options
 from warpdiff.kernels.atomics import take_number
-from warpdiff.kernels.bvh import occluded
+from warpdiff.kernels.bvh import FAR, occluded
 from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_grid.h", "atomics.h"))
@@ -170,7 +170,7 @@ def look_up(
 def trace_shadow_rays(
     # In:
     grid: ShadowGrid,
-    to_lights: wp.array(dtype=wp.vec3d),
+    places: wp.array(dtype=wp.vec4d),
     light_index: wp.int32,
     pixels: Pixels,
     first: wp.int32,
@@ -180,9 +180,11 @@ def trace_shadow_rays(
 ):
     """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
 
-    ``grid`` is that of the same light.
+    ``grid`` is that of the same light, and has no lists for one at a place.
     """
-    towards = wp.vec3f(to_lights[light_index])
+    place = places[light_index]
+    towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    at_place = wp.bool(place[3] != wp.float64(0.0))
     thread, _ = wp.tid()
     begin = first + thread * run
     if grid.starts.shape[0] > 0:
@@ -190,6 +192,13 @@ def trace_shadow_rays(
         return
     for ray in range(begin, begin + run):
         hidden = bool(False)
-        if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], towards) > FACING_AWAY:
-            hidden = occluded(grid.mesh_id, pixels.shadow_origin[ray], towards)
+        origin = pixels.shadow_origin[ray]
+        along = towards
+        far = FAR
+        if at_place:
+            along = towards - origin
+            far = wp.min(FAR, wp.length(along))
+            along = wp.normalize(along)
+        if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], along) > FACING_AWAY:
+            hidden = occluded(grid.mesh_id, origin, along, far)
         hidden_out[ray] = hidden

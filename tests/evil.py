@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import decimal
 import fractions
@@ -107,6 +108,10 @@ def _lights():
     yield dataclasses.replace(LIGHT, illuminant=wd.Spectrum([380.0, 780.0], [TINY, 1.0]))
     for diameter in (1e-15, 1e-3, 5.0, 60.0):
         yield dataclasses.replace(LIGHT, angular_diameter_deg=diameter)
+    yield wd.Environment([[[0.0, 1.0, TINY]] * 2, [[-1.0, 0.0, 1e9]] * 2], directions=16)
+    for position in ((0, 0, 0), (HUGE, 0, 0), (0, TINY, -TINY), (0.1, 0, 0.5), (1e15, -1e15, 1e15)):
+        with contextlib.suppress(ValueError):
+            yield wd.PointLight(position)
     yield (LIGHT, None)
     yield [LIGHT] * 3
 
@@ -227,10 +232,10 @@ KIND_OF = {
     "progress": "callback", "client": "callback", "exposure_from": "picture", "renderer": "picture", "shots": "shots",
     "formats": "formats", "folder": "folder", "animation": "path", "background": "vector", "rays_per_width": "rays",
     **dict.fromkeys(["material", "film"], "material"),
-    **dict.fromkeys(["n", "k", "values"], "vector"),
+    **dict.fromkeys(["n", "k", "values", "radiance_rgb"], "vector"),
     **dict.fromkeys(["symbol", "source", "polarisation", "energy"], "name"),
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
-    **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um"], "vector"),
+    **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um", "position"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
     **dict.fromkeys(["exact", "overwrite", "lights_follow", "zeroth_order"], "flag"),
     "lobes": "lobes", "deflections": "vector",
@@ -238,25 +243,15 @@ KIND_OF = {
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),
-    **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged"], "count"),
+    **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged", "directions"], "count"),
     **dict.fromkeys(["segments", "rings", "segments_along", "segments_around", "scale_rows", "ventrals"], "segments"),
     "samples_per_pixel": "segments",
 }  # fmt: skip
 _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
-_NUMBER_NAMES |= {
-    "turns",
-    "frames_per_second",
-    "temperature_k",
-    "scale",
-    "radiance",
-    "exposure_stops",
-    "truncation",
-    "neighbourhood",
-    "quadrature",
-    "rounding",
-    "aliasing",
-}
+_NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
+_NUMBER_NAMES |= {"temperature_k", "scale"}
+_NUMBER_NAMES |= {"turns", "frames_per_second", "radiance"}
 
 
 @functools.cache

@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from warpdiff.render.renderer import Renderer
     from warpdiff.render.shade import shade
     from warpdiff.scene.camera import View
-    from warpdiff.scene.lights import DirectionalLight
+    from warpdiff.scene.environment import Environment
+    from warpdiff.scene.lights import DirectionalLight, PointLight
     from warpdiff.sequences.sequence import sequence
     from warpdiff.sequences.shots import Shot, camera_path, light_sweep, turntable
     from warpdiff.surface.heightfield import HeightField
@@ -53,12 +54,14 @@ __all__ = [
     "BakedSpectrum",
     "Coherence",
     "DirectionalLight",
+    "Environment",
     "HeightField",
     "Image",
     "Material",
     "OrderEfficiencies",
     "Period",
     "Plan",
+    "PointLight",
     "Renderer",
     "Shot",
     "Spectrum",
@@ -97,7 +100,8 @@ _MODULES = {
     "surface.heightfield": ("HeightField",),
     "surface.periods": ("Period",),
     "image.image": ("Image",),
-    "scene.lights": ("DirectionalLight",),
+    "scene.environment": ("Environment",),
+    "scene.lights": ("DirectionalLight", "PointLight"),
     "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
     "planning.planner": ("plan",),
     "plans.plan": ("Plan",),

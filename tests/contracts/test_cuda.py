@@ -43,6 +43,7 @@ KERNELS = {
         "sample_directions",
         "scattering_vectors",
         "select_material",
+        "turn_footprints",
         "widen_footprints",
     },
     "adaptive": {"accumulate", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},

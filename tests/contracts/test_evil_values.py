@@ -31,6 +31,7 @@ WAVY = wd.HeightField(0.05 * np.sin(np.arange(300.0)).reshape(1, -1) + np.zeros(
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
 # What stands for ``self``, and arguments that are legal beside an evil one.
 OWNERS = {
+    "Environment": (None, wd.Environment(np.ones((2, 4, 3)), directions=16)),
     "Material": (None, wd.Material.metal("Au")),
     "Spectrum": (None, wd.Spectrum.blackbody(3000.0)),
     "HeightField": ("hf", WAVY),
@@ -47,6 +48,7 @@ LEGAL = {
     "tolerance": 0.1, "extent_um": 1.0, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1, "segments_along": 12,
     "segments_around": 3, "renderer": RENDERER, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
     "lobes": LOBES, "deflections": [[0.1, 0.2, -1.5]],
+    "radiance_rgb": np.ones((2, 4, 3)), "directions": 16, "position": (0.0, 0.0, 2.0),
 }  # fmt: skip
 PATHS = {
     "Image.save": "a.png", "export_html": "a.html", "BakedLobes.save": "a.npz", "BakedSpectrum.save": "a.npz",

@@ -59,7 +59,8 @@ def kernel_gain(lights, views, normal, masking, device):
         return wp.array(values, dtype=dtype, device=device)
 
     given = scattering.Lights()
-    given.to_lights, given.strengths = array(lights, wp.vec3d), array(np.tile([1.0, 0.0], (count, 1)), wp.vec2d)
+    given.places = array(np.column_stack([lights, np.zeros(count)]), wp.vec4d)
+    given.strengths = array(np.tile([1.0, 0.0], (count, 1)), wp.vec2d)
     pixels = Pixels()
     pixels.hit = array(np.ones(count), wp.int32)
     for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):

@@ -13,6 +13,7 @@ import warpdiff as wd
 from warpdiff.compute.pipeline import launch_pipeline
 from warpdiff.kernels import lookup_specification
 from warpdiff.kernels.structs import Footprint
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.tables.integrator import Integrator
 
@@ -50,7 +51,7 @@ def test_native_look_ups_are_those_of_the_specification(coherence, footprints_ar
     found = {}
     for kind in ("native", "plain"):
         xyz, left_out = wp.zeros(COUNT, dtype=wp.vec3f, device="cpu"), wp.zeros(COUNT, dtype=wp.float32, device="cpu")
-        look_up = integrator.steps(*given, "D65", xyz, seen, left_out)[0]
+        look_up = integrator.steps(*given, LitMaterial("D65"), xyz, seen, left_out)[0]
         if kind == "plain":
             functions = len(look_up.inputs[0].functions.dtype())
             kernel = lookup_specification.lookup(functions, coherence.kind == "source")

@@ -13,6 +13,7 @@ import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.bench.truth import reference
 from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import LitMaterial
 from warpdiff.planning import search, trial
 from warpdiff.plans.direction_range import DirectionSample
 from warpdiff.tables import polar_layout
@@ -193,7 +194,7 @@ def test_footprints_widen_the_source(fingers, plan):
         integrator.add(
             wp.array(deflections, dtype=wp.vec3d, device=device),
             wp.array(np.tile(to_light, (count, 1)), dtype=wp.vec3f, device=device),
-            wp.ones(count, dtype=wp.float32, device=device), "D65", xyz,
+            wp.ones(count, dtype=wp.float32, device=device), LitMaterial("D65"), xyz,
             footprints=spread,
         )  # fmt: skip
         return xyz.numpy()

@@ -10,11 +10,12 @@ from warpdiff.render import gbuffer, pixel_filters
 
 @pytest.fixture(autouse=True)
 def none_kept(monkeypatch):
-    monkeypatch.setattr(gbuffer, "_free", {(one, other): [] for one in (False, True) for other in (False, True)})
+    monkeypatch.setattr(gbuffer, "_free", {kind: [] for kind in gbuffer._free})
 
 
 def shared(parts, *, leaves_out=False, coloured=False):
-    return gbuffer.shared_tile_buffers(parts, leaves_out=leaves_out, coloured=coloured, device=resolve_device("cpu"))
+    kind = gbuffer.BufferKind(leaves_out, coloured, materials=False)
+    return gbuffer.shared_tile_buffers(parts, kind=kind, device=resolve_device("cpu"))
 
 
 def test_a_room_is_found_again_where_it_is_large_enough():
@@ -40,7 +41,7 @@ def test_nobody_shares_a_room_and_few_are_kept():
     with contextlib.ExitStack() as stack:
         taken = [stack.enter_context(shared(1)) for _ in range(5)]
         assert len(set(map(id, taken))) == 5
-    assert len(gbuffer._free[False, False]) == 2
+    assert len(gbuffer._free[False, False, False]) == 2
 
 
 def test_a_room_where_something_failed_is_left():
@@ -50,4 +51,4 @@ def test_a_room_where_something_failed_is_left():
 
     with pytest.raises(MemoryError):
         fail()
-    assert not gbuffer._free[False, False]
+    assert not gbuffer._free[False, False, False]

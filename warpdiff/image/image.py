@@ -107,7 +107,8 @@ class Image:
             exposure_from: A picture whose automatic exposure is taken, for pictures that belong together.
             gamut: ``"srgb"`` or ``"display-p3"``.
             background: What lies behind: a colour (R, G, B), encoded, each 0 to 1, or a picture of the same size, shown
-                alike. It is mixed in the display's linear light. None leaves it transparent.
+                alike, or its linear sRGB, shape (height, width, 3), as :meth:`warpdiff.Environment.seen` gives it. It
+                is mixed in the display's linear light. None leaves it transparent.
             exact: False looks ACES up in a table, which is several times as fast and differs by 0.1 in the median, 0.6
                 at percentile 99 (ΔE2000).
 
@@ -183,7 +184,16 @@ class Image:
                 )
             shown = background._shown(display, factor, gamut, exact=exact)
             return background.coverage[..., None] * colorimetry.srgb_decode(shown)
-        colour = checks.vector(background, "background")
+        given = checks.finite_array(background, "background", most=checks.MOST)
+        if given.shape == self.xyz.shape:
+            shown = display_transform.shown(factor * colorimetry.rgb_to_xyz(given), display, gamut, exact=exact)
+            return colorimetry.srgb_decode(shown)
+        if given.shape != (3,):
+            raise ValueError(
+                f"background must be a colour of shape (3,), or radiances of {self.mask.shape[1]} × "
+                f"{self.mask.shape[0]} pixels, got shape {given.shape}"
+            )
+        colour = given
         if not np.all((colour >= 0.0) & (colour <= 1.0)):
             raise ValueError(f"background must be a colour of components from 0 to 1, got {colour.tolist()}")
         return colorimetry.srgb_decode(colour)

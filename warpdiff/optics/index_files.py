@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.core.file_reading import text_of
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -27,16 +29,10 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
     """Wavelengths [nm], n and k, and what the file says of its source.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        OSError: There is no such file, or it cannot be read.
         ValueError: It holds nothing of the kind.
     """
-    if not file.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(file)!r}")
-    with file.open("rb") as opened:
-        raw = opened.read(_MOST_BYTES + 1)
-    if len(raw) > _MOST_BYTES:
-        raise ValueError(f"{file.name}: a table of an index of refraction has at most {_MOST_BYTES} bytes")
-    text = raw.decode("utf-8", errors="replace")
+    text = text_of(file, _MOST_BYTES)
     try:
         if file.suffix.lower() in {".yml", ".yaml"}:
             parts, source = _yaml(text)
@@ -138,7 +134,7 @@ def _csv(text: str) -> dict[str, Table]:
             parts[name] = _ordered(scale * values[:, 0], values[:, 1 + column])
         rows.clear()
 
-    for line in text.lstrip("\ufeff").split("\n"):
+    for line in text.split("\n"):
         cells = [cell.strip() for cell in re.split(r"[,;\t]", line)]
         if not any(cells) or cells[0].startswith("#"):
             continue

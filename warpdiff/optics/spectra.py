@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import checks
+from warpdiff.core.file_reading import text_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -106,18 +107,12 @@ class Spectrum:
         """A spectrum of a text file with two columns, wavelength [nm] and relative power, parted by commas or blanks.
 
         Raises:
-            FileNotFoundError: There is no such file.
+            OSError: There is no such file, or it cannot be read.
             ValueError: It holds no such columns.
         """
         file = checks.path(path, "path")
-        if not file.is_file():
-            raise FileNotFoundError(f"path: there is no file {str(file)!r}")
-        with file.open("rb") as opened:
-            raw = opened.read(_MOST_BYTES + 1)
-        if len(raw) > _MOST_BYTES:
-            raise ValueError(f"{file.name}: a spectrum has at most {_MOST_BYTES} bytes")
         rows = []
-        for line in raw.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines():
+        for line in text_of(file, _MOST_BYTES).splitlines():
             try:
                 rows.append([float(cell) for cell in re.split(r"[,;\s]+", line.strip())[:2]])
             except ValueError:

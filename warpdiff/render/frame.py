@@ -116,6 +116,7 @@ class Frame:
         self._transmittances: wp.array | None = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._spreads: list[float] = []
+        self._at_places: list[bool] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
 
@@ -173,13 +174,17 @@ class Frame:
         if self._lights is None or len(self._to_lights) != len(lights):
             self._lights = scattering.Lights()
             for name, dtype in (
-                ("to_lights", wp.vec3d), ("strengths", wp.vec2d), ("spreads", wp.float32), ("white_rgb", wp.vec3d),
+                ("places", wp.vec4d), ("strengths", wp.vec2d), ("spreads", wp.float32), ("white_rgb", wp.vec3d),
             ):  # fmt: skip
                 setattr(self._lights, name, wp.empty(len(lights), dtype=dtype, device=self._device))
             self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
         of_pigment = pigment / normal if self.pigmented else 0.0
-        self._lights.to_lights.assign(np.array([each.to_light for each in lights]))
-        self._lights.strengths.assign(np.array([(each.power, of_pigment) for each in lights]))
+        self._at_places = [each.position is not None for each in lights]
+        self._lights.places.assign(np.array([self._place_of(each) for each in lights]))
+        # Distances are told in the mesh's unit, and kernels take them in its radii.
+        falloffs = [self._surface.radius**-2.0 if at_place else 1.0 for at_place in self._at_places]
+        strengths = [(each.power * left, of_pigment) for each, left in zip(lights, falloffs, strict=True)]
+        self._lights.strengths.assign(np.array(strengths))
         self._lights.white_rgb.assign(np.array(whites))
         self._spreads = [each.spread for each in lights]
         self._lights.spreads.assign(np.array(self._spreads, dtype=np.float32))
@@ -200,11 +205,17 @@ class Frame:
         self._reflection.materials = self._of_faces
         self._now = self._now[0], None
 
+    def _place_of(self, light: Lobe) -> tuple[float, ...]:
+        """Where a light is, in homogeneous coordinates and the surface's units."""
+        if light.position is None:
+            return *light.to_light, 0.0
+        return *((np.asarray(light.position) - self._surface.centre) / self._surface.radius), 1.0
+
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
         sizes = tuple(spread > 0.0 for spread in self._spreads)
-        return sizes, self.view.extent_y is None, self.casts_shadows, self.pigmented
+        return sizes, tuple(self._at_places), self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(
         self, hf: HeightField, window: Coherence, *, sampled: bool = True
@@ -269,7 +280,10 @@ class Frame:
 
     def _footprints(self, light_index: int, seen: GBuffer, level: int) -> list[KernelCall]:
         """The calls that find the footprints of cells at a level under a light, of which its size is a part."""
-        steps = [self.rays.footprints(seen, pixel_filters.deviation_at(level, means=True))]
+        deviation = pixel_filters.deviation_at(level, means=True)
+        steps = [self.rays.footprints(seen, deviation)]
+        if self._at_places[light_index]:
+            steps.append(self.rays.turned_footprints(seen, self._lights, light_index, deviation))
         if self._spreads[light_index] > 0.0:
             inputs = [self._lights, light_index, seen.to_lights]
             steps.append(KernelCall(scattering.widen_footprints, inputs, [seen.footprints], in_runs=True))
@@ -418,13 +432,15 @@ class Frame:
 
     def _grid_of(self, light_index: int) -> Any:
         """A grid of faces for shadow rays where it is worth it, once rays are cast."""
+        if light_index not in self._grids and self._at_places[light_index]:
+            self._grids[light_index] = self.rays.no_shadow_grid()
         if light_index not in self._grids:
             self._grids[light_index] = self.rays.shadow_grid(self._to_lights[light_index], self._samples)
         return self._grids[light_index]
 
     def expect_cells(self, light_index: int, pixels: int) -> None:
         """Get ready for the shadow rays of so many pixels that are split."""
-        if self.casts_shadows and isinstance(self.rays, RasterizedRays):
+        if self.casts_shadows and isinstance(self.rays, RasterizedRays) and not self._at_places[light_index]:
             self._grids[light_index] = self.rays.shadow_grid_of_cells(self._to_lights[light_index], pixels)
 
     def deflect(
@@ -463,7 +479,7 @@ class Frame:
         inputs = [seen.pixels, self._lights, light_index, self._reflection, weight, counted, begins, resets, hidden]
         steps = [KernelCall(scattering.scattering_vectors, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
-            inputs = [self._grid_of(light_index), self._lights.to_lights, light_index, seen.pixels]
+            inputs = [self._grid_of(light_index), self._lights.places, light_index, seen.pixels]
             steps.insert(0, KernelCall(trace_shadow_rays, inputs, [hidden], in_runs=True))
         return steps
 

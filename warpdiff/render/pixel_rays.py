@@ -103,9 +103,18 @@ class PixelRays:
         inputs = [self._camera, self._scene.bare, seen.pixels, seen.deflections, deviation]
         return KernelCall(scattering.pixel_footprints, inputs, [seen.footprints], in_runs=True)
 
+    def turned_footprints(self, seen: GBuffer, lights: Any, light_index: int, deviation: float) -> KernelCall:
+        """The call that adds to footprints how the direction to a light at a place changes over them."""
+        inputs = [self._camera, self._scene.bare, seen.pixels, lights, light_index, deviation]
+        return KernelCall(scattering.turn_footprints, inputs, [seen.footprints], in_runs=True)
+
+    def no_shadow_grid(self) -> Any:
+        """What asks the hierarchy, for any light."""
+        return no_grid(self._scene)
+
     def shadow_grid(self, _to_light: Sequence[float], _samples: int) -> Any:
         """The grid, or none, for shadow rays of the pixels' own samples."""
-        return no_grid(self._scene)
+        return self.no_shadow_grid()
 
     def on_host(self, values: wp.array) -> NDArray[Any]:
         """Values of all pixels on the host; zero for those that are not looked at."""

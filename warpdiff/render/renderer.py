@@ -18,7 +18,6 @@ from warpdiff.render.frame import load_kernels
 from warpdiff.render.shade import (
     PictureRequest,
     check_light_sizes,
-    check_lights,
     lobes_for,
     memory_named,
     require_room,
@@ -38,7 +37,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
     from warpdiff.render.frame import Frame
-    from warpdiff.scene.lights import DirectionalLight, Lobe
+    from warpdiff.scene.environment import Light
+    from warpdiff.scene.lights import Lobe
     from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
@@ -69,7 +69,7 @@ class Renderer:
         self,
         mesh: Any,
         hf: HeightField,
-        light: DirectionalLight | Sequence[DirectionalLight],
+        light: Light | Sequence[Light],
         view: View,
         *,
         tolerance: float = 1e-2,
@@ -164,7 +164,7 @@ class Renderer:
 
     def draw(
         self,
-        light: DirectionalLight | Sequence[DirectionalLight] | None = None,
+        light: Light | Sequence[Light] | None = None,
         view: View | None = None,
         *,
         progress: Callable[[float], None] | None = None,
@@ -183,7 +183,7 @@ class Renderer:
         """
         checks.callback(progress, "progress")
         mine = self._mine
-        lights = mine.lights if light is None else lobes_for(check_lights(light))
+        lights = mine.lights if light is None else lobes_for(light, self._wanted.request.coherence)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")

@@ -21,7 +21,8 @@ from warpdiff.plans.plan import AUTOMATIC, has_table
 from warpdiff.render.frame import Frame, load_kernels
 from warpdiff.render.layers import check_layers, layers_of
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import DirectionalLight, lobes_of
+from warpdiff.scene.environment import Environment, Light, lobes_of_environment
+from warpdiff.scene.lights import DirectionalLight, PointLight, lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import polar_layout
 from warpdiff.tables.integrator import Integrator
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 def shade(
     mesh: Any,
     hf: HeightField,
-    light: DirectionalLight | Sequence[DirectionalLight],
+    light: Light | Sequence[Light],
     view: View,
     *,
     tolerance: float = 1e-2,
@@ -202,7 +203,7 @@ class PictureRequest:
     ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
         request = Request.checked(hf, by_geometry=True, **common)
-        lights = lobes_for(check_lights(light))
+        lights = lobes_for(light, request.coherence)
         checks.instance(view, View, "view")
         checks.flag(shadows, "shadows")
         checks.flag(smooth, "smooth")
@@ -327,22 +328,31 @@ def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool)
         )
     if not (means and window.adds_powers):
         raise ValueError(
-            f"light: angular_diameter_deg takes footprints, which pictures of coherence {window.kind!r} lack, or which "
-            "footprint=False or method='direct' leaves out: give several lights of angular_diameter_deg=0"
+            f"light: angular_diameter_deg, or an Environment, takes footprints, which pictures of coherence "
+            f"{window.kind!r} lack, or which footprint=False or method='direct' leaves out: give several lights of "
+            "angular_diameter_deg=0"
         )
 
 
-def check_lights(light: Any) -> list[DirectionalLight]:
-    """Check lights: one or several, as a list."""
-    lights = [light] if isinstance(light, DirectionalLight) else light
+def lobes_for(light: Any, window: Coherence) -> list[Lobe]:
+    """The lobes of one or several lights, which are checked."""
+    lights = [light] if isinstance(light, Light) else light
     if not isinstance(lights, Sequence) or not lights:
-        raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
+        raise TypeError(
+            "light must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of them, got "
+            f"{light!r}"
+        )
+    result: list[Lobe] = []
     for index, each in enumerate(lights):
-        checks.instance(each, DirectionalLight, f"light[{index}]")
+        if isinstance(each, Environment):
+            if window.kind != "averaged" or window.sigma_um is None:
+                raise ValueError(
+                    f"light[{index}]: an Environment takes coherence of kind='averaged', got kind={window.kind!r}"
+                )
+            result += lobes_of_environment(each, window.sigma_um)
+            continue
+        if not isinstance(each, PointLight):
+            checks.instance(each, DirectionalLight, f"light[{index}]")
         colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
-    return list(lights)
-
-
-def lobes_for(lights: Sequence[DirectionalLight]) -> list[Lobe]:
-    """The lobes of lights."""
-    return [lobe for each in lights for lobe in lobes_of(each)]
+        result += lobes_of(each)
+    return result

@@ -1,4 +1,4 @@
-"""Light sources: directional lights with an illuminant, a power and a size, and the lobes that pictures are lit by."""
+"""Light sources: directional lights of a size, points, and the lobes that pictures are lit by."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_POWER = 1e12
 _WIDEST_DEG = 60.0
 # A light up to this wide is one Gaussian; of a wider one there are lobes of so much of it each, up to so many, and each
 # is as wide as is even between them: a deviation of so many radii of its part.
-_ONE_LOBE_DEG, _LOBE_DEG, _MOST_LOBES, _LOBE_WIDTH = 5.0, 2.5, 128, 0.9
+_ONE_LOBE_DEG, _LOBE_DEG, _MOST_LOBES, LOBE_WIDTH = 5.0, 2.5, 128, 0.9
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -42,14 +42,41 @@ class DirectionalLight:
     def __post_init__(self) -> None:
         unit = checks.directions(checks.vector(self.to_light, "to_light"), "to_light")[0][0]
         object.__setattr__(self, "to_light", (float(unit[0]), float(unit[1]), float(unit[2])))
-        if not isinstance(self.illuminant, (str, Spectrum)):
-            raise TypeError(
-                "illuminant must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
-                f"{type(self.illuminant).__name__}"
-            )
+        _check_illuminant(self.illuminant)
         object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=_MOST_POWER))
         diameter = checks.number(self.angular_diameter_deg, "angular_diameter_deg", least=0.0, most=_WIDEST_DEG)
         object.__setattr__(self, "angular_diameter_deg", diameter)
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """Light from a point of the scene, alike in all directions: its power falls off by the square of the distance.
+
+    Attributes:
+        position: Where it is, world frame.
+        illuminant: As of a :class:`DirectionalLight`.
+        power: Linear factor, up to 1e12; at 1 a flat mirror at a distance of 1 [the mesh's unit] that shows it has
+            Y = 1.
+    """
+
+    position: tuple[float, float, float]
+    _: KW_ONLY
+    illuminant: str | Spectrum = "D65"
+    power: float = 1.0
+
+    def __post_init__(self) -> None:
+        x, y, z = map(float, checks.vector(self.position, "position", most=checks.MOST))
+        object.__setattr__(self, "position", (x, y, z))
+        _check_illuminant(self.illuminant)
+        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=_MOST_POWER))
+
+
+def _check_illuminant(illuminant: object) -> None:
+    if not isinstance(illuminant, (str, Spectrum)):
+        raise TypeError(
+            "illuminant must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
+            f"{type(illuminant).__name__}"
+        )
 
 
 @dataclass(frozen=True)
@@ -61,25 +88,30 @@ class Lobe:
         illuminant: Its illuminant.
         power: Its linear factor.
         spread: Standard deviation of its directions [radians]; 0 is a single one.
+        position: Where it is, world frame, from where its power falls off by the square of the distance; None is
+            infinitely far away. ``to_light`` is then of no account.
     """
 
     to_light: tuple[float, float, float]
     illuminant: str | Spectrum
     power: float
     spread: float = 0.0
+    position: tuple[float, float, float] | None = None
 
 
-def lobes_of(light: DirectionalLight) -> list[Lobe]:
+def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     """The lobes that stand for a light: their directions have the mean and the variance of its disc.
 
     A disc of radius α has a variance of α²/4 along either axis. Several lobes lie on a spiral by the golden angle, each
     in the middle of as large a part of a disc that is smaller by what they themselves spread.
     """
+    if isinstance(light, PointLight):
+        return [Lobe((0.0, 0.0, 1.0), light.illuminant, light.power, position=light.position)]
     radius = math.radians(light.angular_diameter_deg / 2.0)
     if light.angular_diameter_deg <= _ONE_LOBE_DEG:
         return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0)]
     count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
-    spread = _LOBE_WIDTH * radius / math.sqrt(count)
+    spread = LOBE_WIDTH * radius / math.sqrt(count)
     inner = math.sqrt(radius**2 - 4.0 * spread**2)
     axis = np.asarray(light.to_light)
     aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])

@@ -2,5 +2,5 @@
 
 In: a renderer, shots, a folder, a client of Dask.
 Out: files of frames, the same whoever drew them.
-May import: core, image, render, scene.
+May import: core, optics, image, render, scene.
 """

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import checks
-from warpdiff.render.shade import check_lights
+from warpdiff.optics import colorimetry
 from warpdiff.scene.camera import View
+from warpdiff.scene.lights import DirectionalLight
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
-
-    from warpdiff.scene.lights import DirectionalLight
 
 # An hour at 24 a second; each takes some kilobytes.
 MOST_SHOTS = 100_000
@@ -41,7 +40,7 @@ class Shot:
     view: View
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "light", tuple(check_lights(self.light)))
+        object.__setattr__(self, "light", tuple(_checked(self.light)))
         checks.instance(self.view, View, "view")
 
 
@@ -69,7 +68,7 @@ def turntable(
     Raises:
         ValueError: A bad argument.
     """
-    lights = check_lights(light)
+    lights = _checked(light)
     checks.instance(view, View, "view")
     count = _count(count)
     angle = 2.0 * math.pi * checks.number(turns, "turns", least=-_MOST_TURNS, most=_MOST_TURNS) / count
@@ -103,7 +102,7 @@ def light_sweep(light: DirectionalLight, view: View, to_light: ArrayLike, *, cou
     Raises:
         ValueError: A bad argument, or opposite directions, between which there is no shortest way.
     """
-    first, *others = check_lights(light)
+    first, *others = _checked(light)
     if others:
         raise ValueError(f"light must be one light, which moves, got {1 + len(others)}")
     checks.instance(view, View, "view")
@@ -148,7 +147,7 @@ def camera_path(
         FileNotFoundError: There is no such file.
         ValueError: A bad argument or file; the message names the row.
     """
-    lights = tuple(check_lights(light))
+    lights = tuple(_checked(light))
     checks.instance(view, View, "view")
     names, rows = _rows(path)
     if count is not None:
@@ -169,6 +168,17 @@ def camera_path(
         except ValueError as error:
             raise ValueError(f"path: frame {index} of {str(path)!r}: {error}") from None
     return shots
+
+
+def _checked(light: Any) -> list[DirectionalLight]:
+    """Lights of a shot, which are directional."""
+    lights = [light] if isinstance(light, DirectionalLight) else light
+    if not isinstance(lights, (list, tuple)) or not lights:
+        raise TypeError(f"light must be a DirectionalLight, or a non-empty sequence of them, got {light!r}")
+    for index, each in enumerate(lights):
+        checks.instance(each, DirectionalLight, f"light[{index}]")
+        colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
+    return list(lights)
 
 
 def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:

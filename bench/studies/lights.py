@@ -1,0 +1,175 @@
+"""Lights of a size and environments: pictures against many more directions, albedos, time a direction.
+
+``--sizes`` compares lights of a size with discs of points, ``--skies`` environments with 16 times as many directions,
+``--albedo`` an even sky with the reflectance summed over directions, and ``--times`` tells frames by their number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import trimesh
+
+import warpdiff as wd
+from warpdiff.scene.environment import lobes_of_environment
+
+WINDOW = wd.Coherence(sigma_um=8.0)
+VIEW = wd.View((0, 2, 4), (0, 0, 0), width=128, height=96)
+TOWARDS = (0.2, 0.5, 1.0)
+SURFACES = {
+    "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08),
+    "blazed": lambda: wd.gratings.blazed(2.5, 0.25),
+}
+BODIES = {"tube": wd.meshes.tube, "disc": wd.meshes.disc}
+
+
+def sky(sun: float = 0.0, height: int = 64) -> np.ndarray:
+    """A clear sky that grows whiter and brighter towards the horizon, over dark ground, with a sun of so much power."""
+    polar = (np.arange(height) + 0.5) / height * math.pi
+    up = np.maximum(np.cos(polar), 0.0)[:, None, None]
+    colour = np.array([0.25, 0.45, 1.0]) + (np.array([0.9, 0.95, 1.0]) - [0.25, 0.45, 1.0]) * (1.0 - up) ** 3
+    radiance = np.where(np.cos(polar)[:, None, None] > 0.0, colour, [0.12, 0.1, 0.08]) * np.ones((1, 2 * height, 1))
+    solid = math.sin(polar[height // 5]) * (math.pi / height) ** 2
+    radiance[height // 5, height] += sun / solid * np.array([1.0, 0.9, 0.75])
+    return radiance
+
+
+def disc_of_points(light: wd.DirectionalLight, count: int) -> list[wd.DirectionalLight]:
+    """Points that are even over a light's disc, by equal shares of its solid angle."""
+    axis = np.asarray(light.to_light)
+    aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    aside /= np.linalg.norm(aside)
+    other, radius = np.cross(axis, aside), math.radians(light.angular_diameter_deg / 2.0)
+    index = np.arange(count) + 0.5
+    cosine, around = 1.0 - index / count * (1.0 - math.cos(radius)), math.pi * (3.0 - math.sqrt(5.0)) * index
+    sine = np.sqrt(1.0 - cosine**2)[:, None]
+    found = cosine[:, None] * axis + sine * (np.cos(around)[:, None] * aside + np.sin(around)[:, None] * other)
+    return [wd.DirectionalLight(tuple(each), power=1.0 / count) for each in found]
+
+
+def errors(found: wd.Image, exact: wd.Image) -> str:
+    """Median, percentiles 90 and 99 of the pixels' errors, as ``tolerance`` has them."""
+    seen = exact.lit & found.lit
+    truth = np.linalg.norm(exact.xyz[seen], axis=1)
+    floor = 1e-3 * np.percentile(exact.xyz[seen][:, 1], 99.0)
+    away = np.linalg.norm(found.xyz[seen] - exact.xyz[seen], axis=1) / np.maximum(truth, floor)
+    return " | ".join(f"{100.0 * value:.1f} %" for value in np.percentile(away, [50.0, 90.0, 99.0]))
+
+
+def sizes(points: int) -> None:
+    """Print errors of lights of a size against discs of so many points."""
+    print("| light | body, surface | median | P90 | P99 |\n| --- | --- | --- | --- | --- |")
+    options: dict[str, Any] = {"tolerance": 3e-2, "pigment": 0.0, "shadows": False, "refine": False}
+    for degrees in (1.0, 3.0, 5.0, 10.0, 20.0, 40.0):
+        light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=degrees)
+        for name, make in BODIES.items():
+            for surface, grating in SURFACES.items():
+                hf = grating()
+                exact = wd.shade(make(), hf, disc_of_points(light, points), VIEW, coherence=WINDOW, **options)
+                found = wd.shade(make(), hf, light, VIEW, plan=exact.plan, **options)
+                print(f"| {degrees:g}° | {name}, {surface} | {errors(found, exact)} |", flush=True)
+
+
+def skies(most: int) -> None:
+    """Print errors of environments against those of 16 times as many directions."""
+    print("| sky | body, surface | lobes | against | median | P90 | P99 |\n| --- | --- | --- | --- | --- | --- | --- |")
+    options: dict[str, Any] = {"tolerance": 1e-1, "pigment": 0.0, "refine": False, "coherence": WINDOW}
+    for sky_name, radiance in {"sky": sky(), "sky and sun": sky(sun=6.0)}.items():
+        for name, make in BODIES.items():
+            for surface, grating in SURFACES.items():
+                hf, count = grating(), most
+                environments = []
+                while count >= 16:
+                    environments.append(wd.Environment(radiance, directions=count))
+                    count //= 4
+                pictures = [wd.shade(make(), hf, each, VIEW, **options) for each in environments]
+                numbers = [len(lobes_of_environment(each, WINDOW.sigma_um)) for each in environments]
+                for few in range(2, len(pictures)):
+                    told = f"{numbers[few]} | {numbers[few - 2]} | {errors(pictures[few], pictures[few - 2])}"
+                    print(f"| {sky_name} | {name}, {surface} | {told} |", flush=True)
+
+
+def albedo(directions: int) -> None:
+    """Print what an even sky shows on a flat square against the reflectance summed over all directions."""
+    print("| surface | angle | picture, Y | sum of the BRDF, Y |\n| --- | --- | --- | --- |")
+    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    square = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
+    even = wd.Environment(np.ones((4, 8, 3)), directions=directions)
+    step = 1.0 / 160.0
+    u, v = np.meshgrid(np.arange(-1.0 + step / 2.0, 1.0, step), np.arange(-1.0 + step / 2.0, 1.0, step))
+    inside = u**2 + v**2 < 1.0
+    views = np.stack([u[inside], v[inside], np.sqrt(1.0 - u[inside] ** 2 - v[inside] ** 2)], axis=-1)
+    surfaces = {"flat": wd.HeightField(np.zeros((32, 32)), 0.09), "fingers": SURFACES["fingers"]()}
+    for name, hf in surfaces.items():
+        for degrees in (20.0, 45.0, 75.0):
+            angle = math.radians(degrees)
+            towards = (math.sin(angle) * 0.6, math.sin(angle) * 0.8, math.cos(angle))
+            view = wd.View.orthographic(
+                4.0 * np.array(towards), (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3
+            )
+            image = wd.shade(
+                square, hf, even, view, coherence=WINDOW, tolerance=3e-2, ior=math.inf, masking=False, refine=False
+            )
+            # dω cos θ is du dv, and the BRDF is reciprocal; the sum is weighted by what the eye sees of D65.
+            nm = np.arange(400.0, 701.0, 20.0)
+            bright = np.exp(-0.5 * ((nm - 556.0) / 42.0) ** 2)
+            brdf = wd.brdf(hf, towards, views, nm, coherence=WINDOW, ior=math.inf, tolerance=1e-2)
+            total = step**2 * brdf.sum(axis=0) @ bright / bright.sum()
+            print(f"| {name} | {degrees:g}° | {image.xyz[1, 1, 1]:.3f} | {total:.3f} |", flush=True)
+
+
+def times(repeats: int) -> None:
+    """Print the time of a frame against the number of lobes."""
+    print("| lobes | frame, not refined | refined | a lobe |\n| --- | --- | --- | --- |")
+    hf, body, view = SURFACES["fingers"](), wd.meshes.tube(), wd.View((0, 2, 4), (0, 0, 0), width=640, height=480)
+    for count in (16, 64, 256):
+        environment = wd.Environment(sky(), directions=count)
+        lobes = len(lobes_of_environment(environment, WINDOW.sigma_um))
+        took = []
+        for refine in (False, True):
+            renderer = wd.Renderer(
+                body, hf, environment, view, coherence=WINDOW, tolerance=1e-1, pigment=0.0, refine=refine
+            )
+            renderer.image()
+            seconds = []
+            for turn in range(repeats):
+                turned = wd.Environment(sky(), directions=count, rotation_deg=3.0 * turn)
+                begin = time.perf_counter()
+                renderer.draw(turned)
+                renderer.image()
+                seconds.append(time.perf_counter() - begin)
+            took.append(float(np.median(seconds)))
+        print(f"| {lobes} | {took[0]:.2f} s | {took[1]:.2f} s | {1e3 * took[0] / lobes:.0f} ms |", flush=True)
+
+
+def main() -> int:
+    """Print the tables that are asked for, or all."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", action="store_true", help="lights of a size against discs of points")
+    parser.add_argument("--skies", action="store_true", help="environments against 16 times as many directions")
+    parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
+    parser.add_argument("--times", action="store_true", help="time a frame by the number of lobes")
+    parser.add_argument("--points", type=int, default=400, help="of discs (400)")
+    parser.add_argument("--directions", type=int, default=4096, help="most directions of an environment (4096)")
+    parser.add_argument("--repeats", type=int, default=3, help="frames of each kind (3)")
+    options = parser.parse_args()
+    every = not (options.sizes or options.skies or options.albedo or options.times)
+    if options.sizes or every:
+        sizes(options.points)
+    if options.skies or every:
+        skies(options.directions)
+    if options.albedo or every:
+        albedo(1024)
+    if options.times or every:
+        times(options.repeats)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
