@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import json
+import re
 from importlib import metadata, resources
 from typing import TYPE_CHECKING, Any
 
@@ -252,8 +253,4 @@ def _filled(header: dict[str, Any], arrays: Arrays, title: str) -> str:
         **{name: folder.joinpath(file).read_text(encoding="utf-8") for name, file in _PARTS.items()},
     }  # fmt: skip
     # One pass: what is filled in is not looked at again.
-    first, *others = page.split("@")
-    parts = [first]
-    for index, each in enumerate(others):
-        parts.append(filling[each] if index % 2 == 0 else each)
-    return "".join(parts)
+    return re.sub("@([A-Z_]+)@", lambda found: filling[found[1]], page)
