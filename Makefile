@@ -9,23 +9,36 @@ DEMO_STAMP := $(VENV)/.stamp-core
 TEST_STAMP := $(VENV)/.stamp-test
 LINT_STAMP := $(VENV)/.stamp-lint
 BENCH_STAMP := $(VENV)/.stamp-bench
+BROWSER_STAMP := $(VENV)/.stamp-browser
+DASK_STAMP := $(VENV)/.stamp-dask
+MITSUBA_STAMP := $(VENV)/.stamp-mitsuba
 MINUTES ?= 60
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test soak test-lowest lint bench clean
+.PHONY: help demo test test-browser test-dask test-mitsuba soak test-lowest lint bench clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
 
 test: $(TEST_STAMP) ## run the tests
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+test-browser: $(BROWSER_STAMP) ## test pages; needs Chromium (Debian: apt-get install chromium)
+	@test -n "$$CHROMIUM" || command -v chromium google-chrome >/dev/null || { echo "error: there is no Chromium: apt-get install chromium, or name one: make test-browser CHROMIUM=/path/to/chrome" >&2; exit 1; }
+	$(BIN)/python -m pytest -m browser tests/browser
+
+test-dask: $(DASK_STAMP) ## test frames drawn by the workers of a cluster
+	$(BIN)/python -m pytest -m dask tests/contracts/test_dask.py
+
+test-mitsuba: $(MITSUBA_STAMP) ## test the bridge to Mitsuba; needs LLVM, 17 or newer (Debian: libllvm19)
+	$(BIN)/python -m pytest -m mitsuba tests/truth/test_mitsuba.py
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
 	$(BIN)/python -m warpdiff.bench.studies.soak --minutes $(MINUTES)
@@ -62,6 +75,9 @@ define check_version
 $(1) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "error: warpdiff needs Python 3.11 or newer, but $(1) is " + sys.version.split()[0] + "; name another one: make PYTHON=python3.12")'
 endef
 
+# Within a call's argument.
+COMMA := ,
+
 # Some tools make environments without pip.
 define install
 @$(call check_version,$(BIN)/python)
@@ -78,9 +94,21 @@ $(TEST_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[test])
 	@touch $@ $(DEMO_STAMP)
 
+$(BROWSER_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[browser])
+	@touch $@ $(TEST_STAMP)
+
+$(DASK_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[test$(COMMA)dask])
+	@touch $@ $(TEST_STAMP)
+
 $(BENCH_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[bench])
 	@touch $@ $(DEMO_STAMP)
+
+$(MITSUBA_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[test$(COMMA)mitsuba])
+	@touch $@ $(TEST_STAMP)
 
 $(LINT_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[lint])

@@ -23,6 +23,8 @@ MESH = wd.meshes.disc(segments=8, rings=1)
 SHORT = wd.Coherence(sigma_um=3.0)
 PLAN = wd.plan(HF, coherence=SHORT, tolerance=0.1)
 PICTURE = wd.brdf_map(HF, UP, size=2, plan=PLAN)
+LOBES = wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
+SPECTRUM = wd.bake_spectrum(HF, coherence=SHORT, size=16, tolerance=0.1)
 HUGE, TINY = 1e300, 1e-300
 
 
@@ -125,6 +127,13 @@ def _views():
     yield dataclasses.replace(VIEW, width=46340, height=46340)
 
 
+def _shots():
+    for view in (dataclasses.replace(VIEW, width=5), dataclasses.replace(VIEW, eye=(0.0, 0.0, 1e14))):
+        yield wd.Shot((LIGHT,), view)
+    yield wd.Shot((LIGHT,) * 3, VIEW)
+    yield wd.Shot((dataclasses.replace(LIGHT, power=0.0),), VIEW)
+
+
 def _coherences():
     for sigma in (1e-15, 0.1, 1e3, 1e15):
         yield wd.Coherence(sigma_um=sigma)
@@ -208,22 +217,29 @@ _KINDS = {
     "mesh": st.sampled_from(list(hostile_meshes())),
     "plan": st.sampled_from(list(_plans())),
     "callback": st.just("bad"),
+    "shots": st.lists(st.sampled_from([wd.Shot((LIGHT,), VIEW), *_shots()]), max_size=3),
+    "formats": st.lists(st.sampled_from([".png", ".exr", ".jpg", "png", 1, None]), max_size=3),
+    "folder": st.sampled_from(["", ".", "new/one", "a.npy", "a\0b", "\ud800", "x" * 5000, "/dev/null", "/dev/full/a"]),
     "material": st.sampled_from(list(_materials())),
     "picture": st.just(PICTURE),
+    "lobes": st.just(LOBES),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
 }
 # Every parameter of whatever is public; of a pair of them, either.
 KIND_OF = {
     "hf": "surface", "mesh": "mesh", "light": "light", "view": "view", "coherence": "coherence", "plan": "plan",
     "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
-    "progress": "callback", "exposure_from": "picture", "background": "vector", "rays_per_width": "rays",
+    "progress": "callback", "client": "callback", "exposure_from": "picture", "renderer": "picture", "shots": "shots",
+    "formats": "formats", "folder": "folder", "animation": "path", "background": "vector", "rays_per_width": "rays",
     **dict.fromkeys(["material", "film"], "material"),
     **dict.fromkeys(["n", "k", "values", "radiance_rgb"], "vector"),
-    **dict.fromkeys(["symbol", "name", "source", "polarisation", "energy"], "name"),
+    **dict.fromkeys(["symbol", "source", "polarisation", "energy"], "name"),
     **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "copies"], "vector"),
     **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um", "position"], "vector"),
     **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "searched"], "flag"),
-    "exact": "flag",
+    **dict.fromkeys(["exact", "overwrite", "lights_follow", "zeroth_order"], "flag"),
+    "lobes": "lobes", "deflections": "vector",
+    **dict.fromkeys(["name", "title"], "name"),
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
     **dict.fromkeys(["bits", "width", "height"], "count"),
@@ -235,6 +251,7 @@ _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
 _NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
 _NUMBER_NAMES |= {"temperature_k", "scale"}
+_NUMBER_NAMES |= {"turns", "frames_per_second", "radiance"}
 
 
 @functools.cache

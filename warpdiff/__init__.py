@@ -9,7 +9,7 @@ which rooms it may import. ``docs/architecture.md`` has the whole way, file by f
 - ``plans``: the numbers that kernels get, and for which directions; ``image``: pictures and their files
 - ``tables``: coefficients and colours on a device; ``planning``: from a tolerance to a plan
 - ``evaluate``: reflectance at arrays of directions; ``render``: pictures of a mesh
-- ``app``: the command line
+- ``sequences``: frames of turntables, moving lights and cameras; ``app``: the command line, and a page in the browser
 
 ``kernels`` holds the Warp kernels, ``bench`` what measures all this; ``gratings`` and ``meshes`` are public modules.
 """
@@ -22,6 +22,11 @@ from warpdiff.core import fork_safety as _forks  # noqa: F401
 
 if TYPE_CHECKING:
     from warpdiff import gratings, meshes
+    from warpdiff.baking.bake import bake
+    from warpdiff.baking.bake_spectrum import bake_spectrum
+    from warpdiff.baking.baked_lobes import BakedLobes
+    from warpdiff.baking.baked_spectrum import BakedSpectrum
+    from warpdiff.bridges.mitsuba_bsdf import register_mitsuba_bsdf
     from warpdiff.core.errors import WarpdiffWarning
     from warpdiff.evaluate.directions import brdf, brdf_map, reflectance, spectral_reflectance
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
@@ -36,12 +41,17 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.environment import Environment
     from warpdiff.scene.lights import DirectionalLight, PointLight
+    from warpdiff.sequences.sequence import sequence
+    from warpdiff.sequences.shots import Shot, camera_path, light_sweep, turntable
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.surface.periods import Period
+    from warpdiff.web.export_html import export_html
 
     __version__: str
 
 __all__ = [
+    "BakedLobes",
+    "BakedSpectrum",
     "Coherence",
     "DirectionalLight",
     "Environment",
@@ -53,21 +63,35 @@ __all__ = [
     "Plan",
     "PointLight",
     "Renderer",
+    "Shot",
     "Spectrum",
     "View",
     "WarpdiffWarning",
+    "bake",
+    "bake_spectrum",
     "brdf",
     "brdf_map",
+    "camera_path",
+    "export_html",
     "gratings",
+    "light_sweep",
     "meshes",
     "order_efficiencies",
     "plan",
     "reflectance",
+    "register_mitsuba_bsdf",
+    "sequence",
     "shade",
     "spectral_reflectance",
+    "turntable",
 ]
 
 _MODULES = {
+    "baking.bake": ("bake",),
+    "baking.bake_spectrum": ("bake_spectrum",),
+    "baking.baked_lobes": ("BakedLobes",),
+    "baking.baked_spectrum": ("BakedSpectrum",),
+    "bridges.mitsuba_bsdf": ("register_mitsuba_bsdf",),
     "optics.coherence": ("Coherence",),
     "optics.materials": ("Material",),
     "optics.spectra": ("Spectrum",),
@@ -84,6 +108,9 @@ _MODULES = {
     "render.shade": ("shade",),
     "render.renderer": ("Renderer",),
     "scene.camera": ("View",),
+    "sequences.sequence": ("sequence",),
+    "sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
+    "web.export_html": ("export_html",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -4,6 +4,8 @@
   camera moves
 - ``tolerance_sweep``: random calls against their tolerance; ``tight_plans``, ``plan_cost``: what plans leave and take
 - ``published``, ``thesis``, ``variants``: the published algorithm and evaluation
+- ``viewer``: pictures a second while dragging, and how soon finer ones come, in a real browser
+- ``frames_on_paper``: the parts of what a long sequence takes
 - ``cold_start``, ``multiply_adds``: a new process; what the machine can do
 - ``corpus``: whether a change leaves everything the same to the bit
 """

@@ -18,9 +18,10 @@ if not (Path(__file__).resolve().parents[2] / "pyproject.toml").is_file():
 import import_graph as graph
 
 # What only some calls take, and what would make every start slower, or is not on every system.
-SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy"}
-# Signals and streams are met before anything slow is imported; two commands import what the others do without.
-LATER = {"warpdiff.__main__", "warpdiff.app.cli"}
+SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy", "distributed", "mitsuba", "drjit"}
+# Signals and streams are met before anything slow is imported; some commands import what the others do without; the
+# viewer's page loads while Warp is imported.
+LATER = {"warpdiff.__main__", "warpdiff.app.cli", "warpdiff.app.viewer"}
 PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]
 ROOMS = [name for name in PACKAGE if graph.room_of(name) in graph.rooms()]
 
@@ -122,7 +123,7 @@ def test_files_and_names_that_the_page_speaks_of_are_there():
 
 # Every public name is there, and works, once everything else is imported: none is a module's in its place.
 CALLS = """
-import importlib, warnings
+import importlib, tempfile, warnings
 import numpy as np
 import warpdiff as wd
 
@@ -134,7 +135,16 @@ window = {"coherence": wd.Coherence(sigma_um=1.0), "threads": 1}
 up = (0.0, 0.0, 1.0)
 light, view = wd.DirectionalLight(up), wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=4, height=3)
 disc = wd.meshes.disc()
+renderer = wd.Renderer(disc, hf, light, view, **window)
+folder = tempfile.TemporaryDirectory()
+path = folder.name + "/path.csv"
+open(path, "w").write("eye_x,eye_y,eye_z,target_x,target_y,target_z\\n0,0,3,0,0,0\\n")
+short = {"coherence": window["coherence"], "threads": 1}
+lobes = wd.bake(hf, tolerance=10.0, **short)
+spectrum = wd.bake_spectrum(hf, size=16, tolerance=0.1, **short)
 called = {
+    "BakedLobes": lobes,
+    "BakedSpectrum": spectrum,
     "Coherence": window["coherence"].sigma_um,
     "DirectionalLight": light.power,
     "Environment": wd.Environment(np.ones((2, 4, 3))).directions,
@@ -144,23 +154,32 @@ called = {
     "OrderEfficiencies": wd.order_efficiencies(hf, up, 550.0),
     "Period": wd.HeightField([np.sin(np.arange(60.0))], 0.1).periods()[0],
     "Plan": wd.plan(hf, up, up, **window),
-    "Renderer": wd.Renderer(disc, hf, light, view, **window).image(),
+    "Renderer": renderer.image(),
+    "Shot": wd.Shot(light, view),
     "Spectrum": wd.Spectrum.blackbody(2856.0),
     "View": view.width,
     "PointLight": wd.PointLight(up).power,
     "WarpdiffWarning": wd.WarpdiffWarning("said"),
+    "bake": lobes.bytes,
+    "bake_spectrum": spectrum.coherence,
     "brdf": wd.brdf(hf, up, up, 550.0, **window),
     "brdf_map": wd.brdf_map(hf, up, size=4, **window),
+    "camera_path": wd.camera_path(path, light, view),
+    "export_html": wd.export_html,
     "gratings": wd.gratings.lamellar(2.5, 0.1),
+    "light_sweep": wd.light_sweep(light, view, (1.0, 0.0, 1.0)),
     "meshes": disc,
     "order_efficiencies": wd.order_efficiencies(hf, up, 550.0),
     "plan": wd.plan(hf, **window),
     "reflectance": wd.reflectance(hf, up, up, **window),
+    "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
+    "sequence": wd.sequence(renderer, wd.turntable(light, view, count=2), folder.name + "/turn"),
     "shade": wd.shade(disc, hf, light, view, **window).rgb,
     "spectral_reflectance": wd.spectral_reflectance(hf, up, up, 550.0, **window),
+    "turntable": wd.turntable(light, view),
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
-for name in ("Image", "OrderEfficiencies", "Period", "Plan"):
+for name in ("BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "Plan"):
     assert type(called[name]) is getattr(wd, name)
 """
 

@@ -51,6 +51,43 @@ def test_render_of_files(tmp_path, fuze_path):
     assert 0.05 < pixels[..., 3].mean() < 0.9
 
 
+def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
+    folder, film = tmp_path / "turn", tmp_path / "turn.webp"
+    command = ["sequence", "disc:segments=16,rings=1", "blazed:period_um=2.5,depth_um=0.2", *SMALL, "--width", "24"]
+    command += ["--height", "16", "--count", "3", "-o", str(folder)]
+    assert cli.main([*command, "--animation", str(film)]) == 0
+    frames = {path: path.read_bytes() for path in folder.glob("frame_*.png")}
+    assert len(frames) == 3
+    assert film.is_file()
+    assert "3 frames in" in capsys.readouterr().out
+    last = sorted(frames)[-1]
+    last.unlink()
+    assert cli.main(command) == 0
+    assert {path: path.read_bytes() for path in folder.glob("frame_*.png")} == frames
+    assert cli.main([*command, "--lights-stay"]) == 2
+    assert "another sequence" in capsys.readouterr().err
+    assert cli.main([*command, "--light-to", "0", "1", "1", "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("surface", "said"),
+    [("blazed:x=1", "period_um"), ("blazed:period_um", "period_um"), ("blazed:", "blazed"), ("disc:kind=LP", "kind")],
+)
+def test_parameters_of_gratings_are_refused_by_name(tmp_path, capsys, surface, said):
+    assert cli.main(["render", "disc", surface, *SMALL, "-o", str(tmp_path / "a.png")]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--port", "70000"], ["no.obj"], ["--height", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"]]
+)
+def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
+    assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("warpdiff view:")
+    assert "Traceback" not in error
+
+
 def test_brdf_writes_a_map(tmp_path):
     target = tmp_path / "map.png"
     arguments = ["brdf", "sinusoidal", "--period-um", "1.5", "--depth-um", "0.1", "--incidence-deg", "20", *SMALL]

@@ -21,6 +21,7 @@ SMALL = ["--tolerance", "0.1", "--sigma-um", "3"]
 COMMANDS = {
     "render": ["disc.ply", "blazed", *SMALL, "--width", "4", "--height", "3", "-o", "a.png"],
     "brdf": ["blazed", *SMALL, "--size", "4", "-o", "a.png"],
+    "sequence": ["disc.ply", "blazed", *SMALL, "--width", "4", "--height", "3", "--count", "2", "-o", "frames"],
     "info": ["blazed", "--tolerance", "0.1"],
     "cache": [],
 }

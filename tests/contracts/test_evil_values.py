@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from evil import HF, LIGHT, MESH, PLAN, SHORT, UP, VIEW, legal_kind, strategy
+from evil import HF, LIGHT, LOBES, MESH, PLAN, SHORT, SPECTRUM, UP, VIEW, legal_kind, strategy
 from hypothesis import given
 from hypothesis import strategies as st
 from soaking import examples, seconds_left
@@ -28,7 +28,7 @@ IMAGE = wd.brdf_map(HF, UP, size=4, plan=PLAN)
 RENDERER = wd.Renderer(MESH, HF, LIGHT, VIEW, plan=PLAN)
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(300.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # What results are made of is for the library to give; a warning takes any words.
-MADE_BY_THE_LIBRARY = {"Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
+MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
 # What stands for ``self``, and arguments that are legal beside an evil one.
 OWNERS = {
     "Environment": (None, wd.Environment(np.ones((2, 4, 3)), directions=16)),
@@ -38,14 +38,23 @@ OWNERS = {
     "Image": (None, IMAGE),
     "Renderer": (None, RENDERER),
     "View": ("view", VIEW),
+    "BakedLobes": (None, LOBES),
+    "BakedSpectrum": (None, SPECTRUM),
 }
 LEGAL = {
     "hf": HF, "mesh": MESH, "light": LIGHT, "view": VIEW, "to_light": UP, "to_view": UP, "wavelengths_nm": [500.0],
     "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0), "extent_y": 1.0, "period_um": 1.0,
     "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]], "pitch_um": 0.1, "size": 4,
     "tolerance": 0.1, "extent_um": 1.0, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1, "segments_along": 12,
-    "segments_around": 3, "radiance_rgb": np.ones((2, 4, 3)), "directions": 16, "position": (0.0, 0.0, 2.0),
+    "segments_around": 3, "renderer": RENDERER, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
+    "lobes": LOBES, "deflections": [[0.1, 0.2, -1.5]],
+    "radiance_rgb": np.ones((2, 4, 3)), "directions": 16, "position": (0.0, 0.0, 2.0),
 }  # fmt: skip
+PATHS = {
+    "Image.save": "a.png", "export_html": "a.html", "BakedLobes.save": "a.npz", "BakedSpectrum.save": "a.npz",
+}  # fmt: skip
+# What takes seconds by its nature.
+SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian"}
 # Beyond that a call hangs; kernels may be compiled in it.
 MOST_S = 60
 # More than a small call takes, so that what asks for too much fails wherever the tests run.
@@ -96,8 +105,10 @@ def call(name, arguments):
     taken = inspect.signature(function).parameters
     # Something must be given, or is of a costly default.
     legal = {key: value for key, value in LEGAL.items() if key in taken}
-    if name == "Image.save":
-        legal["path"] = "a.png"
+    if name in PATHS:
+        legal["path"] = PATHS[name]
+    if name == "bake":
+        legal["tolerance"] = 10.0
     if "plan" in given_ones:
         legal.pop("coherence", None)
     if "pitch_um" in given_ones:
@@ -136,6 +147,10 @@ def numbers_of(result):
         yield result.visual.uv
     elif isinstance(result, (float, np.floating)):
         yield np.array(result)
+    elif isinstance(result, wd.BakedLobes):
+        yield from (result.functions, result.zeroth, result.coefficients)
+    elif isinstance(result, wd.BakedSpectrum):
+        yield from (result.powers, result.functions, result.zeroth)
     elif isinstance(result, wd.Renderer):
         yield from numbers_of(result.image())
     elif isinstance(result, Sequence) and not isinstance(result, str):
@@ -194,6 +209,11 @@ def check(name, arguments):
             result = call(name, arguments)
         except (ValueError, TypeError, OSError, MemoryError) as error:
             said = error
+        except (ImportError, RuntimeError) as error:
+            # What is not installed, or not set up, is no argument's fault.
+            if name != "register_mitsuba_bsdf":
+                raise
+            said = ValueError(f"name is right: {error}")
         else:
             assert all(np.isfinite(each).all() for each in numbers_of(result))
             said = None
@@ -213,7 +233,7 @@ def test_evil_values_are_refused_by_name_or_served(name, tries):
     values = {each: strategy(each) for each in names} | {each: legal_kind(OWNERS[PUBLIC[name][1]][0]) for each in own}
     one_or_two = st.lists(st.sampled_from(list(values)), min_size=1, max_size=2, unique=True)
 
-    @examples(43, 500)
+    @examples(*((3, 50) if name in SLOW else (43, 500)))
     @given(st.data())
     def attempt(data):
         # What Hypothesis does for each example takes longer than most calls.

@@ -146,6 +146,32 @@ def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, mon
     same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
 
 
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points"])
+def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plans, name):
+    class AbandonedError(Exception):
+        pass
+
+    plan, count, options = CASES[name]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], threads=2, **options)
+    shares = []
+    drawn.draw(view=view(0.1), progress=shares.append)
+    assert shares == sorted(shares)
+    assert len(shares) > 1
+    assert shares[-1] == 1.0
+    for most in (0.0, 0.4, 0.8):
+
+        def tell(share, most=most):
+            if share > most:
+                raise AbandonedError
+
+        with pytest.raises(AbandonedError):
+            drawn.draw(turned(most)[:count], view(most), progress=tell)
+    # The one that was abandoned is drawn once it is asked for.
+    same(drawn.image(), wd.shade(tube, fingers, turned(0.8)[:count], view(0.8), plan=plans[plan], **options))
+    drawn.draw(turned(0.2)[:count])
+    same(drawn.image(), wd.shade(tube, fingers, turned(0.2)[:count], view(0.8), plan=plans[plan], **options))
+
+
 @pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", "source"])
 def test_the_light_may_change_alone(tube, fingers, plans, name):
     plan, count, options = CASES[name]

@@ -116,6 +116,14 @@ def test_a_surface_is_found_again_while_nothing_of_its_mesh_changed():
     assert prepare_surface(mesh) is tilted
 
 
+def test_one_tangent_is_for_all_vertices():
+    mesh = square()
+    one = prepare_surface(mesh, tangents=(0.0, 1.0, 3.0))
+    each = prepare_surface(mesh, tangents=np.tile([0.0, 1.0, 3.0], (len(mesh.vertices), 1)))
+    np.testing.assert_array_equal(one.tangents, each.tangents)
+    np.testing.assert_allclose(one.tangents, np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-6)
+
+
 def test_given_normals_keep_their_side_under_an_overhang():
     # Two larger corners look down where one looks up.
     corners = np.array(

@@ -1,4 +1,4 @@
-"""The command line: ``warpdiff demo``, ``render``, ``brdf``, ``info``, ``bench`` and ``cache``.
+"""The command line: ``demo``, ``render``, ``sequence``, ``brdf``, ``export-html``, ``info``, ``view`` and others.
 
 Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.util
+import inspect
 import math
 import re
 import sys
@@ -52,9 +53,17 @@ _FLAGS = {
     "pitch_um": "--pixel-um", "size_um": "--crop-um", "filled()": "--fill", "cropped()": "--crop-um",
     "periodic()": "--periodic", "despiked()": "--despike",
 }  # fmt: skip
+_MOST_PORT = 65_535
 # What the file system says of a path that was given; a full disk is another matter.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
-_HEIGHT_FIELD_HELP = f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}"
+_HEIGHT_FIELD_HELP = (
+    f"an image (8 or 16 bit grey, or float), a .npy file, or one of {', '.join(GRATINGS)}; with parameters of "
+    "warpdiff.gratings as in fingers:size_um=25.6,seed=3, where pairs are 2.0x1.0"
+)
+
+
+class _ParameterError(ValueError):
+    """Raised for parameters that are named as the library names them."""
 
 
 class Bar:
@@ -63,16 +72,20 @@ class Bar:
     def __init__(self, name: str) -> None:
         self._name = name
         self._start = time.monotonic()
+        # What was there before.
+        self._first: float | None = None
         self._shown = False
         self._enabled = sys.stderr.isatty()
 
     def __call__(self, share: float) -> None:
         """Show that a share of the work is done, 0 to 1."""
         elapsed = time.monotonic() - self._start
+        self._first = share if self._first is None else self._first
         if not self._enabled or (elapsed < 1.0 and not self._shown):
             return
         self._shown = True
-        left = elapsed * (1.0 - share) / max(share, 1e-3)
+        begun = self._first if self._first < share else 0.0
+        left = elapsed * (1.0 - share) / max(share - begun, 1e-3)
         blocks = int(30 * share)
         bar = "#" * blocks + "." * (30 - blocks)
         sys.stderr.write(f"\r{self._name}  [{bar}] {100.0 * share:3.0f} %  {left:4.0f} s left ")
@@ -112,6 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _in_flags(message: object, options: argparse.Namespace) -> str:
     """What the library says of its arguments, said of the command's."""
+    if isinstance(message, _ParameterError):
+        return str(message)
     flags = {name: f"--{name.replace('_', '-')}" for name in vars(options)} | _FLAGS
     flags["to_light"] = "--light" if "light" in options else "--incidence-deg"
     # Some names are words as well, and are meant as names where something is said of them.
@@ -157,39 +172,13 @@ def _parser() -> argparse.ArgumentParser:
         commands, common, "render", _render, "render a mesh whose surface carries a height field",
         "warpdiff render snake.obj scan.png --extent-um 65 --height-range-um 0.375 \\\n"
         "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png",
-        surface, evaluation,
+        _picture_options(), surface, evaluation,
     )  # fmt: skip
-    render.add_argument(
-        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}"
-    )
-    render.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     render.add_argument(
         "-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)"
     )
-    render.add_argument(
-        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
-        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
-    )  # fmt: skip
-    render.add_argument(
-        "--light-diameter-deg", type=float, default=0.0, metavar="DEG", help="size of these in the sky (default: 0)"
-    )
-    render.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)")
-    render.add_argument(
-        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
-    )
-    render.add_argument(
-        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
-    )
-    render.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
-    render.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
-    render.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
-    render.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
-    render.add_argument(
-        "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
-    )
-    render.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
-    render.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
-    render.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
+
+    _add_sequence(commands, common, surface, evaluation)
 
     brdf = _add(
         commands, common, "brdf", _brdf, "map the reflectance over all view directions, seen from above",
@@ -202,6 +191,8 @@ def _parser() -> argparse.ArgumentParser:
     brdf.add_argument("--azimuth-deg", type=float, default=0.0, help="light's angle from the x axis (default: 0)")
     brdf.add_argument("--size", type=int, default=512, help="width and height in pixels (default: 512)")
 
+    _add_export_html(commands, common, surface)
+
     info = _add(
         commands, common, "info", _info, "describe a height field, and what an evaluation of it would compute",
         "warpdiff info scan.png --extent-um 65 --height-range-um 0.375 --level 2",
@@ -209,6 +200,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     info.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
     _add_tolerance(info)
+
+    _add_view(commands, common, surface)
 
     bench = _add(
         commands, common, "bench", _bench, "chart speed against accuracy, beside other programs",
@@ -231,6 +224,44 @@ def _parser() -> argparse.ArgumentParser:
         help="which figures of two results.json moved by more than their noise",
     )
 
+    _add_cache(commands, common)
+    return parser
+
+
+def _add_sequence(commands: Any, common: Any, surface: Any, evaluation: Any) -> None:
+    sequence = _add(
+        commands, common, "sequence", _sequence,
+        "render frames: a body that turns, or under a light that moves, or along a camera's path",
+        "warpdiff sequence snake fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn --animation turn.webp\n"
+        "  warpdiff sequence disc cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
+        "  warpdiff sequence snake fingers --path camera.csv -o flight",
+        _picture_options(), surface, evaluation,
+    )  # fmt: skip
+    sequence.add_argument(
+        "-o", "--output", required=True, metavar="FOLDER",
+        help="where frames go; frames of the same sequence that are there already are kept",
+    )  # fmt: skip
+    sequence.add_argument("--count", type=int, help="frames (default: 36, or the rows of --path)")
+    kind = sequence.add_mutually_exclusive_group()
+    kind.add_argument("--turns", type=float, default=1.0, help="turns of the body about its target (default: 1)")
+    kind.add_argument(
+        "--light-to", type=float, nargs=3, metavar=("X", "Y", "Z"), help="the light moves to this direction"
+    )
+    kind.add_argument("--path", metavar="FILE", help="the camera's path: a CSV file, see warpdiff.camera_path")
+    sequence.add_argument(
+        "--lights-stay", action="store_true", help="the camera goes around the body; otherwise the body turns"
+    )
+    sequence.add_argument(
+        "--formats", nargs="+", default=[".png"], metavar="SUFFIX", help=".png, .exr, or both (default: .png)"
+    )
+    sequence.add_argument("--animation", metavar="FILE", help="an animated .webp, .png or .gif of the frames")
+    sequence.add_argument("--frames-per-second", type=float, default=24.0, help="of the animation (default: 24)")
+    sequence.add_argument("--bits", type=int, default=8, help="of PNG: 8 or 16 (default: 8)")
+    sequence.add_argument("--overwrite", action="store_true", help="replace frames of another sequence")
+    sequence.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster whose workers draw")
+
+
+def _add_cache(commands: Any, common: argparse.ArgumentParser) -> None:
     cache = _add(
         commands, common, "cache", _cache, "show, trim or clear what is kept on disk of height fields",
         "warpdiff cache\n  warpdiff cache --trim-mib 200\n  warpdiff cache --clear",
@@ -238,7 +269,68 @@ def _parser() -> argparse.ArgumentParser:
     less = cache.add_mutually_exclusive_group()
     less.add_argument("--trim-mib", type=float, metavar="MIB", help="keep so much at most, of what was used last")
     less.add_argument("--clear", action="store_true", help="delete all of it")
-    return parser
+
+
+def _add_view(commands: Any, common: argparse.ArgumentParser, surface: argparse.ArgumentParser) -> None:
+    view = _add(
+        commands, common, "view", _view, "turn body, light and surface by hand, on a page in the browser",
+        "warpdiff view\n  warpdiff view snake.obj --height scan.png --extent-um 65 --height-range-um 0.375 --periodic",
+        surface,
+    )  # fmt: skip
+    view.add_argument(
+        "mesh", nargs="*", metavar="MESH", help="mesh files that the page offers, beside the sample bodies"
+    )
+    view.add_argument(
+        "--height", nargs="+", action="extend", default=[], metavar="FILE",
+        help="scans that the page offers, beside the synthetic gratings",
+    )  # fmt: skip
+    view.add_argument("--port", type=int, default=0, help="(default: a free one)")
+    view.add_argument(
+        "--host", default="127.0.0.1", help="address to listen on; beyond this machine the page has a token (default: "
+        "127.0.0.1)"
+    )  # fmt: skip
+    view.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    view.add_argument("--device", help="cpu (default) or cuda")
+    view.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+
+
+def _add_export_html(commands: Any, common: argparse.ArgumentParser, surface: argparse.ArgumentParser) -> None:
+    page = _add(
+        commands, common, "export-html", _export_html, "write a page that shows a mesh in any browser",
+        "warpdiff export-html snake.html\n"
+        "  warpdiff export-html snake.html snake --height scan.png --extent-um 65 --height-range-um 0.375 \\\n"
+        "      --level 2 --despike --periodic --pigment 0.1",
+        surface,
+    )  # fmt: skip
+    page.add_argument("output", metavar="OUT", help="the page, .html")
+    page.add_argument(
+        "mesh", metavar="MESH", nargs="?", default="snake",
+        help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)} (default: snake)",
+    )  # fmt: skip
+    page.add_argument(
+        "--height", dest="heightfield", metavar="HEIGHTFIELD", default="fingers",
+        help=f"{_HEIGHT_FIELD_HELP} (default: fingers)",
+    )  # fmt: skip
+    lobes = page.add_argument_group("lobes")
+    lobes.add_argument("--tolerance", type=float, default=2.0, help="ΔE2000 of baked colours (default: 2)")
+    lobes.add_argument("--coherence", default="averaged", help="averaged or source (default: averaged)")
+    lobes.add_argument("--sigma-um", type=float, help="σ of a window (default: 16.25)")
+    lobes.add_argument(
+        "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
+    )
+    lobes.add_argument(
+        "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
+    )
+    lobes.add_argument(
+        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
+    )
+    lobes.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
+    lobes.add_argument("--device", help="cpu (default) or cuda")
+    lobes.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    page.add_argument("--exposure", type=float, help="linear factor (default: for the first picture)")
+    page.add_argument("--title", default="warpdiff", help="of the page")
+    _add_scene(page)
+    page.set_defaults(width=640, height=480)
 
 
 def _add(
@@ -260,6 +352,23 @@ def _add(
     )
     command.set_defaults(run=run)
     return command
+
+
+def _picture_options() -> argparse.ArgumentParser:
+    group = argparse.ArgumentParser(add_help=False)
+    group.add_argument(
+        "mesh", metavar="MESH", help=f"a mesh file with texture coordinates, or one of {', '.join(_BODIES)}; with "
+        "parameters of warpdiff.meshes as in snake:tangent=along"
+    )  # fmt: skip
+    group.add_argument("heightfield", metavar="HEIGHTFIELD", help=_HEIGHT_FIELD_HELP)
+    _add_scene(group)
+    group.add_argument("--width", type=int, default=640, help="pixels (default: 640)")
+    group.add_argument("--height", type=int, default=480, help="pixels (default: 480)")
+    group.add_argument("--samples-per-pixel", type=int, default=1, help="rays a pixel (default: 1)")
+    group.add_argument(
+        "--no-refine", action="store_true", help="no pixel is split to keep the tolerance: fast, without a promise"
+    )
+    return group
 
 
 def _surface_options() -> argparse.ArgumentParser:
@@ -328,6 +437,34 @@ def _evaluation_options() -> argparse.ArgumentParser:
     return group_parser
 
 
+def _add_scene(command: Any) -> None:
+    """Lights, the camera and what the mesh is drawn with."""
+    command.add_argument(
+        "--light", type=float, nargs=3, action="append", metavar=("X", "Y", "Z"),
+        help="direction towards a light, world frame; may be repeated (default: from behind the camera's shoulder)",
+    )  # fmt: skip
+    command.add_argument(
+        "--light-diameter-deg", type=float, default=0.0, metavar="DEG", help="size of these in the sky (default: 0)"
+    )
+    command.add_argument(
+        "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)"
+    )
+    command.add_argument(
+        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at (default: centre)"
+    )
+    command.add_argument(
+        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 1.0, 0.0), help="up (default: y)"
+    )
+    command.add_argument("--fov-y-deg", type=float, default=40.0, help="vertical field of view (default: 40)")
+    command.add_argument("--pigment", type=float, default=1.0, help="strength of the mesh's base colour (default: 1)")
+    command.add_argument("--no-shadows", action="store_true", help="the mesh does not shadow itself")
+    command.add_argument(
+        "--tangent", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="direction of the height field's x, world frame (default: the texture's u)",
+    )  # fmt: skip
+    command.add_argument("--flat", action="store_true", help="show facets rather than interpolated normals")
+
+
 def _add_display(group: Any) -> None:
     group.add_argument("--display", default="aces", help="of PNG: aces, colorimetric or clip (default: aces)")
     group.add_argument("--gamut", default="srgb", help="of PNG: srgb or display-p3 (default: srgb)")
@@ -337,32 +474,76 @@ def _add_tolerance(group: Any) -> None:
     group.add_argument("--tolerance", type=float, default=1e-2, help="error asked for (default: 0.01)")
 
 
+def _with_parameters(text: str, module: Any) -> Any:
+    """What ``name:parameter=value,…`` makes of a public module's function of that name; None where there is none."""
+    name, colon, given = text.partition(":")
+    if not colon or name not in module.__all__:
+        return None
+    function = getattr(module, name)
+    taken = {}
+    for each in filter(None, given.split(",")):
+        key, equals, value = each.partition("=")
+        if not equals or key not in inspect.signature(function).parameters:
+            raise _ParameterError(f"{text!r} must be {name}:parameter=value,…, of {inspect.signature(function)}")
+        parts = [_number(part) for part in (value.split("x") if re.fullmatch(r"[\d.]+x[\d.]+", value) else [value])]
+        taken[key] = parts[0] if len(parts) == 1 else tuple(parts)
+    try:
+        return function(**taken)
+    except (TypeError, ValueError) as error:
+        raise _ParameterError(f"{text!r}: {error}") from None
+
+
+def _number(text: str) -> Any:
+    """An integer or a float, or the text itself."""
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
+
+
 def _height_field(options: argparse.Namespace) -> wd.HeightField:
     named = GRATINGS.get(options.heightfield.lower())
     if named is not None:
         hf = named(options)
+    elif (made := _with_parameters(options.heightfield, wd.gratings)) is not None:
+        hf = made
     else:
         if not Path(options.heightfield).is_file():
             raise FileNotFoundError(
                 f"HEIGHTFIELD: there is no file {options.heightfield!r}; "
                 f"a synthetic one is called by its name, one of {', '.join(GRATINGS)}"
             )
-        hf = wd.HeightField.load(
-            options.heightfield,
-            extent_um=options.extent_um,
-            pitch_um=options.pixel_um,
-            height_range_um=options.height_range_um,
-        )
-    if options.crop_um is not None:
-        hf = hf.cropped(options.crop_um)
-    if options.level is not None:
-        hf = hf.levelled(order=options.level)
-    if options.despike:
-        hf = hf.despiked()
-    if options.fill:
-        hf = hf.filled()
-    if options.periodic:
-        hf = hf.periodic()
+        return _scan(options.heightfield, options)
+    return _cleaned(hf, options)
+
+
+def _scan(path: str, options: argparse.Namespace) -> wd.HeightField:
+    return _cleaned(wd.HeightField.load(path, **_loading(options)), options)
+
+
+def _loading(options: argparse.Namespace) -> dict[str, float]:
+    """What of the options ``HeightField.load`` takes."""
+    given = {
+        "extent_um": options.extent_um, "pitch_um": options.pixel_um, "height_range_um": options.height_range_um
+    }  # fmt: skip
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _cleaning(options: argparse.Namespace) -> list[tuple[str, tuple[tuple[str, Any], ...]]]:
+    """Methods of a height field that the options ask for, one after the other, with their arguments."""
+    asked: dict[str, tuple[bool, tuple[tuple[str, Any], ...]]] = {
+        "cropped": (options.crop_um is not None, (("size_um", options.crop_um),)),
+        "levelled": (options.level is not None, (("order", options.level),)),
+        "despiked": (options.despike, ()),
+        "filled": (options.fill, ()),
+        "periodic": (options.periodic, ()),
+    }
+    return [(name, arguments) for name, (is_asked, arguments) in asked.items() if is_asked]
+
+
+def _cleaned(hf: wd.HeightField, options: argparse.Namespace) -> wd.HeightField:
+    for name, arguments in _cleaning(options):
+        hf = getattr(hf, name)(**dict(arguments))
     return hf
 
 
@@ -381,7 +562,6 @@ def _shared(options: argparse.Namespace) -> dict[str, Any]:
         "masking": not options.no_masking,
         "device": options.device,
         "threads": options.threads,
-        "progress": Bar(options.command),
     }
 
 
@@ -453,11 +633,43 @@ def _bench(options: argparse.Namespace) -> None:
     print(f"wrote {report.resolve()}, with results.json and results.csv beside it")
 
 
+def _view(options: argparse.Namespace) -> None:
+    if importlib.util.find_spec("websockets") is None:
+        raise ValueError("the page is served with websockets, which is not installed: pip install 'warpdiff[view]'")
+    from warpdiff.app import viewer
+    from warpdiff.app.view_scene import NamedFiles
+
+    if not 0 <= options.port <= _MOST_PORT:
+        raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
+    for name, paths in (("MESH", options.mesh), ("--height", options.height)):
+        for each in paths:
+            if not Path(each).is_file():
+                raise FileNotFoundError(f"{name}: there is no file {each!r}")
+    # What cannot be loaded is told here, rather than on the page.
+    for path in options.height:
+        _scan(path, options)
+    loading, cleaning = _loading(options), _cleaning(options)
+    files = NamedFiles(
+        tuple(map(Path, options.mesh)), tuple(map(Path, options.height)), tuple(loading.items()), tuple(cleaning)
+    )
+    viewer.run(
+        files, host=options.host, port=options.port, opens_browser=not options.no_browser, device=options.device,
+        threads=options.threads, say=lambda line: print(line, flush=True),
+    )  # fmt: skip
+
+
 def _render(options: argparse.Namespace) -> None:
     _check_output(options)
+    mesh, hf, lights, view = _scene(options)
+    image = wd.shade(mesh, hf, lights, view, **_shading(options), progress=Bar(options.command))
+    _report(image, options)
+
+
+def _scene(options: argparse.Namespace) -> tuple[Any, wd.HeightField, list[wd.DirectionalLight], wd.View]:
+    """Mesh, height field, lights and view of a picture."""
     hf = _height_field(options)
     body = _BODIES.get(options.mesh)
-    mesh = body() if body else options.mesh
+    mesh = body() if body else _with_parameters(options.mesh, wd.meshes) or options.mesh
     eye, target = _frame(mesh, options)
     view = wd.View(
         eye, target, up=tuple(options.up), fov_y_deg=options.fov_y_deg, width=options.width, height=options.height
@@ -466,11 +678,70 @@ def _render(options: argparse.Namespace) -> None:
     directions = options.light or [list(frame.back + 0.6 * frame.up + 0.3 * frame.right)]
     size, illuminant = options.light_diameter_deg, _illuminant(options)
     lights = [wd.DirectionalLight(tuple(each), illuminant=illuminant, angular_diameter_deg=size) for each in directions]
-    image = wd.shade(
-        mesh, hf, lights, view, pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat,
-        samples_per_pixel=options.samples_per_pixel, refine=not options.no_refine, **_shared(options),
+    return mesh, hf, lights, view
+
+
+def _shading(options: argparse.Namespace) -> dict[str, Any]:
+    """Options of ``shade`` and ``Renderer``."""
+    return _shared(options) | {
+        "pigment": options.pigment,
+        "shadows": not options.no_shadows,
+        "smooth": not options.flat,
+        "samples_per_pixel": options.samples_per_pixel,
+        "refine": not options.no_refine,
+        "tangents": options.tangent,
+    }
+
+
+def _sequence(options: argparse.Namespace) -> None:
+    for each in options.formats:
+        checks.choice(each, "--formats", (".png", ".exr"))
+    if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
+        raise ValueError("workers of Dask are asked for, which is not installed: pip install 'warpdiff[dask]'")
+    mesh, hf, lights, view = _scene(options)
+    count = 36 if options.count is None else options.count
+    if options.path is not None:
+        shots = wd.camera_path(options.path, lights, view, count=options.count)
+    elif options.light_to is not None:
+        shots = wd.light_sweep(lights[0], view, options.light_to, count=count)
+    else:
+        shots = wd.turntable(lights, view, count=count, turns=options.turns, lights_follow=not options.lights_stay)
+    renderer = wd.Renderer(mesh, hf, shots[0].light, shots[0].view, **_shading(options))
+    with contextlib.ExitStack() as stack:
+        client = None
+        if options.scheduler is not None:
+            from distributed import Client
+
+            client = stack.enter_context(Client(options.scheduler))
+        paths = wd.sequence(
+            renderer, shots, options.output, formats=options.formats, animation=options.animation,
+            frames_per_second=options.frames_per_second, display=options.display, exposure=options.exposure,
+            exposure_stops=options.exposure_stops, gamut=options.gamut, background=options.background,
+            bits=options.bits, overwrite=options.overwrite, client=client, progress=Bar(options.command),
+        )  # fmt: skip
+    print(renderer.plan)
+    print(f"{len(paths)} frames in {Path(options.output).resolve()}")
+    if options.animation is not None:
+        print(options.animation)
+
+
+def _export_html(options: argparse.Namespace) -> None:
+    target = checks.path(options.output, "OUT")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"OUT must end in .html or .htm, got {options.output!r}")
+    mesh, hf, lights, view = _scene(options)
+    coherence = wd.Coherence(options.coherence, options.sigma_um, angular_diameter_deg=options.angular_diameter_deg)
+    lobes = wd.bake(
+        hf, illuminant=options.illuminant, tolerance=options.tolerance, coherence=coherence, device=options.device,
+        threads=options.threads, progress=Bar(options.command),
     )  # fmt: skip
-    _report(image, options)
+    path = wd.export_html(
+        target, mesh, lobes, lights, view, ior=options.ior, masking=not options.no_masking, pigment=options.pigment,
+        shadows=not options.no_shadows, smooth=not options.flat, tangents=options.tangent, exposure=options.exposure,
+        title=options.title,
+    )  # fmt: skip
+    print(lobes)
+    print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
 
 
 def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
@@ -481,7 +752,7 @@ def _frame(mesh: Any, options: argparse.Namespace) -> tuple[Any, Any]:
     checks.directions(options.up, "up")
     if options.eye is not None and options.target is not None:
         return tuple(options.eye), tuple(options.target)
-    surface = prepare_surface(mesh)
+    surface = prepare_surface(mesh, tangents=options.tangent)
     target = np.asarray(surface.centre if options.target is None else options.target, dtype=np.float64)
     if options.eye is not None:
         return tuple(options.eye), tuple(target)
@@ -502,8 +773,9 @@ def _brdf(options: argparse.Namespace) -> None:
     theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     image = wd.brdf_map(
-        _height_field(options), to_light, size=options.size, illuminant=_illuminant(options), **_shared(options)
-    )
+        _height_field(options), to_light, size=options.size, illuminant=_illuminant(options), **_shared(options),
+        progress=Bar(options.command),
+    )  # fmt: skip
     _report(image, options)
 
 

@@ -128,9 +128,22 @@ class Work:
             self.abandon()
 
 
-def side_by_side(work: Callable[[Any], None], items: Sequence[Any], *, threads: int) -> None:
+def side_by_side(
+    work: Callable[[Any], None],
+    items: Sequence[Any],
+    *,
+    threads: int,
+    progress: Callable[[float], None] | None = None,
+) -> None:
     """Do some work for each item, the next one whenever a thread is free."""
-    Work(work, items, threads=threads, joins=True).finish()
+    Work(work, items, threads=threads, progress=progress, joins=True).finish()
+
+
+def part_of(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
+    """The progress of what is a part of all."""
+    if progress is None:
+        return None
+    return lambda done: progress(begin + (end - begin) * done)
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from warpdiff.core import image_library
 from warpdiff.core.blas_threads import on_one_thread
+from warpdiff.core.thread_pool import cores, side_by_side
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -65,6 +66,8 @@ _WHITE = 1024.0
 # Nodes of a table along each axis, and the light [1] up to which they are spaced evenly, beyond it by equal ratios.
 _NODES, _TOE = 33, 0.01
 _BISECTIONS = 20
+# Colours that a thread looks up at a time.
+_TOGETHER = 8192
 _LEAST = 1e-30
 
 
@@ -109,7 +112,24 @@ def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> ND
         R, G and B, shape (..., 3).
     """
     colours = np.asarray(xyz, dtype=np.float64)
-    flat, to_rgb = colours.reshape(-1, 3), GAMUTS[gamut].xyz_to_rgb
+    flat = colours.reshape(-1, 3)
+    # Of products with matrices of 3 × 3, other threads make nothing faster.
+    with on_one_thread():
+        if exact or len(flat) <= _TOGETHER:
+            return _shown(flat, display, gamut, exact=exact).reshape(colours.shape)
+        found = np.empty_like(flat)
+
+        def show(first: int) -> None:
+            part = slice(first, first + _TOGETHER)
+            found[part] = _shown(flat[part], display, gamut, exact=False)
+
+        side_by_side(show, range(0, len(flat), _TOGETHER), threads=cores())
+    return found.reshape(colours.shape)
+
+
+def _shown(flat: NDArray[np.float64], display: str, gamut: str, *, exact: bool) -> NDArray[np.float64]:
+    """What a display shows of XYZ (n, 3)."""
+    to_rgb = GAMUTS[gamut].xyz_to_rgb
     if display == "clip":
         found = colorimetry.srgb_encode(flat @ to_rgb.T)
     elif display == "colorimetric":
@@ -117,7 +137,39 @@ def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> ND
     else:
         compressed = compress_chroma(flat)
         found = aces(compressed, gamut) if exact else _looked_up(compressed, gamut)
-    return found.reshape(colours.shape)
+    return found
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What another program takes to show colours as ``display="aces"`` does, by a table.
+
+    Attributes:
+        aces: Encoded R, G and B at nodes over linear Display P3, red slowest, shape (nodes³, 3).
+        white: The light of the last node.
+        toe: Nodes lie at equal steps of ln(1 + light / toe).
+        most_chroma: The largest chroma over lightness that Display P3 has, at equal steps of OKLab hue from −π to π.
+        kept: Up to this share of it chroma is kept, ...
+        largest: ... and this share becomes 1.
+        matrices: By name, of columns: XYZ to Display P3, and the steps to OKLab and back.
+    """
+
+    aces: NDArray[np.float32]
+    white: float
+    toe: float
+    most_chroma: NDArray[np.float64]
+    kept: float
+    largest: float
+    matrices: dict[str, NDArray[np.float64]]
+
+
+def tables(gamut: str) -> Tables:
+    """The numbers behind ``shown(..., "aces", gamut, exact=False)``."""
+    matrices = {
+        "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ,
+        "rootsToLab": _ROOTS_TO_LAB, "labToRoots": _LAB_TO_ROOTS,
+    }  # fmt: skip
+    return Tables(_table(gamut), _WHITE, _TOE, _most_chroma()[1], _KEPT, _LARGEST, matrices)
 
 
 def description(display: str, gamut: str) -> str:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
 # The last chunk of a PNG file: its length, name and checksum. Readers do without it.
-_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
 _MOST_STOPS = 30.0
@@ -133,8 +133,17 @@ class Image:
         shown, alpha = self._shown(display, factor, gamut, exact=exact), self.coverage[..., None]
         if behind is None:
             return np.concatenate([shown, alpha], axis=2, dtype=np.float32)
-        light = alpha * colorimetry.srgb_decode(shown) + (1.0 - alpha) * behind
-        return colorimetry.srgb_encode(light).astype(np.float32)
+        # Most pixels show one or the other alone.
+        mixed = np.empty((*self.coverage.shape, 3), dtype=np.float32)
+        mixed[...] = colorimetry.srgb_encode(behind)
+        whole, parts = self.coverage >= 1.0, (self.coverage > 0.0) & (self.coverage < 1.0)
+        mixed[whole] = shown[whole]
+        share = alpha[parts]
+        light = (
+            share * colorimetry.srgb_decode(shown[parts]) + (1.0 - share) * np.broadcast_to(behind, shown.shape)[parts]
+        )
+        mixed[parts] = colorimetry.srgb_encode(light)
+        return mixed
 
     def _exposure(
         self, display: str, exposure: float | None, stops: float, source: Image | None, *, scales: bool = True
@@ -261,6 +270,8 @@ class Image:
             pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
+            # Or the writer adds the time, and the same picture would never make the same file.
+            spec.attribute("DateTime", "")
             spec.attribute("oiio:ColorSpace", "lin_rec709")
             transform = f"none, linear; exposure {factor:.6g}"
         spec.channelnames = channels
@@ -317,8 +328,8 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
 def _holds(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
     """Whether a file is whole and holds these pixels, in channels of these names in any order."""
     with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - len(_PNG_END), 0))
-        if path.suffix == ".png" and file.read() != _PNG_END:
+        file.seek(max(path.stat().st_size - len(PNG_END), 0))
+        if path.suffix == ".png" and file.read() != PNG_END:
             return False
     straight = oiio.ImageSpec()
     straight.attribute("oiio:UnassociatedAlpha", 1)

@@ -233,6 +233,14 @@ def rgb_to_xyz(rgb: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.asarray(rgb, dtype=np.float64) @ RGB_TO_XYZ.T)
 
 
+def colour_difference(xyz: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
+    """ΔE2000 (CIE 142) between XYZ, shape (..., 3), seen beside D65's white of Y = 1."""
+    colour = colour_science()
+    white = colour.XYZ_to_xy(colour_products("D65").sum(axis=0))
+    labs = [colour.XYZ_to_Lab(np.asarray(each, dtype=np.float64), white) for each in (xyz, other)]
+    return np.asarray(colour.delta_E(*labs, method="CIE 2000"))
+
+
 def srgb_encode(linear: ArrayLike) -> NDArray[np.float64]:
     """SRGB transfer function (IEC 61966-2-1): linear values, clipped to [0, 1], to encoded ones."""
     clipped = np.clip(np.asarray(linear, dtype=np.float64), 0.0, 1.0)

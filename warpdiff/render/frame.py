@@ -10,6 +10,7 @@ import warp as wp
 
 from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import KernelCall, launch_pipeline
+from warpdiff.core.thread_pool import part_of
 from warpdiff.evaluate.directions import direct_colour
 from warpdiff.image.image import Image, relative_errors
 from warpdiff.kernels import adaptive, ray_hits, scattering
@@ -264,7 +265,7 @@ class Frame:
                 if self._now != (sample, light_index):
                     self.deflect(sample, light_index)
                 index, passes = sample * count + light_index, self._samples * count
-                yield light_index, _part(progress, index / passes, (index + 1) / passes)
+                yield light_index, part_of(progress, index / passes, (index + 1) / passes)
 
     def integrate(
         self,
@@ -346,7 +347,7 @@ class Frame:
             steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
             footprints = seen.footprints if integrator.blurs else None
             steps += self._colour_steps(integrator, light_index, seen, colours, footprints, left_out)
-            first, rest = _part(share, 0.0, _PROGRESS_OF_FIRST_RAYS), _part(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
+            first, rest = part_of(share, 0.0, _PROGRESS_OF_FIRST_RAYS), part_of(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
             launch_pipeline(steps, self.rays.may_see, slice_size=_COLOURS_OF_SLICE, progress=first, **self.rays.options)
             light = adaptive_sampling.LightRefinement(
                 self, integrator, light_index, colours, errors, self._sums[1:], tolerance,
@@ -404,7 +405,7 @@ class Frame:
         for light_index, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
             for index, lit in enumerate(self._lit[light_index]):
-                part = _part(share, index / len(self._lit[light_index]), (index + 1) / len(self._lit[light_index]))
+                part = part_of(share, index / len(self._lit[light_index]), (index + 1) / len(self._lit[light_index]))
                 of_one = gains
                 if self.has_materials:
                     faces = np.maximum(self.rays.on_host(self.seen.pixels.face), 0)
@@ -534,10 +535,3 @@ class Frame:
             error=error.reshape(shape),
             plan=replace(plan, split=float(split), unsettled=float(unsettled), errors=(told[0], told[1])),
         )
-
-
-def _part(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
-    """The progress of what is a part of all."""
-    if progress is None:
-        return None
-    return lambda done: progress(begin + (end - begin) * done)

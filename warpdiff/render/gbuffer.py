@@ -17,7 +17,7 @@ from warpdiff.kernels.structs import Footprint, Pixels
 from warpdiff.render import pixel_filters
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -134,6 +134,7 @@ class SharedTileBuffers:
         nearest: NDArray[np.uint64],
         *,
         threads: int,
+        progress: Callable[[float], None] | None,
     ) -> None:
         """Launch pipelines over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
 
@@ -162,7 +163,7 @@ class SharedTileBuffers:
             pipeline.launch(range(first, end))
             self._free.append(first)
 
-        side_by_side(work, slices, threads=threads)
+        side_by_side(work, slices, threads=threads, progress=progress)
 
 
 # Those that no picture is in, by kind, and how many are kept: to make one takes as long as to look up thousands of

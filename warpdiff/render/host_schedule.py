@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.compute.pipeline import KernelCall, Pipeline, launch_pipeline
+from warpdiff.core.thread_pool import part_of
 from warpdiff.kernels import cell_levels
 from warpdiff.render import pixel_filters
 from warpdiff.render.adaptive_sampling import SLICE
@@ -101,9 +102,9 @@ class _Splitting:
                 part = self._part(pixels[first : first + _MOST_PIXELS])
                 together = len(part.pixels)
                 for level in cell_levels.LEVELS:
-                    self._splat(level, part, shared)
-                    if progress is not None:
-                        progress((first + level / cell_levels.MOST_LEVEL * together) / len(pixels))
+                    ends = (level - 1) / cell_levels.MOST_LEVEL, level / cell_levels.MOST_LEVEL
+                    begin, end = ((first + share * together) / len(pixels) for share in ends)
+                    self._splat(level, part, shared, part_of(progress, begin, end))
                     self._compare(level, part)
                     if not len(part.tiles):
                         break
@@ -121,7 +122,9 @@ class _Splitting:
         chosen[tiles] = 1
         return _Part(pixels, tiles, given, ranks, chosen)
 
-    def _splat(self, level: int, part: _Part, shared: SharedTileBuffers) -> None:
+    def _splat(
+        self, level: int, part: _Part, shared: SharedTileBuffers, progress: Callable[[float], None] | None
+    ) -> None:
         """Shade the cells of a part at a level, and add them up for the pixels around."""
         # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them, nor from
         # those beside them. Those together that take shadow rays.
@@ -131,7 +134,8 @@ class _Splitting:
             beside_dark = pixel_filters.beside_quadrants(self._dark, self._width, self._height).ravel()
         is_beside = beside_dark[part.tiles]
         part.tiles = np.concatenate([part.tiles[~is_beside], part.tiles[is_beside]])
-        for met in pixel_filters.parts(part.tiles, level):
+        parts = list(pixel_filters.parts(part.tiles, level))
+        for index, met in enumerate(parts):
             in_light = int(np.count_nonzero(~beside_dark[met]))
             pipelines = [
                 (Pipeline(self._light.splat_cells(level, shared.buffers, part.given, shadows=shadows)), each)
@@ -139,7 +143,10 @@ class _Splitting:
                 if each
             ]
             cells = pixel_filters.grid_of(met, level, self._width, self._height, self._device)
-            shared.meet(level, met, pipelines, self._rays.rasterize_cells(cells, len(met)), threads=self._threads)
+            shared.meet(
+                level, met, pipelines, self._rays.rasterize_cells(cells, len(met)), threads=self._threads,
+                progress=part_of(progress, index / len(parts), (index + 1) / len(parts)),
+            )  # fmt: skip
 
     def _compare(self, level: int, part: _Part) -> None:
         """Set the pixels of a part, and leave those of its tiles that are split again."""

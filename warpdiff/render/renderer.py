@@ -5,19 +5,22 @@ from __future__ import annotations
 import contextlib
 import functools
 import threading
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks
 from warpdiff.planning.planner import directions_of, plan_for, warn_outside
+from warpdiff.planning.request import Request
 from warpdiff.render.frame import load_kernels
 from warpdiff.render.shade import (
     PictureRequest,
     check_light_sizes,
     lobes_for,
     memory_named,
+    require_room,
     warn_unsettled,
 )
 from warpdiff.scene.camera import View
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from warpdiff.render.frame import Frame
     from warpdiff.scene.environment import Light
     from warpdiff.scene.lights import Lobe
+    from warpdiff.scene.mesh_import import Surface
     from warpdiff.surface.heightfield import HeightField
 
 
@@ -53,6 +57,9 @@ class Renderer:
 
     Threads may draw at once: each has a picture of its own, which begins with the first lights and view, and neither
     sees nor changes those of others. On a GPU, whose launches all go to one stream, they take turns.
+
+    A renderer can be pickled, and draws the same pictures in another process: what it is made of and its plan go along,
+    tables are made there.
 
     Attributes:
         plan: What is computed and why.
@@ -98,14 +105,21 @@ class Renderer:
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
         request = wanted.request
         load_kernels(request.device)
-        self._wanted = wanted
         with memory_named(view):
             surface = prepare_surface(mesh, tangents=tangents)
+        self._begin(wanted, surface, view)
+        self.draw()
+
+    def _begin(self, wanted: PictureRequest, surface: Surface, view: View) -> None:
+        """Do all that does not change."""
+        request = wanted.request
+        self._wanted, self._surface = wanted, surface
+        with memory_named(view):
             scope, sample, count = directions_of(request)
             if request.plan is not None:
-                warn_outside(request.plan, hf, scope)
+                warn_outside(request.plan, request.hf, scope)
             self.plan = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
-            self._integrator = Integrator(hf, self.plan, scope, device=request.device, threads=request.threads)
+            self._integrator = Integrator(request.hf, self.plan, scope, device=request.device, threads=request.threads)
             self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
@@ -113,23 +127,61 @@ class Renderer:
                 view,
             )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
-        self.draw()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures."""
+        return self._mine.view.width, self._mine.view.height
+
+    def resized(self, view: View, *, refine: bool | None = None) -> Renderer:
+        """Another renderer of the same surface by the same plan and tables, for pictures of another size.
+
+        Args:
+            view: The camera that it begins with.
+            refine: As in :func:`warpdiff.shade`; None is as it is here.
+
+        Returns:
+            The other one, whose pictures are those that this one would draw of such views.
+
+        Raises:
+            MemoryError: More memory than is free; the message says what fits.
+        """
+        checks.instance(view, View, "view")
+        require_room(view, self._wanted.request.device)
+        refine = self._wanted.refine if refine is None else checks.flag(refine, "refine")
+        result = object.__new__(Renderer)
+        request = replace(self._wanted.request, plan=self.plan)
+        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view)
+        return result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        request = {each.name: getattr(self._wanted.request, each.name) for each in fields(Request)}
+        device, threads = request.pop("device").alias, request.pop("threads")
+        # Of a core each, there may be another number elsewhere.
+        of_all = None if threads == resolve_threads(None) else threads
+        wanted = {each.name: getattr(self._wanted, each.name) for each in fields(PictureRequest)} | {"request": None}
+        return _again, (request | {"plan": self.plan}, wanted, device, of_all, self._surface, self._mine.view)
 
     def draw(
         self,
         light: Light | Sequence[Light] | None = None,
         view: View | None = None,
+        *,
+        progress: Callable[[float], None] | None = None,
     ) -> wp.array:
         """Draw the next picture.
 
         Args:
             light: This thread's lights from now on; None leaves them as they are.
             view: Its view from now on, with as many pixels; None leaves it as it is.
+            progress: As in :func:`warpdiff.shade`, on the CPU; on a GPU it is called once all is launched. What it
+                raises ends the picture, as for a view that nobody waits for any more; the next one begins anew.
 
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
             may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
+        checks.callback(progress, "progress")
         mine = self._mine
         lights = mine.lights if light is None else lobes_for(light, self._wanted.request.coherence)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
@@ -145,12 +197,14 @@ class Renderer:
             if view is not None:
                 mine.view = view
                 mine.frame.set_view(view)
-            mine.lights = lights
+            mine.lights, mine.drawn = lights, False
             self._wanted.set_lights(mine.frame, lights)
             if self._recorded:
                 self._replay(mine)
+                if progress is not None:
+                    progress(1.0)
             else:
-                self._launch(mine)
+                self._launch(mine, progress)
             mine.drawn = True
         return mine.frame.xyz
 
@@ -165,9 +219,11 @@ class Renderer:
             return image
         return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
 
-    def _launch(self, mine: _Picture) -> None:
+    def _launch(self, mine: _Picture, progress: Callable[[float], None] | None = None) -> None:
         """Launch what a picture takes."""
-        mine.frame.integrate(self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine)
+        mine.frame.integrate(
+            self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress
+        )
 
     def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
@@ -184,6 +240,16 @@ class Renderer:
         with wp.ScopedCapture(device=self._wanted.request.device, force_module_load=False) as capture:
             self._launch(mine)
         mine.graph, mine.graph_is_for = capture.graph, needed
+
+
+def _again(
+    request: dict[str, Any], wanted: dict[str, Any], device: str, threads: int | None, surface: Surface, view: View
+) -> Renderer:
+    """A renderer that was pickled."""
+    result = object.__new__(Renderer)
+    same = Request(**request, device=resolve_device(device), threads=resolve_threads(threads))
+    result._begin(PictureRequest(**wanted | {"request": same}), surface, view)
+    return result
 
 
 class _Picture(threading.local):

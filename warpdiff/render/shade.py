@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import contextlib
     from collections.abc import Callable, Collection, Mapping
 
+    import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.image.image import Image
@@ -91,8 +92,8 @@ def shade(
         pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
         shadows: Whether lights are hidden by the mesh itself.
         smooth: Whether vertex normals are interpolated; otherwise facets are seen.
-        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3); None takes it from
-            the texture coordinates.
+        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3), or one for all,
+            shape (3,); what of it lies in the surface counts. None takes it from the texture coordinates.
         footprint: Whether a pixel shows the mean over what its filter sees, a Gaussian (0.5 pixel, cut at 1.5), rather
             than the colour in its centre: no aliasing, no speckle of orders that fall between pixels. The mean is taken
             from a table with levels where there is one, otherwise from many points. None is on for an averaged window
@@ -210,11 +211,7 @@ class PictureRequest:
         samples = checks.count(samples_per_pixel, "samples_per_pixel")
         if samples > _MOST_SAMPLES:
             raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
-        if request.device.is_cpu:
-            free_memory.require(
-                _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
-                "take a view of at most {side} times the width and height",
-            )  # fmt: skip
+        require_room(view, request.device)
         blurred = _takes_footprints(footprint, request)
         most = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         if blurred and samples > most:
@@ -292,6 +289,15 @@ def _takes_footprints(footprint: bool | None, request: Request) -> bool:
     if footprint is not None:
         return footprint
     return plan.footprint if plan is not None else request.coherence.adds_powers and method != "direct"
+
+
+def require_room(view: View, device: wp.Device) -> None:
+    """Refuse a picture that the host has no memory for."""
+    if device.is_cpu:
+        free_memory.require(
+            _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
+            "take a view of at most {side} times the width and height",
+        )  # fmt: skip
 
 
 def memory_named(view: View) -> contextlib.AbstractContextManager[None]:

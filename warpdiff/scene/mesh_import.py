@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 HOW_TO_GET_TANGENTS = (
-    "give tangents= (world frame, shape (n, 3), one per vertex, along the height field's x axis), "
+    "give tangents= (world frame, along the height field's x axis: (3,) for all vertices, or one for each, (n, 3)), "
     "or a mesh with texture coordinates, whose u axis then is the direction"
 )
 
@@ -86,7 +86,7 @@ class Surface:
 
 
 def prepare_surface(
-    mesh: trimesh.Trimesh | trimesh.Scene | str | os.PathLike[str], *, tangents: ArrayLike | None = None
+    mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str], *, tangents: ArrayLike | None = None
 ) -> Surface:
     """Check a mesh and work out its normals, tangents and base colours.
 
@@ -97,9 +97,11 @@ def prepare_surface(
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
-            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices.
+            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices. What was prepared
+            before is returned as it is.
         tangents: Directions along the height field's x axis, world frame, one per vertex (of a scene: of its
-            geometries, in the order of its nodes), shape (n, 3); they need not be unit vectors.
+            geometries, in the order of its nodes), shape (n, 3), or one for all, shape (3,); they need not be unit
+            vectors, nor lie in the surface.
 
     Returns:
         The surface.
@@ -110,6 +112,8 @@ def prepare_surface(
         ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
             vertices it lacks; there is no tangent field; several textures would have to be used at once.
     """
+    if isinstance(mesh, Surface) and tangents is None:
+        return mesh
     try:
         return _prepared(_geometries(mesh), tangents)
     except ValueError as error:
@@ -131,6 +135,8 @@ def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surfac
         return found
     with on_one_thread():
         part = _join([_named_part(each) for each in geometries])
+        if given is not None and given.shape == (3,):
+            given = np.broadcast_to(given, (part.count, 3))
         _check_tangents(part, given)
         surface = replace(_build(part, given), geometry_names=names)
     _kept.put(_Contents([each.copy() for each in told_by]), surface)
@@ -541,7 +547,7 @@ def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
     if given is not None:
         if given.shape != (part.count, 3):
             raise ValueError(
-                f"tangents must have shape ({part.count}, 3), one vector for each of the mesh's vertices, "
+                f"tangents must have shape ({part.count}, 3), one vector for each of the mesh's vertices, or (3,), "
                 f"got {given.shape}"
             )
     elif part.uvs is None:

@@ -251,6 +251,15 @@ def table_for(hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.
     return Table(kernels.integrate, kernels.sample, table, found)
 
 
+def without_zeroth_order(table: Table) -> Table:
+    """A table, as just made, whose rows are copies of what they were but for the mean plane's, which are 0."""
+    found = table.arguments
+    rows = found.rows.numpy().copy()
+    rows[found.origin_y * found.count_x + found.origin_x] = 0.0
+    found.rows = wp.array(rows, dtype=found.rows.dtype, device=found.rows.device)
+    return table
+
+
 def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
     """The a [µm²] of the Gaussian exp(−a |q − q_rs|²).
 

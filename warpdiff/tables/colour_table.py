@@ -366,11 +366,7 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
     """A table with mip levels, from one without, whose rows have room for them."""
     count = len(sharp.functions.dtype())
     target = colour_lookup.lookup(count, is_lines)
-    table = target.Colours()
-    for name in target.Colours.vars:
-        if name not in ("first_rows", "spokes", "blurs"):
-            setattr(table, name, getattr(sharp, name))
-
+    table = _copied(sharp, target, leaving="first_rows spokes blurs")
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
     def fill(level: int, octave: int, on_spokes: Any) -> None:
@@ -379,6 +375,20 @@ def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, t
 
     _fill(table, target, layout, 1, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
+
+
+def _copied(table: Any, target: Any, *, leaving: str) -> Any:
+    """A struct with the fields of another but for some."""
+    result = target.Colours()
+    for name in set(target.Colours.vars).difference(leaving.split()):
+        setattr(result, name, getattr(table, name))
+    return result
+
+
+def without_zeroth_order(table: Any, coherence: Coherence) -> Any:
+    """The same table of colours, whose look-ups leave out what the mean plane reflects."""
+    target = colour_lookup.lookup(len(table.functions.dtype()), coherence.kind == "source")
+    return _copied(table, target, leaving="zeroth_order")
 
 
 def _fill(

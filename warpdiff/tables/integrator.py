@@ -25,9 +25,19 @@ _LOOK_UPS_OF_SLICE = 2048
 class Integrator:
     """The kernel of a plan with what it reads, made or found again."""
 
-    def __init__(self, hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.Device, threads: int) -> None:
+    def __init__(
+        self,
+        hf: HeightField,
+        plan: Plan,
+        scope: DirectionRange,
+        *,
+        zeroth_order: bool = True,
+        device: wp.Device,
+        threads: int,
+    ) -> None:
+        """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
         self._hf, self._plan, self._device, self._threads = hf, plan, device, threads
-        self._scope = scope
+        self._scope, self._zeroth_order = scope, zeroth_order
         self._colours: dict[LitMaterial, Any] = {}
         self._quadratures: dict[LitMaterial, Any] = {}
         self._table: coefficient_table.Table | None = None
@@ -114,8 +124,12 @@ class Integrator:
     ) -> KernelCall:
         """Add what a table serves."""
         if lit not in self._colours:
-            self._colours[lit] = colour_table.table_for(
+            kernel, table = colour_table.table_for(
                 self._hf, self._plan, self._scope, lit, device=self._device, threads=self._threads
+            )
+            self._colours[lit] = (
+                kernel,
+                table if self._zeroth_order else colour_table.without_zeroth_order(table, self._plan.coherence),
             )
         kernel, table = self._colours[lit]
         seen = self._no_footprints if footprints is None else footprints
@@ -131,6 +145,8 @@ class Integrator:
         # Others may have taken its place among those that are kept.
         if self._table is None:
             self._table = coefficient_table.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
+            if not self._zeroth_order:
+                self._table = coefficient_table.without_zeroth_order(self._table)
         if lit not in self._quadratures:
             self._quadratures[lit] = coefficient_table.quadrature_for(self._hf, self._plan, lit, **given)
         inputs = [self._table.arguments, deflections, to_lights, gains, self._quadratures[lit]]

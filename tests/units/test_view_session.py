@@ -1,0 +1,200 @@
+"""The thread that draws for the viewer's pages: finer and finer, the newest first, and never for nobody."""
+
+from __future__ import annotations
+
+import io
+import queue
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warpdiff as wd
+from warpdiff.app import view_bodies
+from warpdiff.app.view_controls import checked, controls
+from warpdiff.app.view_scene import Call, NamedFiles, Scene
+from warpdiff.app.view_session import Studio, Wanted, stages_to
+from warpdiff.scene.mesh_import import prepare_surface
+
+KNOWN = controls()
+VALUES = checked(
+    KNOWN, {"mesh": "disc", "surface": "blazed", "height": 240, "tolerance": 0.1, "sigma_um": 4.0, "azimuth_deg": 20.0}
+)
+WAIT_S = 120.0
+
+
+def wanted(generation, *, moving=False, **values):
+    return Wanted(generation, VALUES | values, None, 0.25, moving, (0.5, 0.5))
+
+
+@pytest.fixture(scope="module")
+def studio():
+    return Studio(NamedFiles(), VALUES, threads=1)
+
+
+class Page:
+    def __init__(self, studio):
+        self.got = queue.Queue()
+        self.studio, self.session = studio, studio.session(lambda *told: self.got.put(told))
+
+    def until(self, holds):
+        """All that is told until something holds; each picture is shown at once."""
+        found = []
+        while not found or not holds(found[-1][0]):
+            found.append(self.got.get(timeout=WAIT_S))
+            if found[-1][0]["kind"] == "picture":
+                self.studio.acknowledge(self.session)
+        return found
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.studio.leave(self.session)
+
+
+def is_last(told):
+    return told.get("last") is True
+
+
+def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
+    with Page(studio) as page:
+        studio.want(page.session, wanted(1))
+        told = page.until(lambda each: each["kind"] == "map")
+        pictures = [each for each in told if each[0]["kind"] == "picture"]
+        assert [each["tolerance"] for each, _ in pictures] == [None, 0.1]
+        assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/png"]
+        assert pictures[1][0]["error"]["p99"] < 3 * 0.1
+        assert told[-1][0]["angles"]["to_light"]["theta_deg"] == pytest.approx(
+            np.degrees(np.arccos(pictures[1][0]["to_light"][2])), abs=0.5
+        )
+        last, data = pictures[1]
+        made = {}
+        lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
+        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
+        found = np.asarray(Image.open(io.BytesIO(data)))
+        assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+
+
+def test_a_picture_that_is_out_of_date_is_abandoned(studio, monkeypatch):
+    draw, begun = wd.Renderer.draw, queue.Queue()
+
+    def slow(self, light, view, *, progress):
+        if self._wanted.refine and view.width == 60 and not begun.qsize():
+            begun.put(view)
+            give_up = time.monotonic() + WAIT_S
+            while time.monotonic() < give_up:
+                progress(0.5)
+                time.sleep(0.001)
+        return draw(self, light, view, progress=progress)
+
+    with Page(studio) as page:
+        studio.want(page.session, wanted(1))
+        page.until(is_last)
+        monkeypatch.setattr(wd.Renderer, "draw", slow)
+        studio.want(page.session, wanted(2, azimuth_deg=30.0))
+        begun.get(timeout=WAIT_S)
+        begun.put(None)
+        studio.want(page.session, wanted(3, azimuth_deg=40.0))
+        told = [each for each, _ in page.until(lambda each: is_last(each) and each["generation"] == 3)]
+        assert [each["tolerance"] for each in told if each["kind"] == "picture" and each["generation"] == 2] == [None]
+
+
+def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rests(studio, monkeypatch):
+    with Page(studio) as page:
+        studio.want(page.session, wanted(1))
+        page.until(is_last)
+        # As on a slower machine.
+        monkeypatch.setattr("warpdiff.app.view_session._MOVING_S", 1e-6)
+        for generation in range(2, 10):
+            studio.want(page.session, wanted(generation, moving=True, azimuth_deg=3.0 * generation))
+            time.sleep(0.05)
+        time.sleep(0.5)
+        moving = [told for told, _ in page.got.queue if told["kind"] == "picture"]
+        assert len(moving) == 2
+        assert {each["tolerance"] for each in moving} == {None}
+        assert moving[0]["height"] < 240
+        page.until(lambda told: is_last(told) and told["generation"] == 9)
+
+
+def test_an_error_is_told_and_ends_nothing(studio):
+    with Page(studio) as page, Page(studio) as other:
+        studio.want(page.session, wanted(1, surface="bumps", bumps_width_um=2.0))
+        studio.want(other.session, wanted(1))
+        told = page.until(lambda each: each["kind"] == "error")[-1][0]
+        assert "spacing_um" in told["text"]
+        assert other.until(is_last)
+        studio.want(page.session, wanted(2))
+        assert page.until(is_last)
+        assert other.got.empty() or all(each["kind"] == "map" for each, _ in other.got.queue)
+
+
+def test_stages_end_with_the_tolerance():
+    for tolerance in (0.5, 0.1, 0.03, 0.01):
+        stages = [each for each in stages_to(tolerance) if each is not None]
+        assert not stages[0].refined
+        assert [each.tolerance for each in stages[1:]] == sorted((each.tolerance for each in stages[1:]), reverse=True)
+        assert stages[-1].tolerance == tolerance
+        assert [each.last for each in stages] == [False] * (len(stages) - 1) + [True]
+
+
+def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("warpdiff.core.disk_cache._LEAST_SECONDS", 0.0)
+    call = Call.of("meshes.tube", segments_along=12, segments_around=6)
+    first = view_bodies.surface_of(call, None)
+    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.setattr(Call, "make", lambda _: pytest.fail("it is kept"))
+    again = view_bodies.surface_of(call, None)
+    for name, value in vars(first).items():
+        assert type(getattr(again, name)) is type(value), name
+        np.testing.assert_array_equal(getattr(again, name), value)
+    assert prepare_surface(again) is again
+
+
+def test_a_body_is_framed_whole():
+    for name in ("disc", "tube"):
+        surface = prepare_surface(getattr(wd.meshes, name)())
+        for width, height in ((80, 60), (40, 60)):
+            view = view_bodies.framed(surface, width, height)
+            renderer = wd.Renderer(
+                surface, wd.gratings.blazed(2.0, 0.1), wd.DirectionalLight((0, 1, 1)), view, tolerance=0.5,
+                coherence=wd.Coherence(sigma_um=2.0), refine=False,
+            )  # fmt: skip
+            mask = renderer.image().mask
+            rows, columns = np.nonzero(mask)
+            assert not np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).any()
+            assert max(np.ptp(rows) / height, np.ptp(columns) / width) > 0.75
+
+
+def test_scenes_are_written_as_they_are_made():
+    scene = Scene.of(VALUES | {"coherence": "source", "masking": False, "material": "mirror"}, NamedFiles())
+    view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
+    made = {}
+    lines = scene.python(view, 0.5, {}).partition("renderer.image()")[0]
+    # What is given, without drawing.
+    exec(lines.replace("wd.Renderer(", "(lambda *operands, **options: (operands, options))("), made)  # noqa: S102
+    operands, options = made["renderer"]
+    assert operands[2:] == (scene.light.make(), view)
+    assert options == {
+        "tolerance": 0.5,
+        "coherence": wd.Coherence("source", angular_diameter_deg=0.53),
+        "ior": np.inf,
+        "masking": False,
+        "pigment": 0.05,
+    }
+    words = scene.command(view, 0.5, {"display": "clip"}, NamedFiles()).split()
+    assert words[:4] == ["warpdiff", "render", "disc", "blazed:period_um=2.0,depth_um=0.25"]
+    assert words[words.index("--ior") + 1] == "inf"
+    assert {"--no-masking", "--angular-diameter-deg", "--display"} < set(words)
+
+
+def test_metals_of_a_scene_are_written():
+    scene = Scene.of(VALUES | {"material": "Au", "ior": 2.0}, NamedFiles())
+    view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
+    assert scene.shading["material"] == wd.Material.metal("Au")
+    assert "material=wd.Material.metal('Au')" in scene.python(view, 0.5, {})
+    words = scene.command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--material") + 1] == "Au"
+    assert "--ior" not in words

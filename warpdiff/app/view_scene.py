@@ -1,0 +1,270 @@
+"""What a page of the viewer has set, as calls of the library: to be made, or to be written down."""
+
+from __future__ import annotations
+
+import functools
+import math
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import warpdiff as wd
+from warpdiff.app.view_controls import AXES, LONG_BODIES, METALS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+# Digits of a direction in lines: beyond them no picture changes.
+_DIGITS = 7
+_DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of something public.
+
+    Attributes:
+        function: Its name in ``warpdiff``, or of a method of what ``on`` makes.
+        operands: What it takes by position.
+        options: What it takes by name.
+        on: Whose method it is.
+    """
+
+    function: str
+    operands: tuple[Any, ...] = ()
+    options: tuple[tuple[str, Any], ...] = ()
+    on: Call | None = None
+
+    @classmethod
+    def of(cls, function: str, *operands: Any, on: Call | None = None, **options: Any) -> Call:
+        """A call with these arguments."""
+        return cls(function, operands, tuple(options.items()), on)
+
+    def make(self) -> Any:
+        """Call it."""
+        owner: Any = wd if self.on is None else self.on.make()
+        function = functools.reduce(getattr, self.function.split("."), owner)
+        return function(*map(_made, self.operands), **{name: _made(each) for name, each in self.options})
+
+    def __str__(self) -> str:
+        """The line of Python."""
+        taken = [*map(_said, self.operands), *(f"{name}={_said(each)}" for name, each in self.options)]
+        return f"{'wd' if self.on is None else self.on}.{self.function}({', '.join(taken)})"
+
+
+def _made(value: Any) -> Any:
+    return value.make() if isinstance(value, Call) else value
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, Call):
+        return str(value)
+    if isinstance(value, Path):
+        return repr(str(value))
+    if isinstance(value, float) and math.isinf(value):
+        return 'float("inf")'
+    return repr(value)
+
+
+@dataclass(frozen=True)
+class NamedFiles:
+    """Files that were named when the viewer was started, and how the scans among them are loaded.
+
+    Attributes:
+        meshes: Of bodies.
+        heights: Of height fields.
+        loading: Options of ``HeightField.load``.
+        cleaning: Methods of a height field with their options, one after the other.
+    """
+
+    meshes: tuple[Path, ...] = ()
+    heights: tuple[Path, ...] = ()
+    loading: tuple[tuple[str, Any], ...] = ()
+    cleaning: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...] = ()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is to be seen but for the view: everything that pictures of a renderer share, and the light.
+
+    Attributes:
+        mesh: A call of ``meshes``, or a file.
+        hf: The height field.
+        light: The light.
+        options: Of ``Renderer`` and ``shade``, those that are not the default.
+        tolerance: Of the finest picture.
+    """
+
+    mesh: Call | Path
+    hf: Call
+    light: Call
+    options: tuple[tuple[str, Any], ...]
+    tolerance: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
+        """The scene of checked settings."""
+        mesh, tangents = _mesh(values, files)
+        azimuth, elevation = math.radians(values["azimuth_deg"]), math.radians(values["elevation_deg"])
+        # From the front, +z, to the right, +x; y is up.
+        to_light = (
+            math.cos(elevation) * math.sin(azimuth), math.sin(elevation), math.cos(elevation) * math.cos(azimuth),
+        )  # fmt: skip
+        illuminant = {} if values["illuminant"] == "D65" else {"illuminant": values["illuminant"]}
+        light = Call.of("DirectionalLight", tuple(round(each, _DIGITS) for each in to_light), **illuminant)
+        options = {
+            "method": values["method"],
+            "coherence": _coherence(values),
+            "ior": {"dielectric": values["ior"], "mirror": math.inf}.get(values["material"], 1.5),
+            "material": Call.of("Material.metal", values["material"]) if values["material"] in METALS else None,
+            "masking": values["masking"],
+            "pigment": values["pigment"],
+            "shadows": values["shadows"],
+            "smooth": values["smooth"],
+            "tangents": tangents,
+        }
+        usual = {
+            "method": "auto", "coherence": None, "ior": 1.5, "material": None, "masking": True, "pigment": 1.0,
+            "shadows": True, "smooth": True, "tangents": None,
+        }  # fmt: skip
+        changed = tuple((name, value) for name, value in options.items() if value != usual[name])
+        return cls(mesh, _height_field(values, files), light, changed, values["tolerance"])
+
+    @property
+    def shading(self) -> dict[str, Any]:
+        """The options, made."""
+        return {name: _made(value) for name, value in self.options}
+
+    def python(self, view: wd.View, tolerance: float, saved: Mapping[str, Any]) -> str:
+        """Lines of Python that make a picture of a view and save it."""
+        operands = [_said(self.mesh), str(self.hf), str(self.light), str(_view_call(view))]
+        options = [f"tolerance={tolerance!r}", *(f"{name}={_said(value)}" for name, value in self.options)]
+        saving = "".join(f", {name}={_said(value)}" for name, value in saved.items())
+        return "\n".join(
+            [
+                "import warpdiff as wd",
+                "",
+                "renderer = wd.Renderer(",
+                *(f"    {each}," for each in [*operands, *options]),
+                ")",
+                f'renderer.image().save("picture.png"{saving})',
+            ]
+        )
+
+    def command(self, view: wd.View, tolerance: float, saved: Mapping[str, Any], files: NamedFiles) -> str:
+        """The command that makes the picture by a plan for its own directions: the same within both tolerances."""
+        words: list[Any] = ["warpdiff", "render", _word(self.mesh)]
+        hf, cleaning = self.hf, []
+        while hf.on is not None:
+            cleaning.append(hf)
+            hf = hf.on
+        words.append(hf.operands[0] if hf.function == "HeightField.load" else _word(hf))
+        if hf.function == "HeightField.load":
+            words += _flags(dict(files.loading), {"pitch_um": "--pixel-um"})
+            for each in reversed(cleaning):
+                words += [_CLEANING[each.function], *(value for _, value in each.options)]
+        words += ["--light", *self.light.operands[0], *_flags(dict(self.light.options))]
+        words += ["--eye", *view.eye, "--target", *view.target, "--up", *view.up]
+        words += _flags({"fov_y_deg": view.fov_y_deg, "width": view.width, "height": view.height})
+        words += _flags({"tolerance": tolerance})
+        for name, value in self.options:
+            if isinstance(value, Call):
+                words += [f"--{name}", *value.operands, *_flags(dict(value.options))]
+            elif isinstance(value, bool):
+                words.append({"masking": "--no-masking", "shadows": "--no-shadows", "smooth": "--flat"}[name])
+            else:
+                words += _flags({name: value}, {"tangents": "--tangent"})
+        words += _flags(saved)
+        return shlex.join([*map(str, words), "-o", "picture.png"])
+
+
+# Of methods that clean a height field, what the command line calls them.
+_CLEANING = {
+    "cropped": "--crop-um",
+    "levelled": "--level",
+    "despiked": "--despike",
+    "filled": "--fill",
+    "periodic": "--periodic",
+}
+
+
+def _flags(options: Mapping[str, Any], names: Mapping[str, str] | None = None) -> list[Any]:
+    """Words of the command line."""
+    found: list[Any] = []
+    for name, value in options.items():
+        found.append((names or {}).get(name) or f"--{name.replace('_', '-')}")
+        found += value if isinstance(value, tuple) else [value]
+    return found
+
+
+def _word(what: Call | Path) -> str:
+    """How the command line calls a body or a grating with its parameters."""
+    if isinstance(what, Path):
+        return str(what)
+    name = what.function.rpartition(".")[2]
+    taken = ",".join(
+        f"{key}={'x'.join(map(str, value)) if isinstance(value, tuple) else value}" for key, value in what.options
+    )
+    return f"{name}:{taken}" if taken else name
+
+
+def _view_call(view: wd.View) -> Call:
+    return Call.of(
+        "View", view.eye, view.target, up=view.up, fov_y_deg=view.fov_y_deg, width=view.width, height=view.height
+    )
+
+
+def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
+    """The body, and the direction of the height field's x where the body does not have it."""
+    name = values["mesh"]
+    lies = values["along" if name in LONG_BODIES else "tangent"]
+    unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+    tangents = unit[lies] if lies in AXES else None
+    if (path := _file(name, files.meshes)) is not None:
+        return path, tangents
+    return Call(f"meshes.{name}", options=(("tangent", "along"),) if lies == "along" else ()), tangents
+
+
+def _file(name: str, paths: Sequence[Path]) -> Path | None:
+    """The file that a control calls "file 0", "file 1" and so on."""
+    kind, _, index = name.partition(" ")
+    return paths[int(index)] if kind == "file" else None
+
+
+def _height_field(values: Mapping[str, Any], files: NamedFiles) -> Call:
+    name = values["surface"]
+    if (path := _file(name, files.heights)) is not None:
+        found = Call("HeightField.load", (str(path),), files.loading)
+        for method, options in files.cleaning:
+            found = Call(method, (), options, found)
+        return found
+    call = functools.partial(Call.of, f"gratings.{name}")
+    if name == "fingers":
+        return call(
+            size_um=values["fingers_size_um"], period_um=values["fingers_period_um"],
+            length_um=values["fingers_length_um"], height_um=values["fingers_height_um"], seed=values["seed"],
+        )  # fmt: skip
+    if name == "bumps":
+        return call(
+            height_um=values["bumps_height_um"], width_um=values["bumps_width_um"],
+            length_um=values["bumps_length_um"],
+            spacing_um=(values["bumps_spacing_y_um"], values["bumps_spacing_x_um"]),
+        )  # fmt: skip
+    if name == "disc":
+        kind = values["disc_kind"]
+        return call(kind=kind, length_um=values["disc_length_um"], pitch_um=_DISC_PITCHES_UM[kind], seed=values["seed"])
+    duty = {"duty": values["duty"]} if name == "lamellar" else {}
+    return call(period_um=values["period_um"], depth_um=values["depth_um"], **duty)
+
+
+def _coherence(values: Mapping[str, Any]) -> Call | None:
+    """None where it is the default."""
+    kind = values["coherence"]
+    call = functools.partial(Call.of, "Coherence", kind)
+    if kind == "source":
+        return call(angular_diameter_deg=values["angular_diameter_deg"])
+    if kind == "replicas":
+        return call(copies=(values["copies_y"], values["copies_x"]))
+    found = call(sigma_um=values["sigma_um"])
+    return None if found.make() == wd.Coherence() else found

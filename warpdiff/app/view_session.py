@@ -1,0 +1,459 @@
+"""Progressive pictures for pages: at once while something moves, finer and finer at rest, and none that is out of date.
+
+One thread draws for all pages, in turns, so that pages share tables and memory does not grow with their number. A page
+says what it wants under a generation, a number that it counts up; of what it wants the newest counts. A picture at rest
+whose page has gone on to another generation is abandoned in the midst of its kernels.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import threading
+import time
+import traceback
+import warnings
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.app import view_bodies, view_encoding
+from warpdiff.app.view_scene import NamedFiles, Scene
+from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.core import checks, disk_cache
+from warpdiff.core.lru_cache import LruCache
+from warpdiff.image.display_transform import MEAN_SHOWN
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from warpdiff.scene.mesh_import import Surface
+
+# Of pictures at rest, before that of the tolerance itself.
+TOLERANCES = (0.1, 0.03)
+# How long nothing must change, while a pointer is still down, before a picture is refined.
+_REST_S = 0.15
+# Pictures that a page has not shown yet.
+_MOST_IN_FLIGHT = 2
+# A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
+_MOVING_S = 0.065
+_SCALES = (1.0, 0.75, 0.5, 0.375)
+# Of renderers that are kept, and of their pixels, some.
+_MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
+MAP_SIZE = 192
+# Of a pixel that a body fills.
+_WHOLE = 0.999
+
+
+class _AbandonedError(Exception):
+    """Raised in the midst of a picture that nobody waits for."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a page wants to see.
+
+    Attributes:
+        generation: Counted up by the page with every change.
+        values: Of all controls.
+        camera: Eye, target, up and vertical field of view [degrees]; None is one that frames the body.
+        aspect: Width over height.
+        moving: Whether a pointer is down, so that more changes may come at once.
+        probe: Where in the picture angles are told, from its left and its top, 0 to 1.
+    """
+
+    generation: int
+    values: Mapping[str, Any]
+    camera: tuple[Any, Any, Any, float] | None
+    aspect: float
+    moving: bool
+    probe: tuple[float, float]
+
+
+class Stage(NamedTuple):
+    """One of the pictures of a generation: by one look-up a pixel, or refined to a tolerance."""
+
+    tolerance: float
+    refined: bool
+    last: bool = False
+
+
+# Between pictures, what there is to say of a place in them.
+ANGLES = None
+
+
+def stages_to(tolerance: float) -> list[Stage | None]:
+    """Pictures on the way to one of a tolerance; after the first at rest comes ``ANGLES``, which takes little."""
+    finer = [Stage(each, refined=True) for each in TOLERANCES if each > tolerance]
+    first, *rest = [*finer, Stage(tolerance, refined=True, last=True)]
+    return [_unrefined(tolerance), first, ANGLES, *rest]
+
+
+def _unrefined(tolerance: float) -> Stage:
+    """The first picture, by the table of the one after it."""
+    return Stage(max(TOLERANCES[0], tolerance), refined=False)
+
+
+@dataclass(eq=False)
+class Session:
+    """What one page wants and has; its fields are the drawing thread's, but for ``wanted``, ``in_flight``, ``open``.
+
+    Attributes:
+        send: Called from the drawing thread with a description, and with bytes or None.
+        wanted: The newest.
+        in_flight: Pictures sent that the page has not shown.
+        open: Whether the page is there.
+        begun: The generation whose stages are gone through.
+        stage: The next of them.
+        drawn_at: When the first of them was drawn.
+        factor: The automatic exposure of the last picture at rest, or of the first one.
+        shown: The last picture, and how it is saved.
+    """
+
+    send: Callable[[dict[str, Any], bytes | None], None]
+    wanted: Wanted | None = None
+    in_flight: int = 0
+    open: bool = True
+    begun: int = -1
+    stage: int = 0
+    drawn_at: float = 0.0
+    factor: float | None = None
+    shown: tuple[wd.Image, dict[str, Any]] | None = None
+
+
+def _bytes_of(renderer: wd.Renderer) -> float:
+    width, height = renderer.size
+    return float(_BYTES_A_PIXEL * width * height)
+
+
+@dataclass
+class _Made:
+    """What is kept between pictures, by what tells it apart."""
+
+    surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
+    height_fields: LruCache[wd.HeightField] = field(default_factory=lambda: LruCache(8))
+    bases: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(6))
+    renderers: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(8, _MOST_BYTES, _bytes_of))
+
+
+class Studio:
+    """The thread that draws for all pages."""
+
+    def __init__(
+        self, files: NamedFiles, values: Mapping[str, Any], *, device: Any = None, threads: int | None = None
+    ) -> None:
+        """Begin to draw, for pages that will be there and are likely to begin with these values."""
+        self.files, self._likely = files, values
+        self._device, self._threads = resolve_device(device), resolve_threads(threads)
+        self._sessions: list[Session] = []
+        self._changed = threading.Condition()
+        self._made = _Made()
+        # What a pixel takes without refinement, as measured last [s].
+        self._pixel_s = 0.0
+        self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
+        self._thread.start()
+
+    def session(self, send: Callable[[dict[str, Any], bytes | None], None]) -> Session:
+        """Draw for one more page; ``send`` is called from the drawing thread."""
+        result = Session(send)
+        with self._changed:
+            self._sessions.append(result)
+        return result
+
+    def leave(self, session: Session) -> None:
+        """A page is gone."""
+        with self._changed:
+            session.open = False
+            if session in self._sessions:
+                self._sessions.remove(session)
+            self._changed.notify()
+
+    def want(self, session: Session, wanted: Wanted) -> None:
+        """Set what a page wants from now on."""
+        with self._changed:
+            session.wanted = wanted
+            self._changed.notify()
+
+    @staticmethod
+    def wanted(*operands: Any, **options: Any) -> Wanted:
+        """What a page wants, see :class:`Wanted`."""
+        return Wanted(*operands, **options)
+
+    @staticmethod
+    def saved(session: Session, kind: str) -> bytes:
+        """The picture that a page shows, as a file."""
+        if session.shown is None:
+            raise ValueError("there is no picture to save yet")
+        return view_encoding.saved(*session.shown[:1], kind, session.shown[1])
+
+    def acknowledge(self, session: Session) -> None:
+        """A page has shown a picture."""
+        with self._changed:
+            session.in_flight = max(session.in_flight - 1, 0)
+            self._changed.notify()
+
+    def _prepare(self) -> None:
+        """Make what first pictures take, whatever their size."""
+        scene = Scene.of(self._likely, self.files)
+        stage = _unrefined(scene.tolerance)
+        view = view_bodies.framed(self._surface(scene), 16, 12)
+        nobody = Session(lambda *_: None)
+        image = self._renderer(
+            scene, view, stage, nobody, Wanted(0, self._likely, None, 1.0, False, (0.5, 0.5))
+        ).image()
+        view_encoding.encoded(view_encoding.shown(image, exact=False, background=(0, 0, 0)), lossless=False)
+
+    def _run(self) -> None:
+        # What fails here fails again for a page, and is told there.
+        with warnings.catch_warnings(), contextlib.suppress(Exception):
+            warnings.simplefilter("ignore")
+            self._prepare()
+        while True:
+            session, wanted, index = self._next()
+            try:
+                with warnings.catch_warnings(record=True) as told:
+                    warnings.simplefilter("ignore")
+                    warnings.simplefilter("always", wd.WarpdiffWarning)
+                    self._serve(session, wanted, index)
+                if told:
+                    words = list(dict.fromkeys(str(each.message) for each in told))
+                    session.send({"kind": "warning", "generation": wanted.generation, "text": "\n".join(words)}, None)
+            except _AbandonedError:
+                continue
+            except Exception as error:
+                # One page's error reaches no other, and does not end the thread.
+                expected = isinstance(error, (ValueError, TypeError, OSError, MemoryError))
+                text = str(error) if expected else f"{type(error).__name__}: {error}"
+                if not expected:
+                    traceback.print_exc()
+                session.send({"kind": "error", "generation": wanted.generation, "text": text}, None)
+                session.stage = len(stages_to(wanted.values["tolerance"]))
+
+    def _next(self) -> tuple[Session, Wanted, int]:
+        """Wait for the next picture: first ones before finer ones, pages in turns."""
+        with self._changed:
+            while True:
+                waits: list[float] = []
+                found: list[tuple[bool, Session, Wanted]] = []
+                for session in self._sessions:
+                    wanted = session.wanted
+                    if wanted is None or session.in_flight >= _MOST_IN_FLIGHT:
+                        continue
+                    if session.begun != wanted.generation:
+                        session.begun, session.stage = wanted.generation, 0
+                    if session.stage >= len(stages_to(wanted.values["tolerance"])):
+                        continue
+                    left = session.drawn_at + _REST_S - time.monotonic() if wanted.moving and session.stage else 0.0
+                    if left > 0.0:
+                        waits.append(left)
+                    else:
+                        found.append((session.stage > 0, session, wanted))
+                if found:
+                    _, session, wanted = min(found, key=lambda each: each[0])
+                    self._sessions.remove(session)
+                    self._sessions.append(session)
+                    return session, wanted, session.stage
+                self._changed.wait(min(waits, default=None))
+
+    def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
+        """Draw a picture and send it, or what there is to say of the last one."""
+
+        def watch(_share: float) -> None:
+            newest = session.wanted
+            # What moves is drawn to the end, or nothing would be seen of it.
+            if not session.open or (index and newest is not None and newest.generation != wanted.generation):
+                raise _AbandonedError
+
+        scene = Scene.of(wanted.values, self.files)
+        stages = stages_to(scene.tolerance)
+        rows = wanted.values["height"]
+        width = max(round(wanted.aspect * rows), 1)
+        body = self._surface(scene)
+        full = _view(wanted, body, width, rows)
+        stage = stages[index]
+        if stage is ANGLES:
+            self._send_angles_and_map(session, wanted, scene, full, watch)
+            session.stage = index + 1
+            return
+        scale = self._scale(width * rows) if wanted.moving and not stage.refined else 1.0
+        view = dataclasses.replace(full, width=max(round(scale * width), 1), height=max(round(scale * rows), 1))
+        begin = time.perf_counter()
+        renderer = self._renderer(scene, view, stage, session, wanted)
+        light = scene.light.make()
+        built = time.perf_counter()
+        renderer.draw(light, view, progress=watch)
+        image = renderer.image()
+        drawn = time.perf_counter()
+        how = self._exposed(session, wanted, image, moving=wanted.moving and not stage.refined)
+        pixels = view_encoding.shown(image, exact=stage.last, **how)
+        displayed = time.perf_counter()
+        data = view_encoding.encoded(pixels, lossless=stage.refined)
+        if not stage.refined:
+            self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
+        lit = image.error[image.lit]
+        description = {
+            "kind": "picture",
+            "generation": wanted.generation,
+            "stage": index,
+            "tolerance": stage.tolerance if stage.refined else None,
+            "last": stage.last,
+            "type": "image/png" if stage.refined else "image/jpeg",
+            "width": view.width,
+            "height": view.height,
+            "error": {"median": float(np.median(lit)), "p99": float(np.percentile(lit, 99.0))} if lit.size else None,
+            "camera": {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg},
+            "body": {"centre": body.centre.tolist(), "radius": body.radius},
+            "to_light": light.to_light,
+            "seconds": {
+                "prepare": built - begin, "draw": drawn - built, "display": displayed - drawn,
+                "encode": time.perf_counter() - displayed,
+            },
+        }  # fmt: skip
+        if stage.refined:
+            description["plan"] = str(image.plan)
+            description["python"] = scene.python(view, stage.tolerance, how)
+            description["command"] = scene.command(view, stage.tolerance, how, self.files)
+        session.shown = image, how
+        with self._changed:
+            session.in_flight += 1
+            session.drawn_at = time.monotonic()
+        session.stage = index + 1
+        session.send(description, data)
+
+    def _scale(self, pixels: int) -> float:
+        """The largest scale at which a picture is drawn in time."""
+        in_time = [each for each in _SCALES if self._pixel_s * each * each * pixels <= _MOVING_S]
+        return max(in_time, default=_SCALES[-1])
+
+    def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
+        """How a picture is displayed: while something moves, as the last one at rest, or it would flicker."""
+        display = wanted.values["display"]
+        if session.factor is None or not (moving or wanted.values["held"]):
+            session.factor = min(image.auto_exposure, checks.MOST * 1e-6)
+        factor = session.factor * MEAN_SHOWN[display] / MEAN_SHOWN["aces"]
+        grey = wanted.values["background"]
+        return {
+            "display": display,
+            "exposure": float(f"{factor * 2.0 ** wanted.values['exposure_stops']:.6g}"),
+            "background": (grey, grey, grey),
+        }
+
+    def _surface(self, scene: Scene) -> Surface:
+        tangents = dict(scene.options).get("tangents")
+        key = str(scene.mesh), tangents
+        return self._made.surfaces.get_or_make(key, lambda: view_bodies.surface_of(scene.mesh, tangents))
+
+    def _height_field(self, scene: Scene) -> wd.HeightField:
+        made: Callable[[], wd.HeightField] = scene.hf.make
+        return self._made.height_fields.get_or_make(str(scene.hf), made)
+
+    def _renderer(self, scene: Scene, view: wd.View, stage: Stage, session: Session, wanted: Wanted) -> wd.Renderer:
+        """A renderer of pictures of a size."""
+        light = scene.light.make()
+        of = str(scene.mesh), str(scene.hf), str(scene.options), light.illuminant, stage.tolerance
+        key = *of, stage.refined, view.width, view.height
+
+        def make() -> wd.Renderer:
+            def say() -> None:
+                session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": stage.tolerance}, None)
+
+            base = self._made.bases.get_or_make(of, lambda: self._base(scene, light, stage.tolerance, say))
+            return base.resized(view, refine=stage.refined)
+
+        return self._made.renderers.get_or_make(key, make)
+
+    def _base(self, scene: Scene, light: wd.DirectionalLight, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
+        """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
+        say()
+        hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
+        options.pop("tangents", None)
+        options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
+        view = view_bodies.framed(surface, 16, 12)
+        begun: list[wd.Renderer] = []
+
+        def plan() -> dict[str, Any]:
+            begun.append(wd.Renderer(surface, hf, light, view, tolerance=tolerance, **options))
+            return {"plan": json.dumps(dataclasses.asdict(begun[0].plan))}
+
+        asked = "plan", str(scene.options), light.illuminant, tolerance, hf.pitch_um, self._device.alias
+        found = disk_cache.kept_on_disk(asked, hf.heights_um, plan)
+        if begun:
+            return begun[0]
+        for name in ("method", "coherence"):
+            options.pop(name, None)
+        return wd.Renderer(surface, hf, light, view, plan=_plan_of(str(found["plan"])), **options)
+
+    def _send_angles_and_map(
+        self, session: Session, wanted: Wanted, scene: Scene, view: wd.View, watch: Callable[[float], None]
+    ) -> None:
+        """Send directions at the probe, and the reflectance in all directions for the light there."""
+        image, how = session.shown or (None, {})
+        place = None
+        if image is not None:
+            whole = image.coverage > _WHOLE
+            place = _nearest(whole & image.lit, wanted.probe) or _nearest(whole, wanted.probe)
+        light = scene.light.make()
+        local = place and view_bodies.local_directions(
+            self._surface(scene), view, light.to_light, *place, smooth=wanted.values["smooth"], device=self._device,
+            threads=self._threads,
+        )  # fmt: skip
+        found: dict[str, Any] = {"kind": "map", "generation": wanted.generation, "angles": None}
+        if not local or not place:
+            session.send(found | {"text": "no surface in the picture"}, None)
+            return
+        found["at"] = [(place[0] + 0.5) / view.width, (place[1] + 0.5) / view.height]
+        found["angles"] = {"to_light": _angles(local.to_light), "to_view": _angles(local.to_view)}
+        found["to_view"] = local.to_view
+        if local.to_light[2] <= 1e-3:
+            session.send(found | {"text": "the light is below the horizon here"}, None)
+            return
+        shading = scene.shading
+        options = {name: shading[name] for name in ("ior", "material", "masking") if name in shading}
+        assert image is not None  # noqa: S101 (there is a place in it)
+        disc = wd.brdf_map(
+            self._height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan, illuminant=light.illuminant,
+            device=self._device.alias, threads=self._threads, progress=watch, **options,
+        )  # fmt: skip
+        pixels = view_encoding.shown(disc, exact=False, display=how["display"])
+        session.send(found | {"type": "image/png"}, view_encoding.encoded(pixels, lossless=True))
+
+
+def _view(wanted: Wanted, body: Surface, width: int, height: int) -> wd.View:
+    """The view of a page."""
+    if wanted.camera is None:
+        return view_bodies.framed(body, width, height)
+    eye, target, up, fov = wanted.camera
+    return wd.View(eye, target, up=up, fov_y_deg=fov, width=width, height=height)
+
+
+def _plan_of(text: str) -> wd.Plan:
+    """A plan as it was written down."""
+
+    def plain(told: dict[str, Any]) -> dict[str, Any]:
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+
+    told = plain(json.loads(text))
+    told["coherence"] = wd.Coherence(**plain(told["coherence"]))
+    return wd.Plan(**told)
+
+
+def _nearest(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
+    """The pixel (column, row) of a body that is nearest to a place in the picture."""
+    rows, columns = np.nonzero(mask)
+    if not len(rows):
+        return None
+    height, width = mask.shape
+    nearest = int(np.argmin((columns + 0.5 - probe[0] * width) ** 2 + (rows + 0.5 - probe[1] * height) ** 2))
+    return int(columns[nearest]), int(rows[nearest])
+
+
+def _angles(direction: Sequence[float]) -> dict[str, float]:
+    """Angles from the normal and from the height field's x [degrees]."""
+    x, y, z = direction
+    return {
+        "theta_deg": float(np.degrees(np.arccos(np.clip(z, -1.0, 1.0)))),
+        "phi_deg": float(np.degrees(np.arctan2(y, x))),
+    }

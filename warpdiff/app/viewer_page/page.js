@@ -1,0 +1,476 @@
+// The viewer's page: what is set here goes to the server under a generation that counts up; pictures come back with it.
+
+const byId = (id) => document.getElementById(id);
+const stage = byId("stage"), canvas = byId("picture"), context = canvas.getContext("2d");
+const KEPT = "warpdiff view";
+
+// ---- Vectors -------------------------------------------------------------------------------------------------------
+
+const add = (a, b, k = 1) => a.map((each, i) => each + k * b[i]);
+const scaled = (a, k) => a.map((each) => k * each);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const length = (a) => Math.hypot(...a);
+const unit = (a) => scaled(a, 1 / length(a));
+const clamp = (x, least, most) => Math.min(Math.max(x, least), most);
+const radians = (deg) => (deg * Math.PI) / 180;
+
+function turned(v, axis, angle) {
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  return add(add(scaled(v, c), cross(axis, v), s), axis, dot(axis, v) * (1 - c));
+}
+
+// ---- What is set ---------------------------------------------------------------------------------------------------
+
+const state = { values: {}, camera: null, probe: [0.5, 0.5] };
+let generation = 0, moving = false, body = null, known = [];
+
+function keep() {
+  sessionStorage.setItem(KEPT, JSON.stringify({ ...state, generation }));
+}
+
+function changed() {
+  generation += 1;
+  canvas.dataset.wanted = generation;
+  canvas.dataset.error = "";
+  want();
+}
+
+// At most one message a frame of the display.
+let isAsked = false;
+function want() {
+  if (isAsked) return;
+  isAsked = true;
+  requestAnimationFrame(() => {
+    isAsked = false;
+    const aspect = clamp(stage.clientWidth / Math.max(stage.clientHeight, 1), 0.2, 5);
+    tell({ do: "want", generation, values: state.values, camera: state.camera, probe: state.probe, aspect, moving });
+    keep();
+    place();
+  });
+}
+
+// ---- The server ----------------------------------------------------------------------------------------------------
+
+let socket = null;
+
+function tell(message) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+function connect() {
+  const address = new URL("socket", location.href);
+  address.protocol = address.protocol.replace("http", "ws");
+  address.search = location.search;
+  socket = new WebSocket(address);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = (event) => {
+    if (typeof event.data === "string") return meet(JSON.parse(event.data), null);
+    const size = new DataView(event.data).getUint32(0, true);
+    const told = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
+    return meet(told, event.data.slice(4 + size));
+  };
+  socket.onclose = (event) => {
+    document.body.dataset.connected = "";
+    notice(event.reason || "The server is away: trying again …");
+    setTimeout(connect, 1000);
+  };
+}
+
+function meet(told, data) {
+  const kinds = { hello, picture, map, file, preparing, warning: words, error: words };
+  kinds[told.kind]?.(told, data);
+}
+
+function hello(told) {
+  document.body.dataset.connected = told.version;
+  notice("");
+  build(told.controls);
+  // A server that has come back has drawn nothing.
+  shown = [-1, -1];
+  want();
+}
+
+function words(told) {
+  if (told.generation !== undefined && told.generation !== generation) return;
+  notice(told.text, told.kind === "warning");
+  canvas.dataset.error = told.kind === "error" ? told.text : "";
+}
+
+function preparing(told) {
+  if (told.generation === generation) notice(`Preparing pictures of this surface at ${told.tolerance} …`, true);
+}
+
+function notice(text, soft = false) {
+  byId("notice").textContent = text;
+  byId("notice").className = soft ? "soft" : "";
+}
+
+function file(told, data) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([data]));
+  link.download = told.name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+// ---- Pictures ------------------------------------------------------------------------------------------------------
+
+// Generation and stage of what is on the canvas: what was decoded late never takes the place of what is newer.
+let shown = [-1, -1];
+const times = [];
+
+async function picture(told, data) {
+  const bitmap = await createImageBitmap(new Blob([data], { type: told.type })).finally(() => tell({ do: "shown" }));
+  if (told.generation < shown[0] || (told.generation === shown[0] && told.stage <= shown[1])) return;
+  shown = [told.generation, told.stage];
+  [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
+  context.drawImage(bitmap, 0, 0);
+  bitmap.close();
+  body = told.body;
+  // Of an older generation it may be of another body.
+  if (state.camera === null && told.generation === generation) {
+    state.camera = told.camera;
+    keep();
+  }
+  report(told);
+  place();
+}
+
+function report(told) {
+  const now = performance.now();
+  times.push(now);
+  while (times.length > 1 && now - times[0] > 1000) times.shift();
+  byId("rate").textContent = moving && times.length > 2
+    ? `${(((times.length - 1) * 1000) / (now - times[0])).toFixed(1)} pictures/s` : "";
+  const names = told.tolerance === null ? "one look-up a pixel" : `refined to ${told.tolerance}`;
+  const errors = told.error ? `, error ${told.error.median.toPrecision(2)}, P99 ${told.error.p99.toPrecision(2)}` : "";
+  byId("quality").textContent = `${told.width} × ${told.height}, ${names}${errors}`;
+  const ms = Object.entries(told.seconds).map(([name, s]) => `${name} ${(1000 * s).toFixed(0)}`);
+  byId("timing").textContent = `server: ${ms.join(", ")} ms`;
+  for (const name of ["plan", "python", "command"]) if (told[name]) byId(name).textContent = told[name];
+  if (told.generation === generation) {
+    notice("");
+    canvas.dataset.error = "";
+  }
+  Object.assign(canvas.dataset, {
+    generation: told.generation, stage: told.stage, last: told.last, tolerance: told.tolerance ?? "",
+    count: Number(canvas.dataset.count ?? 0) + 1, seconds: JSON.stringify(told.seconds),
+  });
+}
+
+async function map(told, data) {
+  if (told.generation !== generation) return;
+  const chart = byId("map").getContext("2d");
+  chart.clearRect(0, 0, 192, 192);
+  byId("view").toggleAttribute("hidden", !told.to_view);
+  if (data) {
+    const bitmap = await createImageBitmap(new Blob([data], { type: told.type }));
+    chart.drawImage(bitmap, 0, 0, 192, 192);
+  }
+  if (told.to_view) {
+    byId("view").setAttribute("cx", told.to_view[0]);
+    byId("view").setAttribute("cy", -told.to_view[1]);
+  }
+  const said = (name, { theta_deg, phi_deg }) => `${name}: θ ${theta_deg.toFixed(1)}°, φ ${phi_deg.toFixed(1)}°`;
+  const lines = told.angles ? [said("light", told.angles.to_light), said("view", told.angles.to_view)] : [];
+  byId("angles").textContent = [...lines, told.text ?? "reflectance for this light, over all views"].join("\n");
+  byId("angles").style.whiteSpace = "pre-line";
+  byId("map").dataset.generation = told.generation;
+  if (told.at) probed = told.at;
+  place();
+}
+
+// ---- Controls ------------------------------------------------------------------------------------------------------
+
+const inputs = new Map();
+
+function build(controls) {
+  known = controls;
+  const form = byId("controls");
+  form.replaceChildren();
+  inputs.clear();
+  const groups = new Map();
+  for (const each of controls) {
+    // Of what was kept, values that are none any more go.
+    const kept = state.values[each.name];
+    const isChoice = each.choices.length > 0;
+    const fits = isChoice ? each.choices.some(([value]) => value === kept) : typeof kept === typeof each.default;
+    state.values[each.name] = fits ? kept : each.default;
+    if (!groups.has(each.group)) {
+      const group = document.createElement("fieldset");
+      group.append(Object.assign(document.createElement("legend"), { textContent: each.group }));
+      groups.set(each.group, group);
+      form.append(group);
+    }
+    groups.get(each.group).append(isChoice ? choice(each) : each.step ? number(each) : toggle(each));
+  }
+  for (const name of Object.keys(state.values)) if (!inputs.has(name)) delete state.values[name];
+  update();
+}
+
+function labelled(control, ...parts) {
+  const label = document.createElement("label");
+  label.append(control.unit ? `${control.label} [${control.unit}]` : control.label, ...parts);
+  return label;
+}
+
+function input(control, type, more) {
+  const made = document.createElement(type === "select" ? "select" : "input");
+  if (type !== "select") made.type = type;
+  return Object.assign(made, more);
+}
+
+function set(name, value) {
+  state.values[name] = value;
+  // What was framed before may be of another size.
+  if (name === "mesh") state.camera = null;
+  update();
+  changed();
+}
+
+function choice(control) {
+  const select = input(control, "select", { id: `set-${control.name}` });
+  for (const [index, [, label]] of control.choices.entries()) select.append(new Option(label, index));
+  select.onchange = () => set(control.name, control.choices[select.value][0]);
+  const label = labelled(control, select);
+  const show = (value) => (select.value = control.choices.findIndex(([each]) => each === value));
+  inputs.set(control.name, { label, show });
+  return label;
+}
+
+function toggle(control) {
+  const box = input(control, "checkbox", { id: `set-${control.name}` });
+  box.onchange = () => set(control.name, box.checked);
+  const label = labelled(control, box);
+  inputs.set(control.name, { label, show: (value) => (box.checked = value) });
+  return label;
+}
+
+function number(control) {
+  const { least, most, step, ratio } = control;
+  const place = (value) =>
+    ratio ? Math.log(value / least) / Math.log(most / least) : (value - least) / (most - least);
+  const at = (share) => (ratio ? least * (most / least) ** share : least + share * (most - least));
+  const whole = (value) => clamp(Number((Math.round(value / step) * step).toFixed(6)), least, most);
+  const field = input(control, "number", { id: `set-${control.name}`, min: least, max: most, step: "any" });
+  const slider = input(control, "range", { min: 0, max: 1, step: "any", ariaLabel: control.label });
+  field.onchange = () => field.value !== "" && set(control.name, clamp(Number(field.value), least, most));
+  // While it is dragged.
+  slider.oninput = () => {
+    moving = true;
+    set(control.name, whole(at(Number(slider.value))));
+  };
+  slider.onchange = slider.onpointerup = rest;
+  const label = labelled(control, field, slider);
+  inputs.set(control.name, {
+    label,
+    show: (value) => {
+      field.value = value;
+      slider.value = place(value);
+    },
+  });
+  return label;
+}
+
+function update() {
+  for (const control of known) {
+    const { label, show } = inputs.get(control.name);
+    show(state.values[control.name]);
+    label.hidden = !control.shown.every(([name, values]) => values.includes(state.values[name]));
+  }
+}
+
+function rest() {
+  if (!moving) return;
+  moving = false;
+  want();
+}
+
+// ---- The camera and the light in the picture -----------------------------------------------------------------------
+
+let probed = null;
+
+function frame() {
+  const { eye, target, up, fov_y_deg } = state.camera;
+  const offset = add(eye, target, -1);
+  const back = unit(offset);
+  const right = unit(cross(up, back));
+  const half = Math.tan(radians(fov_y_deg) / 2);
+  return { eye, target, up: unit(up), offset, distance: length(offset), back, right, top: cross(back, right), half };
+}
+
+function toLight() {
+  const [azimuth, elevation] = [radians(state.values.azimuth_deg), radians(state.values.elevation_deg)];
+  return [Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation), Math.cos(elevation) * Math.cos(azimuth)];
+}
+
+// The light's handle lies on a sphere about the target that fills most of the picture.
+const HANDLE = 0.75;
+
+function projected(point, view) {
+  const seen = add(point, view.eye, -1);
+  const depth = -dot(seen, view.back);
+  const size = stage.clientHeight / 2 / view.half / depth;
+  return [stage.clientWidth / 2 + dot(seen, view.right) * size, stage.clientHeight / 2 - dot(seen, view.top) * size];
+}
+
+function place() {
+  if (!state.camera) return;
+  const view = frame(), light = toLight(), radius = HANDLE * view.half * view.distance;
+  const [x, y] = projected(add(view.target, light, radius), view);
+  const [x0, y0] = projected(view.target, view);
+  const handle = byId("light");
+  handle.setAttribute("cx", x);
+  handle.setAttribute("cy", y);
+  handle.classList.toggle("behind", dot(light, view.back) < 0);
+  for (const [name, value] of Object.entries({ x1: x0, y1: y0, x2: x, y2: y })) byId("ray").setAttribute(name, value);
+  byId("probe").toggleAttribute("hidden", !probed);
+  if (probed) {
+    byId("probe").setAttribute("cx", probed[0] * stage.clientWidth);
+    byId("probe").setAttribute("cy", probed[1] * stage.clientHeight);
+  }
+}
+
+function orbit(dx, dy) {
+  const view = frame();
+  const turn = (-2 * Math.PI * dx) / stage.clientHeight;
+  const angle = Math.acos(clamp(dot(view.back, view.up), -1, 1));
+  // Not over the poles, where up would be along the line of sight.
+  const tilt = clamp(angle - (Math.PI * dy) / stage.clientHeight, 0.02, Math.PI - 0.02) - angle;
+  const offset = turned(turned(view.offset, view.right, tilt), view.up, turn);
+  moved({ eye: add(view.target, offset) });
+}
+
+function pan(dx, dy) {
+  const view = frame();
+  const size = (2 * view.half * view.distance) / stage.clientHeight;
+  const by = add(scaled(view.right, -dx * size), view.top, dy * size);
+  moved({ eye: add(view.eye, by), target: add(view.target, by) });
+}
+
+function zoom(factor) {
+  const view = frame(), radius = body?.radius ?? view.distance;
+  const distance = clamp(view.distance * factor, 1e-3 * radius, 100 * radius);
+  moved({ eye: add(view.target, view.back, distance) });
+}
+
+function moved(change) {
+  Object.assign(state.camera, change);
+  probed = null;
+  changed();
+}
+
+function drag(event) {
+  const view = frame(), box = stage.getBoundingClientRect();
+  const size = (2 * view.half) / stage.clientHeight;
+  const x = (event.clientX - box.left - stage.clientWidth / 2) * size;
+  const y = (stage.clientHeight / 2 - (event.clientY - box.top)) * size;
+  const ray = unit(add(add(scaled(view.right, x), view.top, y), view.back, -1));
+  // Where the ray enters or leaves the sphere; beside it, the nearest point of its outline.
+  const radius = HANDLE * view.half * view.distance, near = -dot(view.offset, ray);
+  const inside = near * near - view.distance ** 2 + radius ** 2;
+  const wasOutside = handle.outside;
+  handle.outside = inside < 0;
+  if (wasOutside && !handle.outside) handle.front = !handle.front;
+  const t = inside < 0 ? near : near + (handle.front ? -1 : 1) * Math.sqrt(inside);
+  const light = unit(add(view.offset, ray, t));
+  state.values.azimuth_deg = Number(((Math.atan2(light[0], light[2]) * 180) / Math.PI).toFixed(2));
+  state.values.elevation_deg = Number(((Math.asin(clamp(light[1], -1, 1)) * 180) / Math.PI).toFixed(2));
+  update();
+  changed();
+}
+
+const handle = { front: true, outside: false };
+byId("light").onpointerdown = (event) => {
+  handle.front = dot(toLight(), frame().back) >= 0;
+  handle.outside = false;
+  moving = true;
+  event.target.setPointerCapture(event.pointerId);
+  event.preventDefault();
+};
+byId("light").onpointermove = (event) => event.target.hasPointerCapture(event.pointerId) && drag(event);
+byId("light").onpointerup = byId("light").onpointercancel = rest;
+
+// One pointer orbits or pans, two pan and zoom.
+const pointers = new Map();
+let walked = 0;
+
+canvas.onpointerdown = (event) => {
+  if (!state.camera) return;
+  pointers.set(event.pointerId, [event.clientX, event.clientY]);
+  canvas.setPointerCapture(event.pointerId);
+  canvas.classList.add("dragged");
+  walked = 0;
+};
+canvas.onpointermove = (event) => {
+  const before = pointers.get(event.pointerId);
+  if (!before) return;
+  const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
+  walked += Math.abs(dx) + Math.abs(dy);
+  if (walked < 3) return;
+  moving = true;
+  if (pointers.size > 1) {
+    const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
+    const apart = (to) => Math.hypot(to[0] - other[0], to[1] - other[1]);
+    zoom(apart(before) / Math.max(apart([event.clientX, event.clientY]), 1));
+    pan(dx / 2, dy / 2);
+  } else if (event.shiftKey || event.buttons & 6) pan(dx, dy);
+  else orbit(dx, dy);
+  pointers.set(event.pointerId, [event.clientX, event.clientY]);
+};
+canvas.onpointerup = canvas.onpointercancel = (event) => {
+  // A click asks for the angles there.
+  if (pointers.delete(event.pointerId) && walked < 3 && event.type === "pointerup") {
+    const box = stage.getBoundingClientRect();
+    const at = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+    state.probe = at.map((each) => clamp(each, 0, 1));
+    changed();
+  }
+  if (pointers.size) return;
+  canvas.classList.remove("dragged");
+  rest();
+};
+canvas.oncontextmenu = (event) => event.preventDefault();
+
+let wheeled = 0;
+canvas.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  if (!state.camera) return;
+  moving = true;
+  zoom(Math.exp(clamp(event.deltaY, -200, 200) * 0.0015));
+  clearTimeout(wheeled);
+  wheeled = setTimeout(rest, 150);
+}, { passive: false });
+
+canvas.onkeydown = (event) => {
+  const step = 24;
+  const keys = {
+    ArrowLeft: () => orbit(step, 0), ArrowRight: () => orbit(-step, 0), ArrowUp: () => orbit(0, step),
+    ArrowDown: () => orbit(0, -step), "+": () => zoom(1 / 1.1), "-": () => zoom(1.1),
+  };
+  if (!state.camera || !keys[event.key]) return;
+  event.preventDefault();
+  keys[event.key]();
+};
+
+byId("reset").onclick = () => {
+  state.camera = null;
+  probed = null;
+  changed();
+};
+for (const kind of ["png", "exr"]) byId(kind).onclick = () => tell({ do: "save", as: kind });
+for (const button of document.querySelectorAll("[data-copies]")) {
+  button.onclick = () => navigator.clipboard?.writeText(byId(button.dataset.copies).textContent);
+}
+byId("controls").onsubmit = (event) => event.preventDefault();
+new ResizeObserver(() => known.length && changed()).observe(stage);
+
+try {
+  const kept = JSON.parse(sessionStorage.getItem(KEPT)) ?? {};
+  Object.assign(state, { values: kept.values ?? {}, camera: kept.camera ?? null, probe: kept.probe ?? [0.5, 0.5] });
+  canvas.dataset.wanted = generation = kept.generation ?? 0;
+} catch {
+  sessionStorage.removeItem(KEPT);
+}
+connect();

@@ -1,0 +1,318 @@
+"""A BSDF plug-in for Mitsuba 3, ``warpdiff``: path tracing with baked lobes.
+
+In spectral variants each wavelength of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u, v)/λ and
+κ = w/λ; in RGB variants colours (``BakedLobes``) at (u, v) and w. Either is the absolute BRDF of ``warpdiff.brdf``,
+
+    f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D,
+
+D the density of the reflected power over (u, v), which adds up to 1: 4πσ²/λ² ⟨|P|²⟩ under a window, and of a source's
+lobes, of spread s, ⟨|P|²⟩ / 2πs². What leaves a
+surface may exceed what falls on it a little, as scalar diffraction does not conserve energy: by as much as
+``warpdiff.order_efficiencies`` adds up to.
+
+Directions are sampled through (u, v): q from cells in proportion to their power, or from the mean plane's Gaussian,
+then ωo = −ωi − λ q, with dω = λ²/cos θo dq. Of a ray's wavelengths one is drawn, and the density is the mean over all
+of them (hero wavelengths, Wilkie et al. 2014).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import warpdiff as wd
+
+NAME = "warpdiff"
+# Of the densities directions are drawn from: the share that is even over the disc, so that no lobe is ever missed, and
+# the least and most of the mean plane's.
+_EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
+# Texels along a side for colours.
+_SIZE = 1024
+# |κ| at which the spectrum is sampled, as a share of the range; w at which colours are.
+_TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
+_LEAST_COSINE = 1e-4
+
+
+def register_mitsuba_bsdf(name: str = NAME) -> None:
+    """Register the plug-in with Mitsuba, for the variant that is set.
+
+    A scene then has ``{"type": "warpdiff", "filename": "lobes.npz"}`` for a BSDF, with ``ior`` (1.5) and ``masking``
+    (True) as in :func:`warpdiff.shade`. In spectral variants the file is one of ``BakedSpectrum.save``, in RGB variants
+    one of ``BakedLobes.save``, baked for a source. The tangent is ∂P/∂u of the mesh's texture
+    coordinates. The surface is seen from outside; a ``twosided`` BSDF around it is seen from both sides.
+
+    Args:
+        name: Of the plug-in.
+
+    Raises:
+        ImportError: Mitsuba is not installed: ``pip install 'warpdiff[mitsuba]'``.
+        RuntimeError: No variant is set, or one that has neither colours nor spectra, or polarisation.
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ValueError(f"name must be one that a plug-in can have, of letters and digits, got {name!r}")
+    try:
+        import mitsuba as mi
+    except ImportError as error:
+        raise ImportError(f"Mitsuba 3 is not there: pip install 'warpdiff[mitsuba]' ({error})") from error
+    variant = mi.variant()
+    if variant is None or "mono" in variant or "polarized" in variant:
+        raise RuntimeError(
+            f"Mitsuba's variant must be one of RGB or spectra without polarisation, got {variant}: call "
+            "mitsuba.set_variant('llvm_ad_spectral') or another one first"
+        )
+    mi.register_bsdf(name, _bsdf_class(_spectrum if mi.is_spectral else _colours))
+
+
+class _Table:
+    """What lobes are looked up in, in arrays of Mitsuba's variant.
+
+    Attributes:
+        largest: Of u, v at the grid's edges, over λ in a spectrum.
+        grid: Coefficients over the grid, a channel for each.
+        functions: Functions of κ or w, a channel for each.
+        first: Where their first entry lies.
+        span: How far from there the last one does.
+        zeroth: The mean plane's power over the same.
+        deviation: Of the mean plane's lobe.
+        peak: 1/(2π deviation²), its density where it is largest.
+        cells: Probability of each cell to be drawn.
+        distribution: The same for Mitsuba.
+    """
+
+    def __init__(
+        self,
+        grid: Any,
+        functions: Any,
+        zeroth: Any,
+        *,
+        largest: float,
+        first: float,
+        span: float,
+        deviation: float,
+        typical: Any,
+    ) -> None:
+        import mitsuba as mi
+
+        self.largest, self.first, self.span, self.deviation = largest, first, span, deviation
+        self.peak = 1.0 / (2.0 * math.pi * deviation**2)
+        self.size = grid.shape[0]
+        self.grid = mi.Texture2f(mi.TensorXf(np.ascontiguousarray(grid, dtype=np.float32)))
+        self.functions = mi.Texture1f(mi.TensorXf(np.ascontiguousarray(functions, dtype=np.float32)))
+        self.entries = len(functions)
+        self.zeroth = mi.Texture1f(mi.TensorXf(np.ascontiguousarray(zeroth, dtype=np.float32).reshape(len(zeroth), -1)))
+        self.per_cell = (self.size / (2.0 * largest)) ** 2
+        power = np.maximum(typical, 0.0)
+        # What lies between cells is looked up linearly: neighbours are drawn as often as the brightest of them.
+        for axis in (0, 1):
+            power = np.maximum.reduce([np.roll(power, step, axis) for step in (-1, 0, 1)])
+        axis_ = (np.arange(self.size) + 0.5) / self.size * 2.0 - 1.0
+        inside = np.hypot(*np.meshgrid(axis_, axis_)) <= 1.0 + 2.0 / self.size
+        even = inside / inside.sum()
+        total = power.sum()
+        share = power / total if total > 0.0 else even
+        cells = ((1.0 - _EVEN) * share + _EVEN * even).astype(np.float32)
+        self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
+
+    def at(self, value: Any, entries: int) -> Any:
+        """The place of κ or w among the entries of a texture, 0 to 1."""
+        import drjit as dr
+
+        share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
+        return (share * (entries - 1) + 0.5) / entries
+
+    def zeroth_at(self, value: Any) -> Any:
+        """The mean plane's power, or its colour."""
+        import mitsuba as mi
+
+        return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
+
+    def coefficients(self, x: Any, y: Any) -> Any:
+        """Coefficients at a place of the grid."""
+        import mitsuba as mi
+
+        scale = 0.5 / self.largest
+        return self.grid.eval(mi.Point2f(x * scale + 0.5, y * scale + 0.5))
+
+    def functions_at(self, value: Any) -> Any:
+        """Functions at κ or w."""
+        import mitsuba as mi
+
+        return self.functions.eval(mi.Float(self.at(value, self.entries)))
+
+    def gaussian(self, x: Any, y: Any) -> Any:
+        """Density of the mean plane's lobe."""
+        import drjit as dr
+
+        return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
+
+    def cell_density(self, x: Any, y: Any) -> Any:
+        """Density that cells are drawn with."""
+        import drjit as dr
+        import mitsuba as mi
+
+        scale = 0.5 * self.size / self.largest
+        column, row = x * scale + 0.5 * self.size, y * scale + 0.5 * self.size
+        inside = (column >= 0.0) & (row >= 0.0) & (column < self.size) & (row < self.size)
+        place = mi.Point2u(
+            mi.UInt32(dr.clip(column, 0.0, self.size - 1.0)), mi.UInt32(dr.clip(row, 0.0, self.size - 1.0))
+        )
+        return dr.select(inside, self.distribution.pdf(place) * self.per_cell, 0.0)
+
+
+def _spectrum(filename: str) -> _Table:
+    """The table of spectral variants, over q and κ."""
+    baked = wd.BakedSpectrum.load(filename)
+    deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
+    span = baked.largest_kappa - baked.least_kappa
+    entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
+    # Of density over q, so that all of it adds up to 1.
+    scale = 4.0 * math.pi * baked.sigma_um**2
+    return _Table(
+        scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,
+        span=span, deviation=deviation, typical=baked.powers @ baked.functions[entry],
+    )  # fmt: skip
+
+
+def _colours(filename: str) -> _Table:
+    """The table of RGB variants, over (u, v) and w: red, green and blue of each function one after the other."""
+    import mitsuba as mi
+
+    baked = wd.BakedLobes.load(filename)
+    if baked.coherence.kind != "source":
+        raise ValueError(
+            f"filename: {filename!r} holds lobes of a window, whose solid angle changes with the wavelength: bake them "
+            "with coherence=warpdiff.Coherence('source'), or take a spectral variant and a BakedSpectrum"
+        )
+    to_rgb = np.array([mi.xyz_to_srgb(mi.Color3f(*axis)) for axis in np.eye(3).tolist()]).reshape(3, 3).T
+    deviation = baked.coherence.spread
+    grid = baked.cartesian(_SIZE)
+    w = np.linspace(0.0, 2.0, len(baked.functions))
+    above = np.column_stack([np.zeros((len(w), 2)), -w])
+    zeroth = baked.colours(above) - baked.colours(above, zeroth_order=False)
+    entry = round(_TYPICAL_W / 2.0 * (len(w) - 1))
+    return _Table(
+        np.einsum("dc,yxck->yxkd", to_rgb, grid).reshape(_SIZE, _SIZE, -1) / (2.0 * math.pi * deviation**2),
+        baked.functions * (w * w)[:, None], zeroth @ to_rgb.T, largest=2.0, first=0.0, span=2.0, deviation=deviation,
+        typical=grid[:, :, 1] @ baked.functions[entry],
+    )  # fmt: skip
+
+
+def _bsdf_class(table_of: Any) -> Any:
+    """The plug-in's class for the variant that is set."""
+    import drjit as dr
+    import mitsuba as mi
+
+    spectral = bool(mi.is_spectral)
+
+    class WarpdiffBSDF(mi.BSDF):  # type: ignore[misc]
+        """Lobes of a height field; see the module."""
+
+        def __init__(self, props: Any) -> None:
+            mi.BSDF.__init__(self, props)
+            self._table = table_of(str(props["filename"]))
+            index = float(props.get("ior", 1.5))
+            self._normal = 1.0 if math.isinf(index) else ((index - 1.0) / (index + 1.0)) ** 2
+            self._masking = bool(props.get("masking", True))
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.Anisotropic
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def _scales(self, si: Any) -> list[Any]:
+            """λ [µm] of each of a ray's wavelengths; 1 for colours."""
+            if not spectral:
+                return [mi.Float(1.0)]
+            return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]
+
+        def _reflectance(self, cosine: Any) -> Any:
+            """The one material: Schlick's power reflectance."""
+            rest = 1.0 - dr.minimum(cosine, 1.0)
+            return self._normal + (1.0 - self._normal) * rest * rest * rest * rest * rest
+
+        def _mirror_share(self, cos_i: Any, scale: Any) -> Any:
+            """How often the mean plane's lobe is drawn: as it is seen in the mirror direction."""
+            seen = self._table.zeroth_at(2.0 * cos_i / scale)
+            return dr.clip(seen[1] if len(seen) == 3 else seen[0], _LEAST_MIRROR, _MOST_MIRROR)
+
+        def _density(self, si: Any, wo: Any) -> Any:
+            """Density of directions that are drawn."""
+            table, total = self._table, mi.Float(0.0)
+            scales = self._scales(si)
+            for scale in scales:
+                x, y = -(si.wi.x + wo.x) / scale, -(si.wi.y + wo.y) / scale
+                share = self._mirror_share(si.wi.z, scale)
+                drawn = share * table.gaussian(x, y) + (1.0 - share) * table.cell_density(x, y)
+                total += drawn / (scale * scale)
+            return total * wo.z / len(scales)
+
+        def _value(self, si: Any, wo: Any) -> Any:
+            """The BRDF times cos θo."""
+            table, wi = self._table, si.wi
+            half = wi + wo
+            w, overlap = half.z, 0.5 * dr.squared_norm(half)
+            cos_d = dr.sqrt(0.5 * overlap)
+            factor = self._reflectance(cos_d) * overlap * overlap / (wi.z * w * w)
+            if self._masking:
+                factor *= dr.minimum(1.0, dr.minimum(wi.z, wo.z) * w * dr.sqrt(2.0 / overlap) / cos_d)
+            found = []
+            for scale in self._scales(si):
+                x, y, at = -half.x / scale, -half.y / scale, w / scale
+                coefficients, functions = table.coefficients(x, y), table.functions_at(at)
+                zeroth, lobe = table.zeroth_at(at), table.gaussian(x, y)
+                channels = len(zeroth)
+                for channel in range(channels):
+                    power = mi.Float(0.0)
+                    for k in range(len(functions)):
+                        power += coefficients[channels * k + channel] * functions[k]
+                    # A spectrum has no negative part; colours of narrow bands have.
+                    power = dr.maximum(power, 0.0) if spectral else power
+                    found.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
+            return mi.Spectrum(*found) if spectral else mi.Color3f(*found)
+
+        def _is_seen(self, si: Any, wo: Any, active: Any) -> Any:
+            return active & (si.wi.z > _LEAST_COSINE) & (wo.z > _LEAST_COSINE)
+
+        def sample(self, _ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            """Draw a direction; returns a ``BSDFSample3f`` and the BRDF times cos θo over its density."""
+            scales, table = self._scales(si), self._table
+            at = sample1 * len(scales)
+            scale = scales[-1]
+            for k in range(len(scales) - 1):
+                scale = dr.select((at >= k) & (at < k + 1), scales[k], scale)
+            left = at - dr.floor(at)
+            is_mirror = left < self._mirror_share(si.wi.z, scale)
+            lobe = mi.warp.square_to_std_normal(sample2)
+            place, _, within = table.distribution.sample(sample2)
+            cell = 2.0 * table.largest / table.size
+            x = dr.select(is_mirror, lobe.x * table.deviation, (place.x + within.x) * cell - table.largest)
+            y = dr.select(is_mirror, lobe.y * table.deviation, (place.y + within.y) * cell - table.largest)
+            wo_x, wo_y = -si.wi.x - scale * x, -si.wi.y - scale * y
+            up2 = 1.0 - wo_x * wo_x - wo_y * wo_y
+            wo = mi.Vector3f(wo_x, wo_y, dr.sqrt(dr.maximum(up2, 0.0)))
+            seen = self._is_seen(si, wo, active)
+            density = dr.select(seen, self._density(si, wo), 0.0)
+            seen &= density > 0.0
+            result = dr.zeros(mi.BSDFSample3f) if dr.is_jit_v(mi.Float) else mi.BSDFSample3f()
+            result.wo, result.pdf, result.eta = wo, density, 1.0
+            result.sampled_component = 0
+            result.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+            return result, dr.select(seen, self._value(si, wo) / dr.select(seen, density, 1.0), 0.0)
+
+        def eval(self, _ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            """The BRDF times cos θo."""
+            return dr.select(self._is_seen(si, wo, active), self._value(si, wo), 0.0)
+
+        def pdf(self, _ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            """Density of directions that ``sample`` draws [1/sr]."""
+            return dr.select(self._is_seen(si, wo, active), self._density(si, wo), 0.0)
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            """Both."""
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self) -> str:
+            """Name the table."""
+            return f"WarpdiffBSDF[{self._table.size} × {self._table.size} cells]"
+
+    return WarpdiffBSDF

@@ -1,0 +1,155 @@
+// What a light makes of the surface in a pixel: the mean of its lobes over the pixel's footprint in (u, v), and pigment.
+//
+// A footprint follows, in closed form, from how position, normal and tangent change on the face (ray differentials, Igehy
+// 1999; as kernels/footprints.py has it). These are linear on a face, and the four pixels that a GPU differences are of
+// one face, extended beyond its edges where it ends: nothing of another face comes into it.
+
+in vec3 vPosition, vNormal, vTangent;
+flat in float vHandedness;
+in vec2 vTextureUv;
+in vec4 vColour;
+out vec4 xyzAndCoverage;
+
+uniform vec3 eye, toLight;
+uniform float power, coverage, deviation, textureBias;
+uniform bool smoothNormals, masking, hasShadows;
+uniform float normalReflectance;
+uniform mat4 lightProjection;
+uniform float shadowLift;
+uniform highp sampler2DShadow shadows;
+uniform sampler2D baseColour;
+uniform bool hasBaseColour;
+uniform vec3 pigmentWhite;  // linear sRGB of what a white pigment sends back, over R(0)
+uniform mat3 rgbToXyz;
+
+uniform highp sampler2DArray lobes;
+uniform highp sampler2D functionsOfW, zerothOrder;
+uniform float unit;
+uniform vec3 wavelengths[WAVELENGTHS];  // 1/λ [1/µm], the lobe's variance in (u, v), 1/|κ| of the last entry times 1/λ
+uniform vec3 weights[WAVELENGTHS];
+
+const float LEAST_COSINE = 0.01, LARGEST_W = 2.0, SPACING = 4.0 / SIZE;
+
+float schlick(float cosine) {
+    return normalReflectance + (1.0 - normalReflectance) * pow(1.0 - min(cosine, 1.0), 5.0);
+}
+
+// C · M: the factor between the lobes and the reflectance. The one material, Schlick's reflectance, is here alone.
+float gain(float cosLight, float cosView, vec3 sum) {
+    float least = min(cosLight, cosView);
+    if (least <= 1e-6) return 0.0;
+    float overlap = 0.5 * dot(sum, sum), total = cosLight + cosView, cosHalf = sqrt(0.5 * overlap);
+    float mask = masking ? min(least * total * sqrt(2.0 / overlap) / cosHalf, 1.0) : 1.0;
+    return schlick(cosHalf) / normalReflectance * overlap * overlap * mask / (total * total * cosView);
+}
+
+// The mean plane's lobe, a Gaussian at each wavelength, over a covariance of (u, v).
+vec3 zeroth(vec2 uv, float w, vec3 covariance) {
+    vec3 result = vec3(0.0);
+    for (int k = 0; k < WAVELENGTHS; ++k) {
+        float own = wavelengths[k].y, a = own + covariance.x, b = covariance.y, d = own + covariance.z;
+        float determinant = a * d - b * b;
+        float exponent = 0.5 * (d * uv.x * uv.x - 2.0 * b * uv.x * uv.y + a * uv.y * uv.y) / determinant;
+        if (exponent > 24.0) continue;
+        float at = w * wavelengths[k].z, entries = float(textureSize(zerothOrder, 0).x);
+        float kept = texture(zerothOrder, vec2((at * (entries - 1.0) + 0.5) / entries, 0.5)).r;
+        result += kept * own * inversesqrt(determinant) * exp(-exponent) * weights[k];
+    }
+    return result;
+}
+
+// All others, from the grid's levels: the footprint's short axis chooses one, look-ups along its long axis add up.
+vec3 others(vec2 uv, float w, vec3 covariance) {
+    float middle = 0.5 * (covariance.x + covariance.z), half_ = 0.5 * (covariance.x - covariance.z);
+    float root = sqrt(half_ * half_ + covariance.y * covariance.y);
+    float most2 = middle + root, least2 = max(middle - root, 0.0);
+    vec2 axis = abs(half_) + abs(covariance.y) < 1e-20 ? vec2(1.0, 0.0) : normalize(
+        half_ > 0.0 ? vec2(half_ + root, covariance.y) : vec2(covariance.y, root - half_));
+    // A level blurs by half of its texels' distance; no more than TAPS of them reach as far as STEPS of these.
+    float own = 0.5 * SPACING, blur2 = max(max(least2, most2 / (1.0 + REACH * REACH)), own * own);
+    float level = floor(0.5 * log2(blur2 / (own * own)));
+    float ofLevel2 = own * own * exp2(2.0 * level);
+    float lod = level + clamp((blur2 / ofLevel2 - 1.0) / 3.0, 0.0, 1.0);
+    float along = sqrt(max(most2 - blur2, 0.0)), ratio = along / sqrt(blur2);
+    int taps = ratio < 0.1 ? 1 : min(1 + int(ceil(2.0 * DEVIATIONS * ratio / STEP)), TAPS);
+    // So far apart that their variance is that of what is left, however many they are.
+    float apart = taps > 1 ? 2.0 * DEVIATIONS / float(taps - 1) : 0.0, centre = 0.5 * float(taps - 1), variance = 0.0;
+    float whole = 0.0;
+    for (int k = 0; k < taps; ++k) {
+        float away = (float(k) - centre) * apart, weight = exp(-0.5 * away * away);
+        variance += weight * away * away;
+        whole += weight;
+    }
+    vec2 per = taps > 1 ? axis * along * sqrt(whole / variance) : vec2(0.0);
+    vec4 sums[LAYERS];
+    for (int l = 0; l < LAYERS; ++l) sums[l] = vec4(0.0);
+    for (int k = 0; k < taps; ++k) {
+        float away = (float(k) - centre) * apart, weight = exp(-0.5 * away * away);
+        vec2 at = (uv + per * away) / 4.0 + 0.5;
+        for (int l = 0; l < LAYERS; ++l) sums[l] += weight * textureLod(lobes, vec3(at, float(l)), lod);
+    }
+    float entries = float(textureSize(functionsOfW, 0).x), place = (w / LARGEST_W * (entries - 1.0) + 0.5) / entries;
+    vec3 result = vec3(0.0);
+    for (int group = 0; group < LAYERS / 3; ++group) {
+        vec4 f = texture(functionsOfW, vec2(place, (float(group) + 0.5) / float(LAYERS / 3)));
+        result += vec3(dot(sums[3 * group], f), dot(sums[3 * group + 1], f), dot(sums[3 * group + 2], f));
+    }
+    return max(result, 0.0) * (unit * w * w / whole);
+}
+
+// How (sum · t, sum · b) changes as position, normal and tangent do.
+vec2 changes(vec3 position, vec3 normal, vec3 tangent, mat3 frame, vec3 toView, float distance, vec3 sum, float perNormal,
+             float clamped, float tilt, float perTangent) {
+    vec3 turn = (dot(position, toView) * toView - position) / distance * frame, view = toView * frame;
+    vec2 ofNormal = perNormal * (normal * frame).xy;
+    // A normal that was turned to the viewer keeps its angle with the view.
+    ofNormal -= clamped * (dot(ofNormal, view.xy) + turn.z) * view.xy;
+    float round_ = perTangent * (dot(tangent, frame[1]) - tilt * ofNormal.y);
+    return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy;
+}
+
+void main() {
+    vec3 away = eye - vPosition, toView = normalize(away);
+    vec3 geometric = normalize(cross(dFdx(vPosition), dFdy(vPosition)));
+    geometric *= dot(geometric, toView) < 0.0 ? -1.0 : 1.0;
+    // Seen from behind, the normal is turned over.
+    float side = gl_FrontFacing ? 1.0 : -1.0, size = length(vNormal);
+    bool blends = smoothNormals && size > 1e-4;
+    vec3 n = blends ? vNormal * (side / size) : geometric;
+    float facing = dot(n, toView);
+    bool turned = facing < LEAST_COSINE;
+    if (turned) {
+        n = LEAST_COSINE * toView + sqrt(1.0 - LEAST_COSINE * LEAST_COSINE) * normalize(n - facing * toView);
+    }
+    float tilt = dot(vTangent, n), left = max(dot(vTangent, vTangent) - tilt * tilt, 1e-10);
+    vec3 t = (vTangent - tilt * n) * inversesqrt(left), b = vHandedness * cross(n, t);
+    mat3 frame = mat3(t, b, n);
+    vec3 lightLocal = toLight * frame, sum = lightLocal + toView * frame;
+    vec2 uv = -sum.xy;
+    float perNormal = blends ? side / size : 0.0, clamped = turned && blends ? 1.0 : 0.0;
+    vec2 right = deviation * changes(dFdx(vPosition), dFdx(vNormal), dFdx(vTangent), frame, toView, length(away), sum,
+        perNormal, clamped, tilt, inversesqrt(left));
+    vec2 down = deviation * changes(dFdy(vPosition), dFdy(vNormal), dFdy(vTangent), frame, toView, length(away), sum,
+        perNormal, clamped, tilt, inversesqrt(left));
+    float factor = power * gain(lightLocal.z, sum.z - lightLocal.z, sum);
+    vec4 base = texture(baseColour, vTextureUv, textureBias);
+    if (hasShadows && factor > 0.0) {
+        // From above the surface by as much as the shadow map's texels are wide, seen from the light.
+        float slant = clamp(dot(geometric, toLight), 0.0, 1.0);
+        vec3 from = vPosition + shadowLift * (geometric * sqrt(1.0 - slant * slant) + toLight * 0.5);
+        vec4 at = lightProjection * vec4(from, 1.0);
+        factor *= texture(shadows, at.xyz * 0.5 + 0.5);
+    }
+    xyzAndCoverage = vec4(0.0, 0.0, 0.0, coverage);
+    if (factor <= 0.0) return;
+    vec3 covariance = vec3(right.x * right.x + down.x * down.x, right.x * right.y + down.x * down.y,
+        right.y * right.y + down.y * down.y);
+    vec3 xyz = factor * (others(uv, sum.z, covariance) + zeroth(uv, sum.z, covariance));
+    if (hasBaseColour) {
+        vec3 own = vColour.a > 0.5 ? vColour.rgb : base.rgb;
+        float under = (1.0 - schlick(lightLocal.z)) * (1.0 - schlick(sum.z - lightLocal.z)) * lightLocal.z;
+        float lit = factor / gain(lightLocal.z, sum.z - lightLocal.z, sum);
+        xyz += lit * under * (rgbToXyz * (own * pigmentWhite));
+    }
+    xyzAndCoverage.rgb = xyz;
+}
