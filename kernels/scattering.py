@@ -131,7 +131,7 @@ def scattering_vectors(
             colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
             left = wp.float64(cos_i)
             if place[3] != wp.float64(0.0):
-                left = left / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-12))
+                left = left / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
             xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * left * colour)
 
 

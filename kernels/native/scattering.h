@@ -27,11 +27,12 @@ struct SumsOfPixels {
 struct LightPlace {
     double place[4];
 
-    // The vector from a point to the light, not of unit length, and what of the strength is left there.
+    // The vector from a point to the light, not of unit length, and what of the strength is left there: no light comes
+    // nearer than a ten-thousandth of the mesh's radius.
     WARPDIFF_INLINE double from(const float* origin, double* towards) const
     {
         for (int c = 0; c < 3; ++c) towards[c] = place[c] - place[3] * origin[c];
-        return place[3] == 0.0 ? 1.0 : 1.0 / (dot(towards, towards) + 1.0e-12);
+        return place[3] == 0.0 ? 1.0 : 1.0 / (dot(towards, towards) + 1.0e-8);
     }
 };
 

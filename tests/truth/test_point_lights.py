@@ -79,6 +79,14 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
     assert shown[0] == pytest.approx(4.0 * shown[1], rel=1e-2)
 
 
+def test_too_much_light_is_refused(fingers):
+    with pytest.raises(ValueError, match=r"power of a PointLight must be at most 1e\+09 times the square"):
+        wd.shade(square(size=1e-3), fingers, wd.PointLight((0.0, 0.0, 1.0), power=1e6), VIEW, **OPTIONS)
+    bright = wd.Environment(np.full((2, 4, 3), 1e9), scale=1e6, directions=16)
+    with pytest.raises(ValueError, match="times scale of an Environment is too bright"):
+        wd.shade(square(), fingers, bright, VIEW, **OPTIONS)
+
+
 def test_what_stands_beyond_the_light_hides_nothing(fingers):
     scene = trimesh.Scene([square(), square(height=2.0, size=0.4)])
     view = wd.View.orthographic((3.0, 0.4, 4.0), (0, 0, 0), extent_y=0.3, width=4, height=3)

@@ -73,7 +73,7 @@ def points_on(surface, light, count, rng):
 
 def hidden(grid, light, origins, threads=1):
     """What the kernel finds of rays from origins that face the light."""
-    to_lights = wp.array([light], dtype=wp.vec3d, device="cpu")
+    places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
     pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
     pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
@@ -83,7 +83,7 @@ def hidden(grid, light, origins, threads=1):
     launch(
         trace_shadow_rays,
         len(origins),
-        [grid, to_lights, 0, pixels],
+        [grid, places, 0, pixels],
         [found],
         device=device,
         threads=threads,

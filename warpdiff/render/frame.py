@@ -48,6 +48,8 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 _MEAN_ERROR_PER_PLAN_ERROR = 0.37
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
+# Power of lights at a place, at a distance of the mesh's radius: squares of colours near them are float32.
+_MOST_NEARBY = 1e9
 # Pixels of a slice, whose colours are found.
 _COLOURS_OF_SLICE = 2048
 
@@ -184,6 +186,12 @@ class Frame:
         # Distances are told in the mesh's unit, and kernels take them in its radii.
         falloffs = [self._surface.radius**-2.0 if at_place else 1.0 for at_place in self._at_places]
         strengths = [(each.power * left, of_pigment) for each, left in zip(lights, falloffs, strict=True)]
+        for (strength, _), at_place in zip(strengths, self._at_places, strict=True):
+            if at_place and strength > _MOST_NEARBY:
+                raise ValueError(
+                    f"light: power of a PointLight must be at most {_MOST_NEARBY:g} times the square of the mesh's "
+                    f"radius, {self._surface.radius:g}, got {strength * self._surface.radius**2:g}; give less power"
+                )
         self._lights.strengths.assign(np.array(strengths))
         self._lights.white_rgb.assign(np.array(whites))
         self._spreads = [each.spread for each in lights]

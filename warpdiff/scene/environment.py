@@ -12,7 +12,7 @@ from warpdiff.core import checks, free_memory, image_library
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import LOBE_WIDTH, DirectionalLight, Lobe, PointLight
+from warpdiff.scene.lights import LOBE_WIDTH, MOST_POWER, DirectionalLight, Lobe, PointLight
 
 if TYPE_CHECKING:
     import os
@@ -161,6 +161,11 @@ def lobes_of_environment(environment: Environment, sigma_um: float) -> list[Lobe
         spectrum, per_luminance = _spectrum(found[members].sum(axis=0))
         for index in members:
             strength = environment.scale * luminances[index] * per_luminance * 4.0 * math.pi * sigma_um**2
+            if strength > MOST_POWER:
+                raise ValueError(
+                    f"light: radiance_rgb times scale of an Environment is too bright: a part has a power of "
+                    f"{strength:g}, and {MOST_POWER:g} is the most; give a smaller scale"
+                )
             x, y, z = map(float, towards[index])
             spread = LOBE_WIDTH * math.sqrt(areas[index] / math.pi)
             result.append(Lobe((x, y, z), spectrum, float(strength), spread))

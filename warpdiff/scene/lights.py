@@ -11,7 +11,7 @@ from warpdiff.core import checks
 from warpdiff.optics.spectra import Spectrum
 
 # Squares of colours are float32.
-_MOST_POWER = 1e12
+MOST_POWER = 1e12
 # Softboxes: beyond, a light is an environment.
 _WIDEST_DEG = 60.0
 # A light up to this wide is one Gaussian; of a wider one there are lobes of so much of it each, up to so many, and each
@@ -43,7 +43,7 @@ class DirectionalLight:
         unit = checks.directions(checks.vector(self.to_light, "to_light"), "to_light")[0][0]
         object.__setattr__(self, "to_light", (float(unit[0]), float(unit[1]), float(unit[2])))
         _check_illuminant(self.illuminant)
-        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=_MOST_POWER))
+        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=MOST_POWER))
         diameter = checks.number(self.angular_diameter_deg, "angular_diameter_deg", least=0.0, most=_WIDEST_DEG)
         object.__setattr__(self, "angular_diameter_deg", diameter)
 
@@ -68,7 +68,7 @@ class PointLight:
         x, y, z = map(float, checks.vector(self.position, "position", most=checks.MOST))
         object.__setattr__(self, "position", (x, y, z))
         _check_illuminant(self.illuminant)
-        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=_MOST_POWER))
+        object.__setattr__(self, "power", checks.number(self.power, "power", least=0.0, most=MOST_POWER))
 
 
 def _check_illuminant(illuminant: object) -> None:
