@@ -508,7 +508,7 @@ def _height_field(options: argparse.Namespace) -> wd.HeightField:
     elif (made := _with_parameters(options.heightfield, wd.gratings)) is not None:
         hf = made
     else:
-        if not Path(options.heightfield).is_file():
+        if not checks.path(options.heightfield, "HEIGHTFIELD").is_file():
             raise FileNotFoundError(
                 f"HEIGHTFIELD: there is no file {options.heightfield!r}; "
                 f"a synthetic one is called by its name, one of {', '.join(GRATINGS)}"
@@ -600,7 +600,7 @@ def _named_material(name: str, option: str) -> wd.Material:
     try:
         index = float(name)
     except ValueError:
-        if not Path(name).is_file():
+        if not checks.path(name, option).is_file():
             raise ValueError(
                 f"{option} must be one of {', '.join(METAL_SYMBOLS)}, an index of refraction, or a file, got {name!r}"
             ) from None
@@ -643,7 +643,7 @@ def _view(options: argparse.Namespace) -> None:
         raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
     for name, paths in (("MESH", options.mesh), ("--height", options.height)):
         for each in paths:
-            if not Path(each).is_file():
+            if not checks.path(each, name).is_file():
                 raise FileNotFoundError(f"{name}: there is no file {each!r}")
     # What cannot be loaded is told here, rather than on the page.
     for path in options.height:
