@@ -54,7 +54,7 @@ def test_no_picture_takes_the_place_of_a_closed_stream(tmp_path):
     # Its messages go to number 2, whatever that is.
     look = "import os; from warpdiff.app import standard_streams; standard_streams.prepare(); "
     look += "print(os.open('a', os.O_CREAT | os.O_WRONLY))"
-    assert in_shell(f'{sys.executable} -c "{look}" 2>&- <&-', tmp_path)[1] == "3\n"
+    assert in_shell(f'"$PYTHON" -c "{look}" 2>&- <&-', tmp_path)[1] == "3\n"
 
 
 def test_output_in_ascii_has_question_marks(tmp_path):
