@@ -50,6 +50,13 @@ def test_copies_of_gold_keep_their_tolerance(fingers, rng):
     assert np.max(np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)) < 1e-2
 
 
+def test_what_reflects_nothing_is_black_by_a_table_too(fingers, rng):
+    air = wd.Material.from_nk([500.0], [1.0], [0.0])
+    lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
+    plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank/table")
+    assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-30
+
+
 def scene():
     """Two tubes above each other."""
     result = trimesh.Scene()

@@ -131,7 +131,8 @@ def projection(plan: Plan, terms: Terms, lit: LitMaterial, layout: Layout) -> Pr
 
 def _held(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     """The part of a material's reflectance that colour curves hold, a function of the wavelength alone."""
-    most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max()
+    # What reflects nothing, as air does, is black by its ratio to any colour.
+    most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     found = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(found, _LEAST_SHARE * most))
 
