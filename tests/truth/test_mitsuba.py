@@ -135,7 +135,7 @@ def chi_square(bsdf):
     test = mi.chi2.ChiSquareTest(
         domain=mi.chi2.SphericalDomain(), sample_func=sample,
         pdf_func=lambda wo: bsdf.pdf(mi.BSDFContext(), interaction(dr.width(wo)), wo), sample_dim=3,
-        sample_count=1_000_000, res=201, ires=16,
+        sample_count=1_000_000, res=201, ires=48,
     )  # fmt: skip
     return test.run(0.01, 1), test.p_value
 
