@@ -11,6 +11,7 @@ REPORT = """<testsuites><testsuite>
 <testcase name="c"><properties><property name="row" value="forks"/></properties><error>no</error></testcase>
 <testcase name="d"><properties><property name="row" value="forks"/></properties><skipped/></testcase>
 <testcase name="e"><properties><property name="row" value="forks"/></properties></testcase>
+<testcase name="a whole file"><skipped/></testcase>
 </testsuite></testsuites>"""
 
 
