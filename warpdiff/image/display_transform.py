@@ -98,6 +98,7 @@ GAMUTS = {
 }
 
 
+# Of products with matrices of 3 × 3, other threads make nothing faster.
 @on_one_thread()
 def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to what a display shows, encoded as sRGB is, 0 to 1.
@@ -113,17 +114,15 @@ def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> ND
     """
     colours = np.asarray(xyz, dtype=np.float64)
     flat = colours.reshape(-1, 3)
-    # Of products with matrices of 3 × 3, other threads make nothing faster.
-    with on_one_thread():
-        if exact or len(flat) <= _TOGETHER:
-            return _shown(flat, display, gamut, exact=exact).reshape(colours.shape)
-        found = np.empty_like(flat)
+    if exact or len(flat) <= _TOGETHER:
+        return _shown(flat, display, gamut, exact=exact).reshape(colours.shape)
+    found = np.empty_like(flat)
 
-        def show(first: int) -> None:
-            part = slice(first, first + _TOGETHER)
-            found[part] = _shown(flat[part], display, gamut, exact=False)
+    def show(first: int) -> None:
+        part = slice(first, first + _TOGETHER)
+        found[part] = _shown(flat[part], display, gamut, exact=False)
 
-        side_by_side(show, range(0, len(flat), _TOGETHER), threads=cores())
+    side_by_side(show, range(0, len(flat), _TOGETHER), threads=cores())
     return found.reshape(colours.shape)
 
 
