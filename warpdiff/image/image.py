@@ -29,7 +29,7 @@ _FORMATS = (".exr", ".png")
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
-_MOST_STOPS = 30.0
+MOST_STOPS = 30.0
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Image:
         self, display: str, exposure: float | None, stops: float, source: Image | None, *, scales: bool = True
     ) -> float:
         """The linear factor that the arguments name; without any, 1 where nothing is to be scaled."""
-        stops = checks.number(stops, "exposure_stops", least=-_MOST_STOPS, most=_MOST_STOPS)
+        stops = checks.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
         checks.instance(source, Image, "exposure_from", optional=True)
         if exposure is not None:
             if source is not None:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks, file_writing
+from warpdiff.core import checks, file_writing, image_library
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS, MEAN_SHOWN
-from warpdiff.image.image import PNG_END
+from warpdiff.image.image import MOST_STOPS, PNG_END
 from warpdiff.render.renderer import Renderer
 from warpdiff.sequences import animation as animated
 from warpdiff.sequences.dask_workers import drawn_by_workers
@@ -169,7 +169,7 @@ def _checked_saving(display: Any, exposure_stops: Any, gamut: Any, background: A
     """What PNG frames are saved with, but for the exposure of all."""
     checks.choice(display, "display", DISPLAYS)
     checks.choice(gamut, "gamut", tuple(GAMUTS))
-    stops = checks.number(exposure_stops, "exposure_stops", least=-30.0, most=30.0)
+    stops = checks.number(exposure_stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
     colour = None if background is None else tuple(checks.vector(background, "background").tolist())
     if colour is not None and not all(0.0 <= each <= 1.0 for each in colour):
         raise ValueError(f"background must be a colour of components from 0 to 1, got {list(colour)}")
@@ -263,22 +263,21 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: str) -> float:
 
 def _is_whole(path: Path, shot: Shot) -> bool:
     """Whether a frame is there with its size and its end, as far as can be told without reading all of it."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
-
     if not path.is_file():
         return False
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        # Or it is printed when the process ends.
-        oiio.geterror()
-        return False
-    spec = source.spec()
-    is_whole = (spec.width, spec.height) == (shot.view.width, shot.view.height)
-    if path.suffix == ".exr":
-        # The last rows come last.
-        is_whole = is_whole and source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
-        source.geterror()
-    source.close()
+    with image_library.in_use() as oiio:
+        source = oiio.ImageInput.open(str(path))
+        if source is None:
+            # Or it is printed when the process ends.
+            oiio.geterror()
+            return False
+        spec = source.spec()
+        is_whole = (spec.width, spec.height) == (shot.view.width, shot.view.height)
+        if path.suffix == ".exr" and is_whole:
+            # The last rows come last.
+            is_whole = source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
+            source.geterror()
+        source.close()
     return is_whole and (path.suffix != ".png" or path.read_bytes().endswith(PNG_END))
 
 
