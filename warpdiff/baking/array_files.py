@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import checks, file_writing, free_memory
+from warpdiff.core.file_reading import told_by_name
 
 if TYPE_CHECKING:
     import os
@@ -36,10 +37,8 @@ def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[
         ValueError: It is not one of the kind, or damaged.
     """
     source = checks.path(path, "path")
-    if not source.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(path)!r}")
     try:
-        with source.open("rb") as file:
+        with told_by_name(source), source.open("rb") as file:
             with zipfile.ZipFile(file) as archive:
                 size = sum(each.file_size for each in archive.infolist())
             free_memory.require(size, f"path: {str(path)!r}", "take a smaller one")
@@ -48,9 +47,7 @@ def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[
                 arrays = {name: archive[name] for name in archive.files}
         _check_format(str(arrays["format"]), told)
         yield arrays
-    except OSError as error:
-        raise type(error)(f"path: {str(path)!r} cannot be read: {error.strerror or error}") from error
-    except MemoryError:
+    except (OSError, MemoryError):
         raise
     except Exception as error:
         # Damaged archives make zipfile, zlib and NumPy raise all sorts of things.

@@ -1,11 +1,34 @@
-"""Small text files that a caller names."""
+"""Files that a caller names: told of by name where they are not there or cannot be read."""
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
+
+
+def check_there(file: Path) -> None:
+    """Refuse a path that leads to no file."""
+    if not file.is_file():
+        raise FileNotFoundError(f"path: there is no file {str(file)!r}")
+
+
+@contextlib.contextmanager
+def told_by_name(file: Path) -> Iterator[None]:
+    """Check that a file is there, and name it where the system cannot read it.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        OSError: It cannot be read.
+    """
+    check_there(file)
+    try:
+        yield
+    except OSError as error:
+        raise type(error)(f"path: {str(file)!r} cannot be read: {error.strerror or error}") from error
 
 
 def text_of(file: Path, most_bytes: int) -> str:
@@ -16,13 +39,8 @@ def text_of(file: Path, most_bytes: int) -> str:
         OSError: It cannot be read.
         ValueError: It is larger.
     """
-    if not file.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(file)!r}")
-    try:
-        with file.open("rb") as opened:
-            raw = opened.read(most_bytes + 1)
-    except OSError as error:
-        raise type(error)(f"path: {str(file)!r} cannot be read ({error.strerror or error})") from error
+    with told_by_name(file), file.open("rb") as opened:
+        raw = opened.read(most_bytes + 1)
     if len(raw) > most_bytes:
         raise ValueError(f"{file.name}: such a table has at most {most_bytes} bytes")
     return raw.decode("utf-8", errors="replace").lstrip("\ufeff")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import checks, free_memory, image_library
+from warpdiff.core.file_reading import check_there
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
@@ -82,8 +83,7 @@ class Environment:
             ValueError: It is no such picture.
         """
         file = checks.path(path, "path")
-        if not file.is_file():
-            raise FileNotFoundError(f"path: there is no file {str(file)!r}")
+        check_there(file)
         with image_library.in_use() as oiio:
             image = oiio.ImageInput.open(str(file))
             if image is None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import checks
+from warpdiff.core.file_reading import told_by_name
 from warpdiff.optics import colorimetry
 from warpdiff.scene.camera import View
 from warpdiff.scene.lights import DirectionalLight
@@ -184,13 +185,9 @@ def _checked(light: Any) -> list[DirectionalLight]:
 def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
     """Names of a file's columns, and its numbers."""
     source = checks.path(path, "path")
-    if not source.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(source)!r}")
     try:
-        with source.open(encoding="utf-8-sig", newline="") as file:
+        with told_by_name(source), source.open(encoding="utf-8-sig", newline="") as file:
             header, *rows = [each for each in csv.reader(file) if any(map(str.strip, each))] or [[]]
-    except OSError as error:
-        raise type(error)(f"path: {str(source)!r} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"path: {str(source)!r} is no CSV file: {error}") from None
     names = [each.strip() for each in header]
