@@ -404,12 +404,12 @@ class Frame:
         """Add the colours of all samples and lights by the direct sum."""
         for light_index, share in self._passes(progress):
             deflections, to_lights, gains = (each.astype(np.float64) for each in self.directions())
-            for index, lit in enumerate(self._lit[light_index]):
-                part = part_of(share, index / len(self._lit[light_index]), (index + 1) / len(self._lit[light_index]))
-                of_one = gains
-                if self.has_materials:
-                    faces = np.maximum(self.rays.on_host(self.seen.pixels.face), 0)
-                    of_one = np.where(self._of_faces.numpy()[faces] == index, gains, 0.0)
+            if self.has_materials:
+                of_pixels = self._of_faces.numpy()[np.maximum(self.rays.on_host(self.seen.pixels.face), 0)]
+            of_light = self._lit[light_index]
+            for index, lit in enumerate(of_light):
+                part = part_of(share, index / len(of_light), (index + 1) / len(of_light))
+                of_one = np.where(of_pixels == index, gains, 0.0) if self.has_materials else gains
                 added = direct_colour(hf, deflections, to_lights, of_one, plan, lit, progress=part)
                 self._sums[0].assign((self._sums[0].numpy() + added).astype(np.float32))
 
