@@ -2,7 +2,6 @@
 
 import functools
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +12,8 @@ import warp as wp
 # Warp's headers, which each thread that compiles precompiles, take 1.1 s in place of 1.7 without a type that no kernel
 # has, and a module 0.05 to 0.1 s less when their templates are instantiated beforehand.
 _FLAGS = (
-    "-O3 -march=native",
-    "-mreassociate -fno-signed-zeros -ffp-contract=fast",
-    "-DWP_NO_BFLOAT16= -fpch-instantiate-templates",
+    "-O3 -march=native -mreassociate -fno-signed-zeros -ffp-contract=fast -DWP_NO_BFLOAT16= -fpch-instantiate-templates"
 )
-# Of Warp's headers those that no kernel here takes: their names stand for one that is there already, which spares a
-# fifth of what precompiling takes. The directives come in where Warp lets its macro for exported names be another.
-# Which of its headers a version needs is known of those alone that were tried.
-_LEFT_OUT = (
-    "fabric", "hashgrid", "matnn", "noise", "svd", "texture", "tile_bvh", "tile_cholesky", "tile_fft", "tile_matmul",
-    "tile_mesh", "tile_radix_sort", "tile_reduce", "tile_scan", "tile_solve", "tuple", "volume",
-)  # fmt: skip
-if sys.platform == "linux" and wp.__version__ == "1.19.0":
-    _ALIASES = "".join(rf'_Pragma("include_alias(\"{name}.h\",\"api.h\")")' for name in _LEFT_OUT)
-    _FLAGS += (f"-DWP_API={_ALIASES}",)
-
 NATIVE = Path(__file__).resolve().parent / "native"
 
 
@@ -53,5 +39,4 @@ def options(*names: str, **others: Any) -> dict[str, Any]:
         extra_cuda_preamble=includes,
         extra_build_dependencies=list(dict.fromkeys(path for name in names for path in headers(name))),
     )
-    flags = " ".join(_FLAGS)
-    return {"enable_backward": False, "cpu_compiler_flags": flags, "extra_build_options": build, **others}
+    return {"enable_backward": False, "cpu_compiler_flags": _FLAGS, "extra_build_options": build, **others}

@@ -20,13 +20,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import types
 from pathlib import Path
 from typing import Any
 
 import warp as wp
 
 from warpdiff.bench.studies import corpus
-from warpdiff.compute import warp_internals
+from warpdiff.compute import pipeline
 from warpdiff.kernels.compile_options import NATIVE
 
 CASES = ("footprints alone", "points", "source", "copies", "centred window", "snake", "box", "many directions")
@@ -85,15 +86,13 @@ class Sanitized:
 def run(folder: Path) -> None:
     """Compute all cases by sanitized functions."""
     sanitized = Sanitized(folder)
-    init = warp_internals._Convention.__init__
+    init = pipeline._Recorded.__init__
 
-    def make(self: Any, kernel: Any, values: Any) -> None:
-        init(self, kernel, values)
-        # The loop over slices calls the others, and is checked itself, too.
-        self.call = sanitized.function(kernel)
-        self.function = int(ctypes.cast(self.call, ctypes.c_void_p).value or 0)
+    def make(self: Any, step: pipeline.KernelCall) -> None:
+        init(self, step)
+        self._launch.hooks = types.SimpleNamespace(forward=sanitized.function(step.kernel))
 
-    warp_internals._Convention.__init__ = make  # type: ignore[method-assign]
+    pipeline._Recorded.__init__ = make  # type: ignore[method-assign]
     for name in CASES:
         corpus.CASES[name](2)
         print(f"{name}: nothing found in {len(sanitized.called)} kernels so far", flush=True)

@@ -30,7 +30,7 @@ SM = 90
 SMS = (80, 90)
 # Modules of functions alone are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
-CPU_ONLY = {"launch_slices", "lookup_specification"}
+CPU_ONLY = {"lookup_specification"}
 # Numbers that hosts need, too.
 WITHOUT_WARP = {"cell_levels", "limits", "quadratic_spline"}
 KERNELS = {

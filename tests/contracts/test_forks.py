@@ -19,7 +19,7 @@ import pytest
 import warp
 
 import warpdiff as wd
-from warpdiff.compute import warp_internals
+from warpdiff.compute import device
 from warpdiff.core import fork_safety
 from warpdiff.core.thread_pool import Work
 
@@ -284,7 +284,7 @@ def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(loc
     codegen = {name: value for name, value in vars(warp._src.codegen).items() if name != "_codegen_lock"}
     monkeypatch.setitem(sys.modules, "warp._src.codegen", types.SimpleNamespace(**codegen, _codegen_lock=lock))
     assert fork_safety.importing() == []
-    assert warp_internals.codegen_lock() is None
+    assert device.codegen_lock() is None
     assert in_child(lambda: np.array_equal(picture(), expected)) == 0
     assert np.array_equal(picture(), expected)
 

@@ -131,17 +131,17 @@ def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
 
 def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"], threads=2)
-    prepared = KernelCall.prepared
+    recorded = KernelCall.recorded
 
-    def fail(step, kind):
+    def fail(step):
         if step.kernel.key == "rasterize":
             raise MemoryError
-        return prepared(step, kind)
+        return recorded(step)
 
-    monkeypatch.setattr(KernelCall, "prepared", fail)
+    monkeypatch.setattr(KernelCall, "recorded", fail)
     with pytest.raises(MemoryError):
         drawn.draw(view=view(0.3))
-    monkeypatch.setattr(KernelCall, "prepared", prepared)
+    monkeypatch.setattr(KernelCall, "recorded", recorded)
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
 

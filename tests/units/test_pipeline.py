@@ -1,33 +1,20 @@
 """Launches in turn on the CPU: every element goes through all kernels once, whatever the slices and threads."""
 
-import ctypes
-import functools
 import gc
 import sys
 import threading
-import types
 import weakref
 
 import numpy as np
 import pytest
 import warp as wp
 
-import warpdiff as wd
-from warpdiff.compute import pipeline, warp_internals
 from warpdiff.compute.device import resolve_device
 from warpdiff.compute.pipeline import KernelCall, Pipeline, begin_pipeline, launch, launch_pipeline
 from warpdiff.core.thread_pool import side_by_side
 from warpdiff.kernels.structs import Sampling
 
 THREADS = (1, 2, 5)
-CHOOSE = pipeline._calls
-
-
-@pytest.fixture(params=[warp_internals.NativeCalls, pipeline.RecordedCalls], autouse=True, ids=["native", "recorded"])
-def calls(request, monkeypatch):
-    """Both ways of calling kernels."""
-    monkeypatch.setattr(pipeline, "_calls", lambda: request.param)
-    return request.param
 
 
 def test_progress_is_told_of_nothing():
@@ -165,60 +152,3 @@ def test_what_was_launched_may_go():
 @wp.kernel(enable_backward=False)
 def triple(values: wp.array(dtype=wp.int32), first: wp.int32):
     values[first + wp.tid()] *= 3
-
-
-@pytest.fixture
-def asked_anew(monkeypatch):
-    """How Warp calls kernels, as if nobody had asked yet."""
-    monkeypatch.setattr(warp_internals, "_conventions", {})
-    return functools.cache(CHOOSE.__wrapped__)
-
-
-def test_a_version_of_warp_that_calls_kernels_so_is_called_natively(asked_anew):
-    assert asked_anew() is warp_internals.NativeCalls
-
-
-def one_more_argument(hooks):
-    """A function that takes more than Warp's does."""
-    return types.SimpleNamespace(forward=lambda *given: hooks.forward(*given, None))
-
-
-def another_struct(hooks):
-    """A function that takes its arguments otherwise."""
-    return types.SimpleNamespace(forward=lambda bounds, _: hooks.forward(bounds, bounds))
-
-
-def one_that_does_nothing(hooks):
-    """A function at an address that is none of a kernel's."""
-    nothing = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(lambda *_: None)
-    hooks.call, hooks.function = nothing, ctypes.cast(nothing, ctypes.c_void_p).value
-    hooks.kept = nothing
-    return hooks
-
-
-@pytest.mark.parametrize("changed", [one_more_argument, another_struct, None, one_that_does_nothing])
-def test_another_version_of_warp_is_asked_for_recorded_launches(changed, asked_anew, monkeypatch):
-    launch_of = wp.Launch.launch
-
-    def launch(self, *arguments):
-        if isinstance(self.hooks, warp_internals._Convention):
-            if changed is None:
-                raise AttributeError("hooks")
-            self.hooks = changed(self.hooks)
-        launch_of(self, *arguments)
-
-    monkeypatch.setattr(wp.Launch, "launch", launch)
-    assert asked_anew() is pipeline.RecordedCalls
-
-
-def test_a_picture_is_the_same_by_both_ways(monkeypatch):
-    hf = wd.gratings.fingers(size_um=6.4, seed=1)
-    mesh = wd.meshes.tube(segments_along=24, segments_around=16)
-    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
-    light = wd.DirectionalLight((0.1, 0.9, 1.2))
-    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 1e-1, "threads": 2}
-    image = wd.shade(mesh, hf, light, view, **options)
-    monkeypatch.setattr(pipeline, "_calls", lambda: warp_internals.NativeCalls)
-    native = wd.shade(mesh, hf, light, view, **options)
-    np.testing.assert_array_equal(image.xyz, native.xyz)
-    np.testing.assert_array_equal(image.error, native.error)

@@ -2,5 +2,5 @@
 
 In: names of devices, kernels with their arguments.
 Out: a Warp device, compiled kernels, launches one after the other.
-May import: core, kernels.
+May import: core.
 """

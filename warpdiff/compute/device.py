@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 import tempfile
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -11,11 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpdiff.compute.warp_internals import codegen_lock
 from warpdiff.core import checks, fork_safety
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.core.thread_pool import cores
-from warpdiff.kernels import launch_slices
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,15 +59,13 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
     """
     if not device.is_cpu:
         return []
-    # Those that begin at once, and then what launches any of them.
-    in_order = [*kernels[:_LOADERS], launch_slices.run, *kernels[_LOADERS:]]
     _refuse_cut_off()
     with _load_once:
-        for kernel in in_order:
+        for kernel in kernels:
             if kernel.module not in _loading:
                 # What launches on the CPU take is the module for blocks of one.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
-        return [_loading[kernel.module] for kernel in in_order]
+        return [_loading[kernel.module] for kernel in kernels]
 
 
 def load_now(kernels: Sequence[Any], device: wp.Device) -> None:
@@ -117,6 +114,15 @@ def _refuse_cut_off() -> None:
     """Refuse to wait for what nobody ends."""
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {fork_safety.REMEDY}")
+
+
+def codegen_lock() -> Any:
+    """The lock that Warp, once it is imported, holds while it looks at kernels; None where a version has no such one.
+
+    It is undocumented. Without it a child may be forked while another thread looks at kernels, and wait.
+    """
+    found = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
+    return found if hasattr(found, "acquire") and hasattr(found, "release") else None
 
 
 # Warp's lock, in a fork.

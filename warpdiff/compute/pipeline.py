@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import threading
 from dataclasses import dataclass, field
@@ -11,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpdiff.compute.device import load_now, resolve_device
-from warpdiff.compute.warp_internals import DoesNotFit, NativeCalls
 from warpdiff.core.thread_pool import Work
-from warpdiff.kernels import launch_slices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,6 +34,7 @@ class KernelCall:
         in_runs: Whether a number ``run`` of indices for each thread comes after ``first``: a thread on the CPU takes
             its arguments, a kilobyte of them for some kernels, once for all of a slice rather than once for each index.
         block: How many elements one index stands for.
+        free: What Warp has recorded of it, which is kept as long as this, and no thread has.
     """
 
     kernel: Any
@@ -44,7 +42,7 @@ class KernelCall:
     outputs: list[Any]
     in_runs: bool = False
     block: int = 1
-    _prepared: dict[type, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
         """Launch it for each index by itself."""
@@ -55,68 +53,31 @@ class KernelCall:
         """All inputs for threads from the index ``first`` on."""
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
-    def prepared(self, kind: type) -> Any:
-        """Make what a way of calling kernels takes of it, once; it stays as long as this."""
-        if kind not in self._prepared:
-            self._prepared[kind] = kind(self)
-        return self._prepared[kind]
+    def recorded(self) -> _Recorded:
+        """What this thread launches it by, until it is given back."""
+        try:
+            return self.free.pop()
+        except IndexError:
+            return _Recorded(self)
 
 
-class RecordedCall:
-    """Launches of one kernel call that Warp has recorded, as many as threads take at a time."""
+class _Recorded:
+    """A kernel call that Warp has recorded, for one thread at a time."""
 
     def __init__(self, step: KernelCall) -> None:
-        self._kernel, self._values = step.kernel, [*step.arguments(0, 1), *step.outputs]
         self._block, self._in_runs, self._first = step.block, step.in_runs, len(step.inputs)
-        self._free: list[Any] = []
+        values = [*step.arguments(0, 1), *step.outputs]
+        self._launch = wp.launch(step.kernel, 1, values, device="cpu", record_cmd=True)
 
     def run(self, begin: int, end: int) -> None:
         """Launch it over elements."""
         first, behind = begin // self._block, -(-end // self._block)
-        try:
-            recorded = self._free.pop()
-        except IndexError:
-            recorded = wp.launch(self._kernel, 1, self._values, device="cpu", record_cmd=True)
-        recorded.set_param_at_index_from_ctype(self._first, first)
+        self._launch.set_param_at_index_from_ctype(self._first, first)
         if self._in_runs:
-            recorded.set_param_at_index_from_ctype(self._first + 1, behind - first)
+            self._launch.set_param_at_index_from_ctype(self._first + 1, behind - first)
         else:
-            recorded.set_dim(behind - first)
-        recorded.launch()
-        self._free.append(recorded)
-
-
-class RecordedCalls:
-    """Kernel calls one after the other, by recorded launches: what Warp documents."""
-
-    def __init__(self, steps: Sequence[KernelCall]) -> None:
-        self._calls: list[RecordedCall] = [step.prepared(RecordedCall) for step in steps]
-
-    def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
-        """A function that takes the next slices of elements, so many of them, on any thread."""
-        begins, lock = iter(elements[::size]), threading.Lock()
-
-        def take() -> None:
-            for _ in range(at_a_time):
-                with lock:
-                    begin = next(begins, None)
-                if begin is None:
-                    return
-                for call in self._calls:
-                    call.run(begin, min(begin + size, elements.stop))
-
-        return take
-
-
-@functools.cache
-def _calls() -> type[RecordedCalls] | type[NativeCalls]:
-    """By what kernels are called on the CPU: a native loop, if it does what it is to do with this version of Warp."""
-    counts = wp.zeros(3, dtype=wp.int32, device="cpu")
-    try:
-        NativeCalls([KernelCall(launch_slices.count_visits, [counts], [])]).slices(range(1, 3), 1, 3)()
-    except DoesNotFit:
-        return RecordedCalls
-    return NativeCalls if counts.numpy().tolist() == [0, 1, 1] else RecordedCalls
+            self._launch.set_dim(behind - first)
+        self._launch.launch()
 
 
 class Pipeline:
@@ -125,15 +86,29 @@ class Pipeline:
     def __init__(self, steps: Sequence[KernelCall]) -> None:
         """Get ready to call them, once they are compiled."""
         load_now([step.kernel for step in steps], resolve_device(None))
-        self._calls = _calls()(steps)
+        self._steps = steps
 
     def launch(self, elements: range) -> None:
         """Launch them over elements on this thread."""
-        self._calls.slices(elements, len(elements), 1)()
+        self.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
         """A function that takes the next slices of elements through them, so many of them, on any thread."""
-        return self._calls.slices(elements, size, at_a_time)
+        begins, lock = iter(elements[::size]), threading.Lock()
+
+        def take() -> None:
+            calls = [step.recorded() for step in self._steps]
+            for _ in range(at_a_time):
+                with lock:
+                    begin = next(begins, None)
+                if begin is None:
+                    break
+                for call in calls:
+                    call.run(begin, min(begin + size, elements.stop))
+            for step, call in zip(self._steps, calls, strict=True):
+                step.free.append(call)
+
+        return take
 
 
 def launch(
