@@ -17,7 +17,7 @@ MINUTES ?= 60
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-browser test-dask test-mitsuba soak test-lowest lint bench clean
+.PHONY: help demo test test-slow test-browser test-dask test-mitsuba soak test-lowest lint bench clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
@@ -29,6 +29,9 @@ demo: $(DEMO_STAMP) ## render the example pictures into demo/
 
 test: $(TEST_STAMP) ## run the tests
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+test-slow: $(TEST_STAMP) ## run the cases that take too long for make test
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m slow
 
 test-browser: $(BROWSER_STAMP) ## test pages; needs Chromium (Debian: apt-get install chromium)
 	@test -n "$$CHROMIUM" || command -v chromium google-chrome >/dev/null || { echo "error: there is no Chromium: apt-get install chromium, or name one: make test-browser CHROMIUM=/path/to/chrome" >&2; exit 1; }

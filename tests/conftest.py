@@ -72,6 +72,11 @@ def pytest_report_header() -> str | None:
     return f"seed of the soak: {soaking.SEED}" if soaking.IS_SOAK else None
 
 
+def slow(*values):
+    """A case of a parametrized test that takes long: others like it are in the test command."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 def _shares(item) -> int:
     marker = item.get_closest_marker("permanent")
     return marker.kwargs.get("shares", 1) if marker else 1

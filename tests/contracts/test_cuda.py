@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from conftest import hemisphere
+from conftest import hemisphere, slow
 
 import warpdiff as wd
 from warpdiff import kernels
@@ -28,6 +28,7 @@ from warpdiff.kernels import (
 SM = 90
 # Ampere, too, for what every frame launches.
 SMS = (80, 90)
+ARCHITECTURES = [slow(80), SM]
 # Modules of functions alone are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
 CPU_ONLY = {"lookup_specification"}
@@ -55,11 +56,11 @@ KERNELS = {
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [
     (8, "averaged", True),
-    (24, "averaged", False),
-    (24, "centred", False),
-    (8, "source", True),
-    (24, "source", False),
-    (24, "replicas", False),
+    slow(24, "averaged", False),
+    slow(24, "centred", False),
+    slow(8, "source", True),
+    slow(24, "source", False),
+    slow(24, "replicas", False),
 ]
 
 
@@ -108,7 +109,7 @@ def test_every_kernel_module_is_compiled_here():
         assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
 
 
-@pytest.mark.parametrize("arch", SMS)
+@pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
     "module", [bvh, ray_hits, scattering, adaptive, shadow_grid, work_queues], ids=lambda each: each.__name__
 )
@@ -127,7 +128,7 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
     assert depots == (["28"] if form == "replicas" else [])
 
 
-@pytest.mark.parametrize("arch", SMS)
+@pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize("source", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS["colour_lookup"]))
 def test_kernels_of_a_table_compile_and_stay_in_registers(name, source, arch, tmp_path):
@@ -136,7 +137,7 @@ def test_kernels_of_a_table_compile_and_stay_in_registers(name, source, arch, tm
     assert "__local_depot" not in ptx
 
 
-@pytest.mark.parametrize(("lanes", "powers", "nodes"), [(8, True, 8), (8, False, 16)])
+@pytest.mark.parametrize(("lanes", "powers", "nodes"), [(8, True, 8), slow(8, False, 16)])
 def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
     resample = spectrum_sampling.resampler(lanes, powers, nodes).resample
     assert entry_points(compile_to_ptx(resample.module, tmp_path)) == {"resample"}

@@ -10,7 +10,7 @@ import weakref
 
 import numpy as np
 import pytest
-from conftest import at_angle, hemisphere
+from conftest import at_angle, hemisphere, slow
 
 import warpdiff as wd
 from warpdiff.bench.truth import reference
@@ -103,8 +103,8 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
     [
         wd.Coherence(sigma_um=6.5),
         wd.Coherence("centred", 6.5),
-        wd.Coherence("source", angular_diameter_deg=0.53),
-        wd.Coherence("replicas", copies=(2, 3)),
+        slow(wd.Coherence("source", angular_diameter_deg=0.53)),
+        slow(wd.Coherence("replicas", copies=(2, 3))),
     ],
     ids=lambda each: each.kind,
 )

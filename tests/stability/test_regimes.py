@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import slow
 
 import warpdiff as wd
 from warpdiff.bench.truth import numpy_methods as methods
@@ -152,14 +153,14 @@ def test_sources_towards_the_horizon(elevation, spread):
         assert Case(hf, (lights, views), source).automatic <= TOLERANCE
 
 
-@pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), (0.5, 20, 1), (0.2, 8, 1)])
+@pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
     """Foreshortened some hundred times: bounds that are cut short are widened, and judged by what is finer still."""
     hf = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert Case(hf, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic <= TOLERANCE
 
 
-@pytest.mark.parametrize("count", [8, 12])
+@pytest.mark.parametrize("count", [8, slow(12)])
 def test_a_source_that_grazes_beyond_reach_is_refused(count):
     """Foreshortened a thousand times, its colours take more wavelengths than there are: right, or refused."""
     hf, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")

@@ -172,9 +172,9 @@ def test_moved_window_through_the_kernel(rng):
 # Each with the size of its patch [µm] and its number of directions: direct sums of what is sharp take thousands of
 # wavelengths, most of all under a source near the horizon.
 COLOURED = {
-    "averaged": (wd.Coherence("averaged", 5.0), 6.4, 32),
-    "centred": (wd.Coherence("centred", 5.0), 6.4, 32),
-    "source": (wd.Coherence("source", angular_diameter_deg=3.0), (3.06, 1.8), 24),
+    "averaged": (wd.Coherence("averaged", 5.0), 6.4, 16),
+    "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
+    "source": (wd.Coherence("source", angular_diameter_deg=3.0), (3.06, 1.8), 12),
     "replicas": (wd.Coherence("replicas", copies=(2, 3)), (3.06, 1.8), 24),
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from conftest import hemisphere
+from conftest import hemisphere, slow
 
 import warpdiff as wd
 from warpdiff.bench.truth import reference
@@ -25,7 +25,7 @@ def fingers():
 
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize(
-    ("coherence", "tolerance"), [(SHORT, 2e-2), (wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
+    ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
 def test_a_table_of_a_material_keeps_its_tolerance(name, coherence, tolerance, fingers, rng):
     """cos θd is |(u, v, w)|/2, so that R(θd, λ) is within the integral over λ that a table holds."""

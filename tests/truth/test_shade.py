@@ -23,7 +23,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
 
 # More are judged by bench/studies/picture_error.py.
-PIXELS = 800
+PIXELS = 400
 SNAKE_LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)

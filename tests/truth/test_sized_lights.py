@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from conftest import slow
 
 import warpdiff as wd
 from warpdiff.scene.lights import lobes_of
@@ -55,7 +56,7 @@ def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter):
     assert len(lobes) == 1 if diameter <= 5.0 else len(lobes) > 15
 
 
-@pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 200, 0.02, 0.1), (20.0, 320, 0.02, 0.1)])
+@pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 200, 0.02, 0.1), slow(20.0, 320, 0.02, 0.1)])
 def test_a_light_of_a_size_is_a_disc_of_points(diameter, count, median, most, fingers):
     light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter)
     body = wd.meshes.tube(segments_along=48, segments_around=36)
