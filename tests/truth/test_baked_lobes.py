@@ -51,6 +51,27 @@ def test_colours_keep_the_difference_that_was_asked_for(fingers, lobes):
     assert 0.0 < lobes.error <= TOLERANCE
 
 
+def test_gold_is_within_the_colours_and_in_the_file(fingers, tmp_path):
+    """Against the float64 reference, whose reflectances are by characteristic matrices."""
+    gold = wd.Material.metal("Au")
+    found = wd.bake(fingers, coherence=WINDOW, material=gold, tolerance=3.0)
+    rng = np.random.default_rng(92)
+    lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
+    # Some in the mirror direction, where the mean plane is seen.
+    views[::10] = lights[::10] * [-1.0, -1.0, 1.0]
+    exact = reference.reference_reflectance(fingers, lights, views, WINDOW, tolerance=1e-3, material=gold)
+    exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 90.0)))[:, None]
+    differences = colorimetry.colour_difference(exposed * found.reflectance(lights, views), exposed * exact)
+    assert np.percentile(differences, 98.0) <= 3.0
+    again = wd.BakedLobes.load(found.save(tmp_path / "gold.npz"))
+    np.testing.assert_array_equal(again.reflectance(lights, views), found.reflectance(lights, views))
+    assert "with a material" in str(again)
+    with pytest.raises(ValueError, match="ior must not be given beside lobes that were baked with a material"):
+        found.reflectance(lights, views, ior=1.5)
+    with pytest.raises(ValueError, match=r"material must be opaque, got n = 1\.5"):
+        wd.bake(fingers, coherence=WINDOW, material=wd.Material.dielectric(1.5))
+
+
 def test_a_flat_mirror_is_its_closed_form():
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     found = wd.bake(flat, coherence=WINDOW)

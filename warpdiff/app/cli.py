@@ -318,12 +318,7 @@ def _add_export_html(commands: Any, common: argparse.ArgumentParser, surface: ar
     lobes.add_argument(
         "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
     )
-    lobes.add_argument(
-        "--ior", type=float, default=1.5, help="index of refraction; inf is a perfect mirror (default: 1.5)"
-    )
-    lobes.add_argument(
-        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
-    )
+    _add_material(lobes)
     lobes.add_argument("--illuminant", default="D65", help="a CIE illuminant (default: D65)")
     lobes.add_argument("--device", help="cpu (default) or cuda")
     lobes.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
@@ -389,6 +384,21 @@ def _surface_options() -> argparse.ArgumentParser:
     return group_parser
 
 
+def _add_material(group: Any) -> None:
+    group.add_argument("--ior", type=float, help="index of refraction; inf is a perfect mirror (default: 1.5)")
+    group.add_argument(
+        "--material",
+        help="what the surface is made of, in place of --ior: Al, Ag, Au, Cr, Cu, Ni, an index of refraction, or a "
+        "file of refractiveindex.info, YAML or CSV",
+    )
+    group.add_argument(
+        "--film", nargs=2, metavar=("MATERIAL", "NM"), help="a film on it of so many nanometres, of a material as above"
+    )
+    group.add_argument(
+        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
+    )
+
+
 def _evaluation_options() -> argparse.ArgumentParser:
     group_parser = argparse.ArgumentParser(add_help=False)
     group = group_parser.add_argument_group("evaluation")
@@ -407,18 +417,7 @@ def _evaluation_options() -> argparse.ArgumentParser:
         "--angular-diameter-deg", type=float, metavar="DEG", help="diameter of a source (default: the sun's, 0.53)"
     )
     group.add_argument("--copies", type=int, nargs=2, metavar=("NY", "NX"), help="copies of the patch, for replicas")
-    group.add_argument("--ior", type=float, help="index of refraction; inf is a perfect mirror (default: 1.5)")
-    group.add_argument(
-        "--material",
-        help="what the surface is made of, in place of --ior: Al, Ag, Au, Cr, Cu, Ni, an index of refraction, or a "
-        "file of refractiveindex.info, YAML or CSV",
-    )
-    group.add_argument(
-        "--film", nargs=2, metavar=("MATERIAL", "NM"), help="a film on it of so many nanometres, of a material as above"
-    )
-    group.add_argument(
-        "--no-masking", action="store_true", help="leave masking and shadowing of the microstructure out"
-    )
+    _add_material(group)
     group.add_argument(
         "--illuminant",
         default="D65",
@@ -732,8 +731,8 @@ def _export_html(options: argparse.Namespace) -> None:
     mesh, hf, lights, view = _scene(options)
     coherence = wd.Coherence(options.coherence, options.sigma_um, angular_diameter_deg=options.angular_diameter_deg)
     lobes = wd.bake(
-        hf, illuminant=options.illuminant, tolerance=options.tolerance, coherence=coherence, device=options.device,
-        threads=options.threads, progress=Bar(options.command),
+        hf, illuminant=options.illuminant, material=_material(options), tolerance=options.tolerance,
+        coherence=coherence, device=options.device, threads=options.threads, progress=Bar(options.command),
     )  # fmt: skip
     path = wd.export_html(
         target, mesh, lobes, lights, view, ior=options.ior, masking=not options.no_masking, pigment=options.pigment,

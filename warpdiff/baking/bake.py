@@ -19,6 +19,7 @@ from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.fourier import chebyshev
 from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import reflectance_table
 from warpdiff.planning.planner import directions_of, plan_for
 from warpdiff.planning.request import Request
 from warpdiff.plans.direction_range import hemisphere_pairs
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
     from warpdiff.surface.heightfield import HeightField
 
 # Rings an octave, and rays in a standard deviation of a lobe, from small to large tables.
@@ -44,6 +46,8 @@ _LOOK_UPS = 3e6
 # Below, both light and view graze, and colours go on as w².
 _SMALLEST_W = 0.06
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
+# A material's reflectance is kept at so many angles, and every so many nanometres.
+_ANGLES, _EACH_NM = 65, 5
 # Directions that judge, and that functions are fitted to: as many at random as for being bright, of so many.
 _JUDGES, _DRAWN, _SEED = 2048, 32_768, 27
 # A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
@@ -57,6 +61,7 @@ def bake(
     hf: HeightField,
     *,
     illuminant: str = "D65",
+    material: Material | None = None,
     tolerance: float = 2.0,
     coherence: Coherence | None = None,
     strict: bool = True,
@@ -71,6 +76,8 @@ def bake(
     Args:
         hf: The height field.
         illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        material: A metal, or another one that is opaque, whose reflectance is within the colours; None leaves it to an
+            index of refraction that is given to what takes the table.
         tolerance: ΔE2000 that 99 of 100 directions of the hemisphere keep, each shown as a middle grey is (Y = 0.2),
             and what is dimmer than a thousandth of the bright ones as dim as it is beside these.
         coherence: An averaged window or a source, whose powers add; None is averaged with σ = 16.25 µm.
@@ -83,15 +90,20 @@ def bake(
         The table, with the error that was measured.
 
     Raises:
-        ValueError: A bad argument, a coherence whose powers do not add, a tolerance out of reach.
+        ValueError: A bad argument, a coherence whose powers do not add, a transparent material, a tolerance out of
+            reach.
         MemoryError: More memory than is free; the message says what fits.
     """
     tolerance = checks.number(tolerance, "tolerance", least=0.2, most=20.0)
     checks.instance(illuminant, str, "illuminant")
     request = Request.checked(
-        hf, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto", coherence=coherence, ior=1.5, masking=True,
-        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,),
+        hf, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto", coherence=coherence, ior=None, masking=True,
+        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,), material=material,
     )  # fmt: skip
+    if material is not None and not material.is_opaque:
+        raise ValueError(
+            f"material must be opaque, got {material}: bake without one, and give ior= to what takes the table"
+        )
     if not request.coherence.adds_powers:
         raise ValueError(
             f"coherence of kind={request.coherence.kind!r} adds amplitudes, whose lobes are not baked: use 'averaged' "
@@ -129,6 +141,8 @@ class _Bakery:
         if coherence.sigma_um is not None:
             width = _BLUE_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
         zeroth = zeroth_powers(self._request.hf, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
+        material = self._request.lit[0].material
+        reflectances = None if material is None else reflectance_table(material, _ANGLES)[:, ::_EACH_NM].copy()
         functions = self._between_nodes(np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)) @ principal
         for index, (rings, rays_per_width) in enumerate(_RUNGS):
 
@@ -136,7 +150,7 @@ class _Bakery:
                 progress((index + share) / len(_RUNGS))
 
             grid = PolarGrid.of(width, rings, rays_per_width)
-            result = self._table(grid, principal, functions.astype(np.float32), zeroth, at)
+            result = self._table(grid, principal, functions.astype(np.float32), zeroth, reflectances, at)
             if result.error <= self._tolerance:
                 break
         progress(1.0)
@@ -153,6 +167,7 @@ class _Bakery:
         principal: NDArray[np.float64],
         functions: NDArray[np.float32],
         zeroth: NDArray[np.float32],
+        reflectances: NDArray[np.float32] | None,
         progress: Callable[[float], None],
     ) -> BakedLobes:
         """A table with the nodes of a grid, judged."""
@@ -165,7 +180,7 @@ class _Bakery:
         for dtype in (np.int8, np.int16):
             result = BakedLobes(
                 self._request.coherence, self._illuminant, self._tolerance, 0.0, grid, functions,
-                *shared_exponents.packed(coefficients, dtype), zeroth,
+                *shared_exponents.packed(coefficients, dtype), zeroth, reflectances,
             )  # fmt: skip
             result = replace(result, error=self._error(result.colours(self._judged, zeroth_order=False)))
             if result.error <= self._tolerance:

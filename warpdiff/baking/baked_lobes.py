@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-FORMAT = "warpdiff baked lobes, version 1"
+FORMAT = "warpdiff baked lobes, version 2"
 LARGEST_W = 2.0
 # |κ| of the zeroth order's entries end at that of the largest |w| and the shortest wavelength [1/µm].
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
@@ -40,7 +40,8 @@ class BakedLobes:
     The functions f_k are the principal ones of |w| of all (u, v), the coefficients c_k, three of each, for X, Y and Z,
     lie at the nodes of a polar grid: a periodic cubic B-spline around each ring, and cubics in ln |(u, v)| from ring to
     ring. The mean plane's lobe, brighter than others by orders of magnitude, is |H₀₀(w/λ)|² times a Gaussian at each
-    wavelength. Everything is for a gain C·M of 1; :meth:`reflectance` multiplies by it.
+    wavelength. Everything is for a gain C·M of 1; :meth:`reflectance` multiplies by it. With a material its reflectance
+    R(θd, λ) is within the colours, and C is without it.
 
     Attributes:
         coherence: The window, averaged, or the source. Of a source lobes are those of light from above, and
@@ -56,6 +57,8 @@ class BakedLobes:
         mantissas: The coefficients in 127ths of that size, shape (nodes, 3, K), int8; or, where lobes are much
             brighter at some w than at others, in 32767ths, int16.
         zeroth: |H₀₀|² at equal steps of |κ| from 0 to 2 / 0.38 µm, shape (entries,), float32; linear in between.
+        reflectances: R of the material at equal steps of cos θd from 0 to 1 and of the wavelength from 380 to 780 nm,
+            shape (angles, wavelengths), float32, linear in between; None without a material.
     """
 
     coherence: Coherence
@@ -68,6 +71,7 @@ class BakedLobes:
     exponents: NDArray[np.uint8]
     mantissas: NDArray[np.int8] | NDArray[np.int16]
     zeroth: NDArray[np.float32]
+    reflectances: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         checks.instance(self.coherence, Coherence, "coherence")
@@ -96,19 +100,30 @@ class BakedLobes:
             mantissas=(np.int16 if self.mantissas.dtype == np.int16 else np.int8, (nodes, 3, count)),
             zeroth=(np.float32, (len(self.zeroth),)),
         )
+        if self.reflectances is not None:
+            array_files.check(self, reflectances=(np.float32, np.shape(self.reflectances)))
+            if self.reflectances.ndim != 2 or min(self.reflectances.shape) < 2:
+                raise ValueError(f"reflectances must have shape (angles, wavelengths), got {self.reflectances.shape}")
 
     @property
     def bytes(self) -> int:
         """Size of the table."""
-        return sum(each.nbytes for each in (self.functions, self.exponents, self.mantissas, self.zeroth))
+        arrays = (self.functions, self.exponents, self.mantissas, self.zeroth, self.reflectances)
+        return sum(each.nbytes for each in arrays if each is not None)
 
     def __str__(self) -> str:
+        material = ", with a material" if self.has_material else ""
         return (
-            f"Baked lobes, {self.coherence}, under {self.illuminant}: {self.functions.shape[1]} functions of w at "
-            f"{self.grid.nodes} nodes of (u, v), {self.grid.rings} rings an octave with up to {self.grid.rays[-1]} "
-            f"rays, {self.bytes / 1e6:.2g} MB. Percentile 99 of ΔE2000 over the hemisphere {self.error:.2g}, of "
-            f"{self.tolerance:g} asked for."
+            f"Baked lobes, {self.coherence}, under {self.illuminant}{material}: {self.functions.shape[1]} functions of "
+            f"w at {self.grid.nodes} nodes of (u, v), {self.grid.rings} rings an octave with up to "
+            f"{self.grid.rays[-1]} rays, {self.bytes / 1e6:.2g} MB. Percentile 99 of ΔE2000 over the hemisphere "
+            f"{self.error:.2g}, of {self.tolerance:g} asked for."
         )
+
+    @property
+    def has_material(self) -> bool:
+        """Whether the reflectance of a material is within the colours."""
+        return self.reflectances is not None
 
     @fork_safety.cached_property
     def coefficients(self) -> NDArray[np.float32]:
@@ -163,14 +178,14 @@ class BakedLobes:
         return result
 
     def reflectance(
-        self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float = 1.5, masking: bool = True
+        self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float | None = None, masking: bool = True
     ) -> NDArray[np.float32]:
         """Colour of the reflectance, as :func:`warpdiff.reflectance` has it, within :attr:`error`.
 
         Args:
             to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
             to_view: Directions to the viewer, the same; one and many broadcast.
-            ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+            ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror, None is 1.5, or what the material says.
             masking: Whether V-cavity masking and shadowing is included.
 
         Returns:
@@ -185,7 +200,7 @@ class BakedLobes:
             )
         shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
         lights, views = np.broadcast_to(lights, shape), np.broadcast_to(views, shape)
-        normal = reflectance_factors.normal_reflectance(ior)
+        normal = normal_reflectance(self, ior)
         gains = reflectance_factors.gain(lights, views, normal=normal, masking=checks.flag(masking, "masking"))
         result = (gains[:, None] * self.colours(-lights - views)).astype(np.float32)
         return result[0] if one_light and one_view else result
@@ -198,8 +213,7 @@ class BakedLobes:
         for tau, weight in zip(wavenumbers, weights, strict=True):
             exponent = 0.5 * square / self.lobe_variance(1.0 / tau)
             near = np.flatnonzero(exponent < 24.0)
-            power = _linear(self.zeroth[:, None], w[near] * tau / LARGEST_KAPPA)[:, 0]
-            result[near] += (power * np.exp(-exponent[near]))[:, None] * weight
+            result[near] += (mirror_power(self, w[near], tau) * np.exp(-exponent[near]))[:, None] * weight
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
@@ -213,8 +227,9 @@ class BakedLobes:
         """Write the table; an existing file is replaced only once the new one is complete.
 
         The file is NumPy's ``.npz``, compressed, of the arrays ``functions``, ``exponents``, ``mantissas`` and
-        ``zeroth`` and of ``format``, ``coherence`` (kind), ``width`` (σ in µm, or the source's diameter in degrees),
-        ``illuminant``, ``tolerance``, ``error``, ``rings``, ``rays`` and ``scale``.
+        ``zeroth``, of ``reflectances`` where there is a material, and of ``format``, ``coherence`` (kind), ``width`` (σ
+        in µm, or the source's diameter in degrees), ``illuminant``, ``tolerance``, ``error``, ``rings``, ``rays`` and
+        ``scale``.
 
         Args:
             path: Where to; it ends in ``.npz``.
@@ -230,6 +245,8 @@ class BakedLobes:
             "rays": np.array(self.grid.rays, dtype=np.int64), "scale": self.scale, "functions": self.functions,
             "exponents": self.exponents, "mantissas": self.mantissas, "zeroth": self.zeroth,
         }  # fmt: skip
+        if self.reflectances is not None:
+            told["reflectances"] = self.reflectances
         return array_files.save(path, told)
 
     @classmethod
@@ -258,11 +275,31 @@ class BakedLobes:
         return cls(
             coherence, str(found["illuminant"]), float(found["tolerance"]), float(found["error"]),
             PolarGrid(rings, tuple(rays.tolist())), found["functions"], float(found["scale"]), found["exponents"],
-            found["mantissas"], found["zeroth"],
+            found["mantissas"], found["zeroth"], found.get("reflectances"),
         )  # fmt: skip
 
 
-def _linear(entries: NDArray[np.float32], share: NDArray[np.float64]) -> NDArray[np.float64]:
+def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
+    """R(0) of an index of refraction, None for 1.5; 1 of a material, which no index may be given beside."""
+    if not lobes.has_material:
+        return reflectance_factors.normal_reflectance(1.5 if ior is None else ior)
+    if ior is not None:
+        raise ValueError("ior must not be given beside lobes that were baked with a material")
+    return 1.0
+
+
+def mirror_power(lobes: BakedLobes, w: NDArray[np.float64], wavenumber: float) -> NDArray[np.float64]:
+    """What the mean plane reflects at |w| where its lobe is highest, for a gain of 1 and 1/λ [1/µm]."""
+    power = _linear(lobes.zeroth[:, None], w * wavenumber / LARGEST_KAPPA)[:, 0]
+    if lobes.reflectances is None:
+        return power
+    low, high = colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM
+    at = np.full(1, (1e3 / wavenumber - low) / (high - low))
+    # In the mirror direction cos θd is half of w.
+    return np.asarray(power * _linear(_linear(lobes.reflectances.T, at).T, w / LARGEST_W)[:, 0])
+
+
+def _linear(entries: NDArray[Any], share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows between entries (n, m) at equal steps, at shares of the whole range from 0 to 1."""
     at = share * (len(entries) - 1)
     first = np.clip(at.astype(np.int64), 0, len(entries) - 2)

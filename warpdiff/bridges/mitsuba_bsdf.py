@@ -180,6 +180,8 @@ def _colours(filename: str) -> _Table:
     import mitsuba as mi
 
     baked = wd.BakedLobes.load(filename)
+    if baked.has_material:
+        raise ValueError(f"filename: {filename!r} holds lobes of a material: bake without one, and set ior")
     if baked.coherence.kind != "source":
         raise ValueError(
             f"filename: {filename!r} holds lobes of a window, whose solid angle changes with the wavelength: bake them "

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.baking.baked_lobes import LARGEST_KAPPA, BakedLobes
+from warpdiff.baking.baked_lobes import LARGEST_W, BakedLobes, mirror_power, normal_reflectance
 from warpdiff.core import allocations, checks, file_writing
 from warpdiff.image import display_transform
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 _SIZE, _FRAMES = 1024, 512
 # The zeroth order's wavelengths: as many as a page has look-ups left for.
 _WAVELENGTHS = 10
+# Of what the mean plane reflects at each of them.
+_ENTRIES_OF_W = 512
 # A page's finest lobes are blurred by the reconstruction between its texels, by this share of their distance.
 _BLUR = 0.41
 _MOST_LIGHTS = 8
@@ -50,7 +52,7 @@ def export_html(
     light: DirectionalLight | Sequence[DirectionalLight],
     view: View,
     *,
-    ior: float = 1.5,
+    ior: float | None = None,
     masking: bool = True,
     pigment: float = 1.0,
     shadows: bool = True,
@@ -72,7 +74,8 @@ def export_html(
         lobes: What :func:`warpdiff.bake` made.
         light: One light, or several, under the illuminant of ``lobes``.
         view: The first view, a perspective one; its size is that of the reader's window.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror, None is 1.5, or what the material of the lobes
+            says.
         masking: Whether V-cavity masking and shadowing is included.
         pigment: Strength of the base colour that lies under the height field.
         shadows: Whether lights are hidden by the mesh itself, by maps of 4096 × 4096 texels.
@@ -95,7 +98,7 @@ def export_html(
     checks.instance(view, View, "view")
     if view.extent_y is not None:
         raise ValueError("view must be a perspective one, got an orthographic one")
-    normal = reflectance_factors.normal_reflectance(ior)
+    normal = normal_reflectance(lobes, ior)
     pigment = checks.number(pigment, "pigment", least=0.0)
     masking, shadows, smooth = (
         checks.flag(value, name) for name, value in (("masking", masking), ("shadows", shadows), ("smooth", smooth))
@@ -109,7 +112,8 @@ def export_html(
         surface = prepare_surface(mesh, tangents=tangents)
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
-        pigmented = pigment > 0.0 and surface.has_base_colour
+        # No light comes through a material to what lies below it.
+        pigmented = pigment > 0.0 and surface.has_base_colour and not lobes.has_material
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
             "lights": [{"to_light": each.to_light, "power": each.power} for each in lights],
@@ -199,14 +203,16 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     for k in range(count):
         fours[k // 4, :, k % 4] = lobes.functions[:, k]
     arrays.add("functions", "float32", fours.tobytes())
-    arrays.add("zeroth", "float32", lobes.zeroth.tobytes())
     wavenumbers, weights = colorimetry.uniform_quadrature(_WAVELENGTHS, lobes.illuminant)
+    w = np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)
+    zeroth = np.stack([mirror_power(lobes, w, tau) for tau in wavenumbers.tolist()])
+    arrays.add("zeroth", "float32", zeroth.astype(np.float32).tobytes())
     return {
         "lobes": {
             "rings": lobes.grid.rings, "rays": list(lobes.grid.rays), "ring_of_largest": lobes.grid.ring_of_largest,
             "functions": count, "scale": lobes.scale, "size": _SIZE,
         },
-        "wavelengths": [[tau, lobes.lobe_variance(1.0 / tau), tau / LARGEST_KAPPA] for tau in wavenumbers.tolist()],
+        "variances": [lobes.lobe_variance(1.0 / tau) for tau in wavenumbers.tolist()],
         "weights": weights.tolist(),
     }  # fmt: skip
 

@@ -152,7 +152,7 @@ const HALF_LARGEST = 1e4;
 const lobesUnit = lobes.scale / HALF_LARGEST;
 // Look-ups of a fragment: TAPS of each layer, functions, the zeroth order's wavelengths, shadow and base colour.
 const MOST_FETCHES = 64;
-const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.wavelengths.length) / layers));
+const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.variances.length) / layers));
 const DEVIATIONS = 2.4, STEP = 1.5;
 
 function bakeGrid(arrays) {
@@ -643,16 +643,16 @@ function listen() {
 
 async function begin() {
     const arrays = await unpack();
-    const wavelengths = header.wavelengths;
+    const wavelengths = header.variances.length;
     const surface = program(source("surface.vert"), source("surface.frag"), {
-        SHADED: 1, SIZE: SIZE.toFixed(1), LAYERS: layers, TAPS, WAVELENGTHS: wavelengths.length,
+        SHADED: 1, SIZE: SIZE.toFixed(1), LAYERS: layers, TAPS, WAVELENGTHS: wavelengths,
         DEVIATIONS: DEVIATIONS.toFixed(2), STEP: STEP.toFixed(2), REACH: ((TAPS - 1) * STEP / 2 / DEVIATIONS).toFixed(4),
     });
     scene = {
         surface, depth: program(source("surface.vert"), NOTHING), display: program(WHOLE, source("display.frag")),
         sum: program(WHOLE, COPY),
         mesh: loadMesh(arrays), baseColour: await loadTexture(arrays), grid: bakeGrid(arrays),
-        functions: row(arrays.functions, 4, gl.LINEAR, groups), zeroth: row(arrays.zeroth, 1, gl.LINEAR),
+        functions: row(arrays.functions, 4, gl.LINEAR, groups), zeroth: row(arrays.zeroth, 1, gl.LINEAR, wavelengths),
         mostChroma: row(arrays.most_chroma, 1, gl.NEAREST), shadows: header.shadows ? makeShadows() : null,
         table: texture(gl.TEXTURE_3D, gl.NEAREST, () => {
             const values = new Float32Array(arrays.display.length / 3 * 4), side = Math.round((values.length / 4) ** (1 / 3));
@@ -670,7 +670,7 @@ async function begin() {
     gl.uniform3fv(uniforms.pigmentWhite, header.pigment_white || [0, 0, 0]);
     gl.uniformMatrix3fv(uniforms.rgbToXyz, false, columns3(header.rgb_to_xyz));
     gl.uniform1f(uniforms.unit, lobesUnit);
-    gl.uniform3fv(uniforms.wavelengths, wavelengths.flat());
+    gl.uniform1fv(uniforms.variances, header.variances);
     gl.uniform3fv(uniforms.weights, header.weights.flat());
     gl.uniform1i(uniforms.shadows, 4);
     gl.useProgram(scene.display.program);
@@ -692,7 +692,7 @@ async function begin() {
 window.warpdiff = {
     ready: begin(),
     header,
-    fetches: TAPS * layers + groups + header.wavelengths.length + 2,
+    fetches: TAPS * layers + groups + header.variances.length + 2,
     get state() { return { view, lights, exposure: exposure * 2 ** stops, frames: added, atRest: added >= FRAMES_AT_REST }; },
     render(wanted = {}) {
         const width = wanted.width || canvas.width, height = wanted.height || canvas.height;

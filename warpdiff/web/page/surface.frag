@@ -25,7 +25,7 @@ uniform mat3 rgbToXyz;
 uniform highp sampler2DArray lobes;
 uniform highp sampler2D functionsOfW, zerothOrder;
 uniform float unit;
-uniform vec3 wavelengths[WAVELENGTHS];  // 1/λ [1/µm], the lobe's variance in (u, v), 1/|κ| of the last entry times 1/λ
+uniform float variances[WAVELENGTHS];  // of the mean plane's lobe in (u, v)
 uniform vec3 weights[WAVELENGTHS];
 
 const float LEAST_COSINE = 0.01, LARGEST_W = 2.0, SPACING = 4.0 / SIZE;
@@ -46,13 +46,14 @@ float gain(float cosLight, float cosView, vec3 sum) {
 // The mean plane's lobe, a Gaussian at each wavelength, over a covariance of (u, v).
 vec3 zeroth(vec2 uv, float w, vec3 covariance) {
     vec3 result = vec3(0.0);
+    float entries = float(textureSize(zerothOrder, 0).x);
     for (int k = 0; k < WAVELENGTHS; ++k) {
-        float own = wavelengths[k].y, a = own + covariance.x, b = covariance.y, d = own + covariance.z;
+        float own = variances[k], a = own + covariance.x, b = covariance.y, d = own + covariance.z;
         float determinant = a * d - b * b;
         float exponent = 0.5 * (d * uv.x * uv.x - 2.0 * b * uv.x * uv.y + a * uv.y * uv.y) / determinant;
         if (exponent > 24.0) continue;
-        float at = w * wavelengths[k].z, entries = float(textureSize(zerothOrder, 0).x);
-        float kept = texture(zerothOrder, vec2((at * (entries - 1.0) + 0.5) / entries, 0.5)).r;
+        vec2 at = vec2(w / LARGEST_W * (entries - 1.0) + 0.5, float(k) + 0.5) / vec2(entries, WAVELENGTHS);
+        float kept = texture(zerothOrder, at).r;
         result += kept * own * inversesqrt(determinant) * exp(-exponent) * weights[k];
     }
     return result;
