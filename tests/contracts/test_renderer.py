@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from conftest import slow
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
@@ -110,7 +111,7 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
 
 
 @pytest.mark.filterwarnings("ignore:.*settle to tolerance")
-@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", "source"])
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
     """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
     plan, count, options = CASES[name]
@@ -172,7 +173,7 @@ def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plan
     same(drawn.image(), wd.shade(tube, fingers, turned(0.2)[:count], view(0.8), plan=plans[plan], **options))
 
 
-@pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", "source"])
+@pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", slow("source")])
 def test_the_light_may_change_alone(tube, fingers, plans, name):
     plan, count, options = CASES[name]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options)

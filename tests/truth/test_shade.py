@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import trimesh
+from conftest import slow
 from PIL import Image
 from soaking import count
 from trimesh.visual import TextureVisuals
@@ -335,7 +336,7 @@ def test_facets():
     assert len({tuple(c) for c in np.round(np.log(smooth.xyz[smooth.mask][:, :1] + 1e-30), 3)}) > 2 * len(colours)
 
 
-@pytest.mark.parametrize("kind", ["averaged", "centred"])
+@pytest.mark.parametrize("kind", ["averaged", slow("centred")])
 def test_the_direct_method_agrees(kind, snake, fingers):
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=8, height=6)
     options = {"coherence": wd.Coherence(kind, 3.0), "tolerance": 1e-2, "footprint": False}
