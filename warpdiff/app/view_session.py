@@ -109,6 +109,7 @@ class Session:
         begun: The generation whose stages are gone through.
         stage: The next of them.
         drawn_at: When the first of them was drawn.
+        seen: What the last picture was drawn for, moving or not.
         factor: The automatic exposure of the last picture at rest, or of the first one.
         shown: The last picture, and how it is saved.
     """
@@ -120,6 +121,7 @@ class Session:
     begun: int = -1
     stage: int = 0
     drawn_at: float = 0.0
+    seen: Wanted | None = None
     factor: float | None = None
     shown: tuple[wd.Image, dict[str, Any]] | None = None
 
@@ -243,7 +245,11 @@ class Studio:
                     if wanted is None or session.in_flight >= _MOST_IN_FLIGHT:
                         continue
                     if session.begun != wanted.generation:
-                        session.begun, session.stage = wanted.generation, 0
+                        # Let go where it was seen last, it is finer next, or as fine once more.
+                        is_let_go = not wanted.moving and session.seen == _at_any_time(wanted)
+                        last = len(stages_to(wanted.values["tolerance"])) - 1
+                        session.begun = wanted.generation
+                        session.stage = min(max(session.stage, 1), last) if is_let_go else 0
                     if session.stage >= len(stages_to(wanted.values["tolerance"])):
                         continue
                     left = session.drawn_at + _REST_S - time.monotonic() if wanted.moving and session.stage else 0.0
@@ -291,6 +297,7 @@ class Studio:
         pixels = view_encoding.shown(image, exact=stage.last, **how)
         displayed = time.perf_counter()
         data = view_encoding.encoded(pixels, lossless=stage.refined)
+        session.seen = _at_any_time(wanted)
         if not stage.refined:
             self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
         lit = image.error[image.lit]
@@ -419,6 +426,10 @@ class Studio:
         )  # fmt: skip
         pixels = view_encoding.shown(disc, exact=False, display=how["display"])
         session.send(found | {"type": "image/png"}, view_encoding.encoded(pixels, lossless=True))
+
+
+def _at_any_time(wanted: Wanted) -> Wanted:
+    return dataclasses.replace(wanted, generation=0, moving=False)
 
 
 def _view(wanted: Wanted, body: Surface, width: int, height: int) -> wd.View:
