@@ -198,7 +198,7 @@ def test_a_page_keeps_its_budget_and_is_complete(shown, page):
     assert "http://" not in text
     assert "https://" not in text
     assert "src=" not in text
-    assert "are blurred to it" in shown.locator("#told").inner_text(), "how narrow lobes are is stated"
+    assert "is not told apart" in shown.locator("#told").inner_text(), "how narrow lobes are is stated"
 
 
 def test_nothing_is_said_on_the_console(shown):

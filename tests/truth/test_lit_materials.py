@@ -23,7 +23,7 @@ def fingers():
     return wd.gratings.fingers(size_um=12.8, seed=4)
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", ["gold", slow("a film on glass")])
 @pytest.mark.parametrize(
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
@@ -42,6 +42,7 @@ def test_a_table_of_a_material_keeps_its_tolerance(name, coherence, tolerance, f
     assert np.median(np.linalg.norm(mirror - exact[:40], axis=1) / np.linalg.norm(exact[:40], axis=1)) > 0.1
 
 
+@pytest.mark.slow
 def test_copies_of_gold_keep_their_tolerance(fingers, rng):
     hf, coherence = fingers.cropped(4.0), wd.Coherence("replicas", copies=(3, 5))
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)

@@ -21,7 +21,6 @@ from warpdiff.tables import colour_projection, colour_table
 from warpdiff.tables.integrator import Integrator
 from warpdiff.tables.polar_layout import Layout
 
-KINDS = ("averaged", "centred")
 # Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
 SHORT = wd.Coherence(sigma_um=3.25)
 
@@ -45,8 +44,9 @@ def picture_errors(found, exact):
     return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("tolerance", [slow(1e-1), 2e-2])
+@pytest.mark.parametrize(
+    ("kind", "tolerance"), [("averaged", 2e-2), ("centred", 1e-1), slow("averaged", 1e-1), slow("centred", 2e-2)]
+)
 def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 400), hemisphere(rng, 400)

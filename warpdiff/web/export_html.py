@@ -35,8 +35,6 @@ _SIZE, _FRAMES = 1024, 512
 _WAVELENGTHS = 10
 # Of what the mean plane reflects at each of them.
 _ENTRIES_OF_W = 512
-# A page's finest lobes are blurred by the reconstruction between its texels, by this share of their distance.
-_BLUR = 0.41
 _MOST_LIGHTS = 8
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
@@ -66,7 +64,7 @@ def export_html(
     It asks for nothing else, from this machine or any other. The body is turned, moved and approached, its lights are
     turned and its exposure is set by hand. A picture at rest adds up 512 frames, each with places of its own in the
     pixels, and then is that of :func:`warpdiff.shade` but for quantisation, edges of shadows, and footprints narrower
-    than the page's grid resolves, whose lobes are wider: it says how narrow.
+    than the page's grid over (u, v) resolves: it says how narrow.
 
     Args:
         path: Where to; it ends in ``.html`` or ``.htm``.
@@ -239,11 +237,11 @@ def _white(lobes: BakedLobes) -> Any:
 
 
 def _told(lobes: BakedLobes) -> str:
-    narrowest = _BLUR * 4.0 / _SIZE
+    narrowest = 2.0 * LARGEST_W / _SIZE
     return (
         f"Drag to turn, with two fingers or the right button to move, wheel to approach; the disc is the light. "
-        f"{lobes.coherence}, {lobes.illuminant}. Ranges of (u, v) narrower than {narrowest:.2g} (standard deviation) "
-        f"are blurred to it: from nearer by, nothing new is seen. Made with warpdiff."
+        f"{lobes.coherence}, {lobes.illuminant}. What is nearer than {narrowest:.2g} in (u, v) is not told apart: from "
+        f"nearer by, nothing new is seen. Made with warpdiff."
     )
 
 

@@ -113,6 +113,15 @@ function program(vertex, fragment, constants = {}) {
 const source = (id) => document.getElementById(id).textContent;
 const WHOLE = "void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }";
 const NOTHING = "void main() {}";
+// What linear interpolation between texels blurs by, a sixth of their distance squared along either axis, taken back.
+const SHARPEN = `uniform highp sampler2D frame;
+out vec4 c;
+vec4 at(ivec2 place) { return texelFetch(frame, clamp(place, ivec2(0), textureSize(frame, 0) - 1), 0); }
+void main() {
+    ivec2 here = ivec2(gl_FragCoord);
+    vec4 beside = at(here + ivec2(1, 0)) + at(here - ivec2(1, 0)) + at(here + ivec2(0, 1)) + at(here - ivec2(0, 1));
+    c = (16.0 * at(here) - beside) / 12.0;
+}`;
 const COPY = "uniform highp sampler2D frame; out vec4 c; void main() { c = texelFetch(frame, ivec2(gl_FragCoord), 0); }";
 
 function texture(target, filter, define) {
@@ -181,11 +190,12 @@ function bakeGrid(arrays) {
     const grid = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, grid);
     gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(SIZE)) + 1, gl.RGBA16F, SIZE, SIZE, layers);
+    const blurred = texture(
+        gl.TEXTURE_2D, gl.NEAREST, () => gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, SIZE, SIZE));
     const resample = program(WHOLE, source("resample.frag"), { MOST_OCTAVES: rays.length, SIZE: SIZE.toFixed(1) });
-    const target = gl.createFramebuffer(), starts = [];
+    const sharpen = program(WHOLE, SHARPEN), target = gl.createFramebuffer(), starts = [];
     rays.reduce((start, each) => { starts.push(start); return start + rings * each; }, 0);
     gl.useProgram(resample.program);
-    bind(resample, "polar", 0, gl.TEXTURE_2D_ARRAY, polar);
     gl.uniform1i(resample.uniforms.ringsAnOctave, rings);
     gl.uniform1iv(resample.uniforms.raysOf, rays);
     gl.uniform1iv(resample.uniforms.startOf, starts);
@@ -195,13 +205,20 @@ function bakeGrid(arrays) {
     gl.disable(gl.BLEND);
     gl.disable(gl.DEPTH_TEST);
     for (let layer = 0; layer < layers; ++layer) {
-        gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, grid, 0, layer);
+        gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, blurred, 0);
+        gl.useProgram(resample.program);
+        bind(resample, "polar", 0, gl.TEXTURE_2D_ARRAY, polar);
         gl.uniform1i(resample.uniforms.layer, layer);
+        gl.drawArrays(gl.TRIANGLES, 0, 3);
+        gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, grid, 0, layer);
+        gl.useProgram(sharpen.program);
+        bind(sharpen, "frame", 1, gl.TEXTURE_2D, blurred);
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(target);
     gl.deleteTexture(polar);
+    gl.deleteTexture(blurred);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, grid);
     for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) {
         gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, gl.CLAMP_TO_EDGE);

@@ -66,11 +66,11 @@ vec3 others(vec2 uv, float w, vec3 covariance) {
     float most2 = middle + root, least2 = max(middle - root, 0.0);
     vec2 axis = abs(half_) + abs(covariance.y) < 1e-20 ? vec2(1.0, 0.0) : normalize(
         half_ > 0.0 ? vec2(half_ + root, covariance.y) : vec2(covariance.y, root - half_));
-    // A level blurs by half of its texels' distance; no more than TAPS of them reach as far as STEPS of these.
-    float own = 0.5 * SPACING, blur2 = max(max(least2, most2 / (1.0 + REACH * REACH)), own * own);
-    float level = floor(0.5 * log2(blur2 / (own * own)));
-    float ofLevel2 = own * own * exp2(2.0 * level);
-    float lod = level + clamp((blur2 / ofLevel2 - 1.0) / 3.0, 0.0, 1.0);
+    // Level 0 does not blur, and level n by (4ⁿ − 1)/4 texels squared; no more than TAPS of them reach as far as STEPS of
+    // these.
+    float own2 = 0.25 * SPACING * SPACING, blur2 = max(max(least2, most2 / (1.0 + REACH * REACH)), 1e-3 * own2);
+    float level = floor(0.5 * log2(blur2 / own2 + 1.0)), scale = exp2(2.0 * level);
+    float lod = level + (blur2 / own2 + 1.0 - scale) / (3.0 * scale);
     float along = sqrt(max(most2 - blur2, 0.0)), ratio = along / sqrt(blur2);
     int taps = ratio < 0.1 ? 1 : min(1 + int(ceil(2.0 * DEVIATIONS * ratio / STEP)), TAPS);
     // So far apart that their variance is that of what is left, however many they are.
