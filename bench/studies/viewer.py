@@ -33,7 +33,7 @@ addEventListener('pointerup', () => { released = performance.now(); }, true);
 """
 # Of the command, with another limit for pictures that move.
 RUN = (
-    "import sys, warpdiff.app.view_session as s; s._MOVING_S = float(sys.argv.pop(1)); "
+    "import sys, warpdiff.viewer.session as s; s._MOVING_S = float(sys.argv.pop(1)); "
     "from warpdiff.app import cli; cli.main(sys.argv[1:])"
 )
 PANEL = 320

@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff.app import view_controls, view_scene
-from warpdiff.app.view_controls import checked, controls, defaults
-from warpdiff.app.view_scene import NamedFiles, Scene
+from warpdiff.viewer.controls import checked, controls, defaults, described
+from warpdiff.viewer.scene import NamedFiles, Scene
 
 websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs it")
 from websockets.sync.client import connect  # noqa: E402 (what may be absent)
 
-from warpdiff.app import view_server  # noqa: E402
-from warpdiff.app.view_server import MOST_PAGES, ViewServer  # noqa: E402
+from warpdiff.viewer import server as view_server  # noqa: E402
+from warpdiff.viewer.server import MOST_PAGES, ViewServer  # noqa: E402
 
 KNOWN = controls()
 
@@ -204,7 +203,7 @@ def test_a_message_of_any_size_takes_no_memory():
 
 def test_values_that_make_no_sense_are_told_to_the_page_alone():
     with serving() as (server, studio), page_of(server) as page, page_of(server) as other:
-        assert json.loads(page.recv())["controls"] == json.loads(json.dumps(view_controls.described(KNOWN)))
+        assert json.loads(page.recv())["controls"] == json.loads(json.dumps(described(KNOWN)))
         other.recv()
         legal = defaults(KNOWN)
         evil = [None, True, -1, 1e300, 10**400, "x", [], {}, [1, 2, 3], float("nan"), float("-inf"), "x" * 5000]
@@ -272,4 +271,4 @@ def test_every_control_is_part_of_a_scene(tmp_path):
     scene = Scene.of(first | {"surface": "file 0"}, files)
     assert isinstance(scene.hf.make(), wd.HeightField)
     assert str(scene.hf) == f"wd.HeightField.load('{tmp_path}/h.npy', pitch_um=0.1).levelled(order=1)"
-    assert view_scene.Scene.of(first, files).mesh.make().faces.shape[1] == 3
+    assert Scene.of(first, files).mesh.make().faces.shape[1] == 3

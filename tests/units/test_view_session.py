@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 import warpdiff as wd
-from warpdiff.app import view_bodies
-from warpdiff.app.view_controls import checked, controls
-from warpdiff.app.view_scene import Call, NamedFiles, Scene
-from warpdiff.app.view_session import Studio, Wanted, stages_to
 from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.viewer import bodies
+from warpdiff.viewer.controls import checked, controls
+from warpdiff.viewer.scene import Call, NamedFiles, Scene
+from warpdiff.viewer.session import Studio, Wanted, stages_to
 
 KNOWN = controls()
 VALUES = checked(
@@ -122,7 +122,7 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
         studio.want(page.session, wanted(1))
         page.until(is_last)
         # As on a slower machine.
-        monkeypatch.setattr("warpdiff.app.view_session._MOVING_S", 1e-6)
+        monkeypatch.setattr("warpdiff.viewer.session._MOVING_S", 1e-6)
         for generation in range(2, 10):
             studio.want(page.session, wanted(generation, moving=True, azimuth_deg=3.0 * generation))
             time.sleep(0.05)
@@ -159,12 +159,12 @@ def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr("warpdiff.core.disk_cache._LEAST_SECONDS", 0.0)
     call = Call.of("meshes.tube", segments_along=12, segments_around=6)
-    first = view_bodies.surface_of(call, None)
+    first = bodies.surface_of(call, None)
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
     # Studios of other tests may still draw.
     monkeypatch.setattr(Call, "make", lambda each: pytest.fail("it is kept") if each is call else make(each))
-    again = view_bodies.surface_of(call, None)
+    again = bodies.surface_of(call, None)
     for name, value in vars(first).items():
         assert type(getattr(again, name)) is type(value), name
         np.testing.assert_array_equal(getattr(again, name), value)
@@ -175,7 +175,7 @@ def test_a_body_is_framed_whole():
     for name in ("disc", "tube"):
         surface = prepare_surface(getattr(wd.meshes, name)())
         for width, height in ((80, 60), (40, 60)):
-            view = view_bodies.framed(surface, width, height)
+            view = bodies.framed(surface, width, height)
             renderer = wd.Renderer(
                 surface, wd.gratings.blazed(2.0, 0.1), wd.DirectionalLight((0, 1, 1)), view, tolerance=0.5,
                 coherence=wd.Coherence(sigma_um=2.0), refine=False,

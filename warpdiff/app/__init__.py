@@ -1,6 +1,6 @@
-"""The command line, and the viewer's page: options, signals, standard streams, the demonstration, a server.
+"""The command line: options, signals, standard streams, the demonstration.
 
-In: arguments, signals, what a page has set.
-Out: files, messages, an exit code, pictures on a page.
-May import: core, compute, optics, surface, scene, plans, image, evaluate, render, the public names, bench.
+In: arguments, signals.
+Out: files, messages, an exit code.
+May import: core, surface, scene, image, evaluate, render, viewer, the public names, bench.
 """

@@ -635,8 +635,8 @@ def _bench(options: argparse.Namespace) -> None:
 def _view(options: argparse.Namespace) -> None:
     if importlib.util.find_spec("websockets") is None:
         raise ValueError("the page is served with websockets, which is not installed: pip install 'warpdiff[view]'")
-    from warpdiff.app import viewer
-    from warpdiff.app.view_scene import NamedFiles
+    from warpdiff.viewer.scene import NamedFiles
+    from warpdiff.viewer.serve import run
 
     if not 0 <= options.port <= _MOST_PORT:
         raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
@@ -651,7 +651,7 @@ def _view(options: argparse.Namespace) -> None:
     files = NamedFiles(
         tuple(map(Path, options.mesh)), tuple(map(Path, options.height)), tuple(loading.items()), tuple(cleaning)
     )
-    viewer.run(
+    run(
         files, host=options.host, port=options.port, opens_browser=not options.no_browser, device=options.device,
         threads=options.threads, say=lambda line: print(line, flush=True),
     )  # fmt: skip

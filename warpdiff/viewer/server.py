@@ -30,7 +30,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Response
 
 import warpdiff as wd
-from warpdiff.app import view_controls
+from warpdiff.viewer.controls import Control, checked, described, vector
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request
 
-    from warpdiff.app.view_session import Studio, Wanted
+    from warpdiff.viewer.session import Studio, Wanted
 
 MOST_PAGES = 8
 _MOST_MESSAGE_BYTES = 16 * 1024
 _MOST_PILED_UP = 12
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
-_FOLDER = Path(__file__).with_name("viewer_page")
+_FOLDER = Path(__file__).with_name("page")
 _ASPECTS = (0.2, 5.0)
 _MOST_GENERATION = 2**53
 
@@ -66,7 +66,7 @@ class ViewServer:
         token: What requests must carry; empty on this machine.
     """
 
-    controls: dict[str, view_controls.Control]
+    controls: dict[str, Control]
     studio: Callable[[], Awaitable[Studio]]
     host: str = "127.0.0.1"
     port: int = 0
@@ -183,9 +183,7 @@ def _refused(status: int, why: str) -> Response:
 class _Page:
     """One page's connection."""
 
-    def __init__(
-        self, connection: ServerConnection, controls: dict[str, view_controls.Control], studio: Studio
-    ) -> None:
+    def __init__(self, connection: ServerConnection, controls: dict[str, Control], studio: Studio) -> None:
         self._connection, self._controls, self._studio = connection, controls, studio
         self._loop = asyncio.get_running_loop()
         self._waiting: asyncio.Queue[str | bytes] = asyncio.Queue()
@@ -210,7 +208,7 @@ class _Page:
 
     async def run(self) -> None:
         """Read and write until the page is gone."""
-        controls = view_controls.described(self._controls)
+        controls = described(self._controls)
         self._put(json.dumps({"kind": "hello", "version": wd.__version__, "controls": controls}))
         writing = asyncio.create_task(self._write())
         try:
@@ -259,15 +257,15 @@ class _Page:
             raise ValueError("generation must be a count")
         if not isinstance(aspect, (int, float)) or not _ASPECTS[0] <= aspect <= _ASPECTS[1]:
             raise ValueError(f"aspect must lie within {_ASPECTS[0]} to {_ASPECTS[1]}")
-        place = view_controls.vector([*probe, 0.0] if isinstance(probe, list) else probe, "probe")[:2]
+        place = vector([*probe, 0.0] if isinstance(probe, list) else probe, "probe")[:2]
         if not (min(place) >= 0.0 and max(place) <= 1.0):
             raise ValueError("probe must lie in the picture, 0 to 1")
-        values = view_controls.checked(self._controls, told.get("values"))
+        values = checked(self._controls, told.get("values"))
         seen = None
         if camera is not None:
             if not isinstance(camera, dict):
                 raise ValueError("camera must be an object")
-            eye, target, up = (view_controls.vector(camera.get(name), name) for name in ("eye", "target", "up"))
+            eye, target, up = (vector(camera.get(name), name) for name in ("eye", "target", "up"))
             fov: Any = camera.get("fov_y_deg")
             seen = eye, target, up, fov
             # Refuses what makes no view.

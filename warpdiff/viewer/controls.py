@@ -1,6 +1,6 @@
 """What a page of the viewer may set: each control once, with its range, for the page that shows it and for its check.
 
-A new control is one entry of :func:`controls`, and one line of ``view_scene`` that says what it is for.
+A new control is one entry of :func:`controls`, and one line of ``scene.py`` that says what it is for.
 """
 
 from __future__ import annotations

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.app import view_bodies, view_encoding
-from warpdiff.app.view_scene import NamedFiles, Scene
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks, disk_cache
 from warpdiff.core.lru_cache import LruCache
 from warpdiff.image.display_transform import MEAN_SHOWN
+from warpdiff.viewer import bodies, encoding
+from warpdiff.viewer.scene import NamedFiles, Scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -189,7 +189,7 @@ class Studio:
         """The picture that a page shows, as a file."""
         if session.shown is None:
             raise ValueError("there is no picture to save yet")
-        return view_encoding.saved(*session.shown[:1], kind, session.shown[1])
+        return encoding.saved(*session.shown[:1], kind, session.shown[1])
 
     def acknowledge(self, session: Session) -> None:
         """A page has shown a picture."""
@@ -201,12 +201,12 @@ class Studio:
         """Make what first pictures take, whatever their size."""
         scene = Scene.of(self._likely, self.files)
         stage = _unrefined(scene.tolerance)
-        view = view_bodies.framed(self._surface(scene), 16, 12)
+        view = bodies.framed(self._surface(scene), 16, 12)
         nobody = Session(lambda *_: None)
         image = self._renderer(
             scene, view, stage, nobody, Wanted(0, self._likely, None, 1.0, False, (0.5, 0.5))
         ).image()
-        view_encoding.encoded(view_encoding.shown(image, exact=False, background=(0, 0, 0)), lossless=False)
+        encoding.encoded(encoding.shown(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
         # What fails here fails again for a page, and is told there.
@@ -294,9 +294,9 @@ class Studio:
         image = renderer.image()
         drawn = time.perf_counter()
         how = self._exposed(session, wanted, image, moving=wanted.moving and not stage.refined)
-        pixels = view_encoding.shown(image, exact=stage.last, **how)
+        pixels = encoding.shown(image, exact=stage.last, **how)
         displayed = time.perf_counter()
-        data = view_encoding.encoded(pixels, lossless=stage.refined)
+        data = encoding.encoded(pixels, lossless=stage.refined)
         session.seen = _at_any_time(wanted)
         if not stage.refined:
             self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
@@ -351,7 +351,7 @@ class Studio:
     def _surface(self, scene: Scene) -> Surface:
         tangents = dict(scene.options).get("tangents")
         key = str(scene.mesh), tangents
-        return self._made.surfaces.get_or_make(key, lambda: view_bodies.surface_of(scene.mesh, tangents))
+        return self._made.surfaces.get_or_make(key, lambda: bodies.surface_of(scene.mesh, tangents))
 
     def _height_field(self, scene: Scene) -> wd.HeightField:
         made: Callable[[], wd.HeightField] = scene.hf.make
@@ -378,7 +378,7 @@ class Studio:
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
-        view = view_bodies.framed(surface, 16, 12)
+        view = bodies.framed(surface, 16, 12)
         begun: list[wd.Renderer] = []
 
         def plan() -> dict[str, Any]:
@@ -403,7 +403,7 @@ class Studio:
             whole = image.coverage > _WHOLE
             place = _nearest(whole & image.lit, wanted.probe) or _nearest(whole, wanted.probe)
         light = scene.light.make()
-        local = place and view_bodies.local_directions(
+        local = place and bodies.local_directions(
             self._surface(scene), view, light.to_light, *place, smooth=wanted.values["smooth"], device=self._device,
             threads=self._threads,
         )  # fmt: skip
@@ -424,8 +424,8 @@ class Studio:
             self._height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan, illuminant=light.illuminant,
             device=self._device.alias, threads=self._threads, progress=watch, **options,
         )  # fmt: skip
-        pixels = view_encoding.shown(disc, exact=False, display=how["display"])
-        session.send(found | {"type": "image/png"}, view_encoding.encoded(pixels, lossless=True))
+        pixels = encoding.shown(disc, exact=False, display=how["display"])
+        session.send(found | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))
 
 
 def _at_any_time(wanted: Wanted) -> Wanted:
@@ -435,7 +435,7 @@ def _at_any_time(wanted: Wanted) -> Wanted:
 def _view(wanted: Wanted, body: Surface, width: int, height: int) -> wd.View:
     """The view of a page."""
     if wanted.camera is None:
-        return view_bodies.framed(body, width, height)
+        return bodies.framed(body, width, height)
     eye, target, up, fov = wanted.camera
     return wd.View(eye, target, up=up, fov_y_deg=fov, width=width, height=height)
 

@@ -7,14 +7,14 @@ import threading
 import webbrowser
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.app import view_controls
-from warpdiff.app.view_server import ViewServer
+from warpdiff.viewer.controls import controls, defaults
+from warpdiff.viewer.server import ViewServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from warpdiff.app.view_scene import NamedFiles
-    from warpdiff.app.view_session import Studio
+    from warpdiff.viewer.scene import NamedFiles
+    from warpdiff.viewer.session import Studio
 
 
 def run(
@@ -38,17 +38,17 @@ def run(
         threads: As in :func:`warpdiff.shade`.
         say: Called with the line that names the address.
     """
-    controls = view_controls.controls([each.name for each in files.meshes], [each.name for each in files.heights])
+    known = controls([each.name for each in files.meshes], [each.name for each in files.heights])
 
     def begin() -> Studio:
         # A second's worth of imports, while the browser already loads the page.
-        from warpdiff.app.view_session import Studio
+        from warpdiff.viewer.session import Studio
 
-        return Studio(files, view_controls.defaults(controls), device=device, threads=threads)
+        return Studio(files, defaults(known), device=device, threads=threads)
 
     async def serve() -> None:
         studio = asyncio.ensure_future(asyncio.to_thread(begin))
-        server = ViewServer(controls, lambda: asyncio.shield(studio), host, port)
+        server = ViewServer(known, lambda: asyncio.shield(studio), host, port)
 
         def ready() -> None:
             say(f"{server.address}  (Ctrl-C ends it)")

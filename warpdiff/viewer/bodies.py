@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-    from warpdiff.app.view_scene import Call
+    from warpdiff.viewer.scene import Call
 
 # Of a body, how much of the picture it fills at most.
 _FILLED = 0.92

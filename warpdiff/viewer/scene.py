@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import warpdiff as wd
-from warpdiff.app.view_controls import AXES, LONG_BODIES, METALS
+from warpdiff.viewer.controls import AXES, LONG_BODIES, METALS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
