@@ -25,11 +25,14 @@ def main() -> int:
         from warpdiff.app import cli
 
         code = cli.main()
-    except KeyboardInterrupt:
-        code = 130
     except SystemExit as stop:
         # Of help, or of options that are wrong.
         code = int(stop.code or 0)
+    except BaseException as error:
+        # Imports make errors of their own of it.
+        if not (interruption.is_met or isinstance(error, KeyboardInterrupt)):
+            raise
+        code = 130
     return interruption.finish(code)
 
 

@@ -126,6 +126,14 @@ def test_a_signal_that_was_ignored_stays_so(tmp_path):
     assert ended(ignore + COMMAND + raises + RUN, tmp_path)[0] == 3
 
 
+def test_an_interruption_that_becomes_another_error_is_one(tmp_path):
+    """As NumPy's own import makes of it."""
+    turned = "def turned():\n    try: signal.raise_signal(15); time.sleep(60.0)\n"
+    turned += "    except BaseException: raise ImportError('could not import')\ncli.main = turned"
+    code, _, error = ended(COMMAND + turned + RUN, tmp_path)
+    assert (code, error) == (143, "")
+
+
 def test_an_interruption_of_a_finalizer_is_one_and_says_nothing(tmp_path):
     last = "class Last:\n    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
     assert ended(COMMAND + last + "cli.main = lambda: Last() and time.sleep(60.0)" + RUN, tmp_path) == (143, "", "")

@@ -57,6 +57,11 @@ class Interruption:
         for each in signals:
             signal.signal(each, self._meet)
 
+    @property
+    def is_met(self) -> bool:
+        """Whether there was a signal."""
+        return self._code is not None
+
     def finish(self, code: int) -> int:
         """Flush what the command has written and return its code, or end as interrupted if it was."""
         # From now on a signal ends the process at once.
