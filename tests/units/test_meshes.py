@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 
 from warpdiff import meshes
+from warpdiff.scene.mesh_geometry import is_closed
 from warpdiff.scene.mesh_import import prepare_surface
 
 
@@ -95,3 +97,19 @@ def test_the_seam_is_invisible(mesh, axis):
 def test_bad_arguments(make, given, error, message):
     with pytest.raises(error, match=message):
         make(**given)
+
+
+def test_bodies_are_told_from_sheets():
+    closed = {name: is_closed_body(getattr(meshes, name)()) for name in ("snake", "tube", "disc")}
+    assert closed == {"snake": True, "tube": True, "disc": False}
+    box = trimesh.creation.box()
+    assert is_closed_body(box)
+    box.invert()
+    assert not is_closed_body(box), "its faces look inwards"
+    box.invert()
+    box.update_faces(np.arange(12) != 3)
+    assert not is_closed_body(box)
+
+
+def is_closed_body(mesh):
+    return is_closed(mesh.vertices.T, mesh.faces.T)

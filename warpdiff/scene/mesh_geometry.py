@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -253,6 +253,29 @@ def fill(
     return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
 
 
+def _sides_of_edges(
+    faces: NDArray[np.integer[Any]], welded: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """The two faces' places of each edge of a closed mesh, along which they run in opposite directions; else None."""
+    start = welded.take(faces)
+    end = start[[1, 2, 0]]
+    edges = (np.minimum(start, end) * (int(welded.max()) + 1) + np.maximum(start, end)).ravel()
+    order = np.argsort(edges)
+    edges = edges[order]
+    one, other = order[::2], order[1::2]
+    if len(edges) % 2 or np.any(edges[::2] != edges[1::2]) or np.any(edges[2::2] == edges[1:-1:2]):
+        return None
+    ascends = (start < end).ravel()
+    return None if np.any(ascends[one] == ascends[other]) else (one, other)
+
+
+def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
+    """Whether the faces bound a body, and are wound counter-clockwise as seen from outside of it."""
+    first, second, third = (vertices.take(each, axis=1) for each in faces)
+    volume = np.sum(first * np.cross(second, third, axis=0))
+    return bool(volume > 0.0) and _sides_of_edges(faces, weld(vertices)[0]) is not None
+
+
 def is_convex(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], outward: NDArray[np.float64], welded: NDArray[np.int64]
 ) -> bool:
@@ -271,19 +294,10 @@ def is_convex(
     number = faces.shape[1]
     if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
         return False
-    start = welded.take(faces)
-    end = start[[1, 2, 0]]
-    count = int(welded.max()) + 1
-    edges = (np.minimum(start, end) * count + np.maximum(start, end)).ravel()
-    order = np.argsort(edges)
-    edges = edges[order]
-    one, other = order[::2], order[1::2]
-    # Each edge belongs to two faces, which run along it in opposite directions.
-    if len(edges) % 2 or np.any(edges[::2] != edges[1::2]) or np.any(edges[2::2] == edges[1:-1:2]):
+    both = _sides_of_edges(faces, welded)
+    if both is None or int(welded.max()) + 1 - len(both[0]) + number != 2:
         return False
-    ascends = (start < end).ravel()
-    if np.any(ascends[one] == ascends[other]) or count - len(one) + number != 2:
-        return False
+    one, other = both
     # The face beyond each edge must not rise above the plane of the one on this side.
     level = dot(outward, vertices.take(faces[0], axis=1))
     opposite = faces[[2, 0, 1]].ravel()

@@ -17,6 +17,7 @@ from warpdiff.image import display_transform
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.scene.camera import View
 from warpdiff.scene.lights import DirectionalLight
+from warpdiff.scene.mesh_geometry import is_closed
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.web.packing import Arrays, octahedral, quantised
 
@@ -154,7 +155,13 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
     arrays.add_differences("normals", octahedral(_defined_normals(surface)))
     arrays.add_differences("tangents", octahedral(surface.tangents))
     arrays.add_differences("faces", surface.faces.reshape(-1, 1))
-    header: dict[str, Any] = {"vertices": count, "radius": surface.radius, "centre": surface.centre.tolist()}
+    closed = is_closed(surface.vertices.T.astype(np.float64), surface.faces.T)
+    header: dict[str, Any] = {
+        "vertices": count,
+        "closed": closed,
+        "radius": surface.radius,
+        "centre": surface.centre.tolist(),
+    }
     if (surface.handedness < 0.0).any():
         arrays.add("handedness", "int8", surface.handedness.astype(np.int8).tobytes())
     texture = np.rint(255.0 * colorimetry.srgb_encode(surface.texture)).astype(np.uint8)

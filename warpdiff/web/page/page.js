@@ -395,7 +395,10 @@ function makeShadows() {
     return { map, target };
 }
 
-function drawMesh() {
+// Backs of a closed body are never seen, but where corners are rounded to a grid they are, along edges, and sparkle.
+function drawMesh(seen = true) {
+    if (header.closed && seen) gl.enable(gl.CULL_FACE);
+    else gl.disable(gl.CULL_FACE);
     gl.bindVertexArray(scene.mesh.array);
     gl.drawElements(gl.TRIANGLES, scene.mesh.indices, gl.UNSIGNED_INT, 0);
 }
@@ -471,7 +474,7 @@ function shadowOf(light, matrix, aside) {
     gl.depthFunc(gl.LESS);
     gl.useProgram(scene.depth.program);
     gl.uniformMatrix4fv(scene.depth.uniforms.projection, false, result);
-    drawMesh();
+    drawMesh(false);
     scene.shadows.last = { matrix: result, texel };
     return scene.shadows.last;
 }
