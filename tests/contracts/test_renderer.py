@@ -110,7 +110,6 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
-@pytest.mark.filterwarnings("ignore:.*expected to err by more")
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
     """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
@@ -187,7 +186,6 @@ def test_the_light_may_change_alone(tube, fingers, plans, name):
     same(drawn.image(), wd.shade(tube, fingers, turned(0.0)[:count], view(0.2), plan=plans[plan], **options))
 
 
-@pytest.mark.filterwarnings("ignore:.*expected to err by more")
 def test_means_stay_where_no_table_takes_them(tube):
     hf = wd.gratings.blazed(2.5, 0.25)
     options = {"tolerance": 0.5, "coherence": SHORT}
@@ -315,7 +313,6 @@ def test_bad_input_is_refused(tube, fingers, plans):
 
 
 @pytest.mark.permanent("threads that render at once")
-@pytest.mark.filterwarnings("ignore:.*expected to err by more")
 def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries):
     views = [[view(angle + k / 50.0, size=(24, 18)) for k in range(3)] for angle in (0.0, 1.0)]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], views[0][0], plan=plans["footprints"], threads=2)
