@@ -6,6 +6,9 @@ from warpdiff.kernels import cell_levels, compile_options
 
 wp.set_module_options(compile_options.options("error_estimates.h", "cell_splats.h"))
 
+# Marks of pixels that are to be split, and of those that were and need not be again; 0 is for all others.
+WANTED = wp.constant(wp.uint8(1))
+SETTLED = wp.constant(wp.uint8(2))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
 
@@ -201,7 +204,7 @@ def resolve_pixels(
 
     Args:
         given: What the cells give.
-        pixels: Those to be set; empty is all of the picture that are wanted.
+        pixels: Those that were split at first; empty is all of the picture that are marked.
         width: Pixels in a row.
         height: Rows.
         floor: What errors are relative to at least.
@@ -215,14 +218,16 @@ def resolve_pixels(
         errors_out: ‖ΔXYZ‖, before and now.
         coverage_out: Shares of cells that meet the mesh.
         lit_out: Set where any cell has a colour.
-        wanted_out: 1 for those to be split again, otherwise 0.
+        wanted_out: ``WANTED`` for those to be split again, ``SETTLED`` for others that were.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
         pixel = k
         if pixels.shape[0] > 0:
             pixel = pixels[k]
-        if wanted_out[pixel] == wp.uint8(0):
+        mark = wanted_out[pixel]
+        # What has settled takes the cells that are there for the sake of those beside it, if its own are among them.
+        if mark == wp.uint8(0) or (mark == SETTLED and wp.int32(given.levels[rank_of(given.ranks, pixel)]) < level):
             continue
         row = pixel // width
         column = pixel % width
@@ -237,7 +242,7 @@ def resolve_pixels(
                 most = wp.max(most, wp.int32(given.levels[there]))
         if most < level:
             # None of its parts still changes by much.
-            wanted_out[pixel] = wp.uint8(0)
+            wanted_out[pixel] = SETTLED
             continue
         total = wp.vec4f()
         weight = wp.float32(0.0)
@@ -270,13 +275,16 @@ def resolve_pixels(
                 wp.static(wp.float32(cell_levels.LEAST_ERROR_PER_LAST)) * errors_out[pixel],
             ),
         )
+        if mark == SETTLED:
+            # Parts of it are as they were.
+            error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
         colours_out[pixel] = colour
         errors_out[pixel] = error
         coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
         lit_out[pixel] = lit_out[pixel] or wp.length_sq(colour) > wp.float32(0.0)
         rim = level < rim_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
         if not goes_on and not rim and not error > bound * wp.max(wp.length(colour), floor[0]):
-            wanted_out[pixel] = wp.uint8(0)
+            wanted_out[pixel] = SETTLED
 
 
 @wp.kernel
@@ -335,7 +343,7 @@ def select_cells(
                 x = column + 1 - side
                 if y >= 0 and y < height and x >= 0 and x < width:
                     there = y * width + x
-                    if wanted[there] != wp.uint8(0):
+                    if wanted[there] == WANTED:
                         share = FILTER_SHARES[line] * FILTER_SHARES[side]
                         change = share * given.changes[rank]
                         least = (

@@ -10,9 +10,11 @@ FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
 # What of it lies in each of three pixels in a row.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
-# The finest level: 1,024 cells a pixel, of which a filter reaches some 9,200.
-MOST_LEVEL = 5
+# The finest level: 4,096 cells a pixel, of which a filter reaches some 36,900.
+MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
+# From this tolerance on pixels end at the level before: what that leaves is within it, and frames are to be fast.
+COARSE_TOLERANCE = 0.05
 # Points, which have no filters, begin at this level: nothing else tells how much they differ.
 LEAST_LEVEL_OF_POINTS = 2
 # What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
@@ -25,7 +27,7 @@ SMOOTH, PER_UNEVEN, PER_WIDE = 0.008, 0.52, 0.55
 ERROR_PER_DIFFERENCE, LEAST_ERROR_PER_LAST, ERROR_PER_CHANGES = 0.65, 0.1, 0.1
 # Pixels of each level are split whose error, times so much, is above the tolerance: the first cells may well agree with
 # the pixel's ray where both are wrong, and the finest take as long as all others.
-CAUTION = 1.0, 2.5, 1.4, 1.4, 1.0
+CAUTION = 1.0, 2.5, 1.4, 1.4, 1.0, 1.0
 # What cells change by is taken to be so much at least of what was expected, or of what the level before changed, where
 # it is asked which are split again.
 LEAST_FALL = 0.15

@@ -86,9 +86,8 @@ def keep_larger(
     # Out:
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Keep the larger of each of some counts and of those before, if there are any."""
-    i = wp.tid()
-    most_out[i] = wp.where(begins, counts[i], wp.max(counts[i], most_out[i]))
+    """Keep the larger of a count and of the one before, if there is one."""
+    most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
 @wp.kernel

@@ -333,7 +333,7 @@ def test_progress_bar_waits_a_second(monkeypatch, capsys):
 
 
 # Pictures of 18 pixels across.
-TINY = pytest.mark.filterwarnings("ignore:.*settle to tolerance")
+TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 @TINY

@@ -110,7 +110,6 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
-@pytest.mark.filterwarnings("ignore:.*settle to tolerance")
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
     """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
@@ -211,7 +210,8 @@ def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, cou
         assert np.mean(found.lit != expected.lit) <= few
         assert np.mean(found.coverage != expected.coverage) <= few
         differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        assert np.mean(differ[expected.lit] > 0.0) <= 5.0 * few
+        # What has settled takes cells of pixels beside it, so that one that is split otherwise changes those around.
+        assert np.mean(differ[expected.lit] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.lit], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
         assert found.plan.split == pytest.approx(expected.plan.split, rel=0.05)
     assert len(recorded) == 1
@@ -313,7 +313,6 @@ def test_bad_input_is_refused(tube, fingers, plans):
 
 
 @pytest.mark.permanent("threads that render at once")
-@pytest.mark.filterwarnings("ignore:.*settle to tolerance")
 def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries):
     views = [[view(angle + k / 50.0, size=(24, 18)) for k in range(3)] for angle in (0.0, 1.0)]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], views[0][0], plan=plans["footprints"], threads=2)

@@ -30,6 +30,9 @@ PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # The share of the lit pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
 MOST_STOPS = 30.0
+# The odds that a pixel errs by more than the tolerance, where its estimated error is the tolerance, and the power of
+# their ratio that they grow by.
+_ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 
 
 @dataclass(frozen=True)
@@ -297,6 +300,14 @@ def relative_errors(
         white = max(float(luminance[math.ceil(0.99 * len(luminance)) - 1]), float(median))
     floor = max(FLOOR * white, TINY)
     return np.asarray(errors / np.maximum(np.linalg.norm(xyz, axis=-1), floor), dtype=np.float32)
+
+
+def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
+    """The share of pixels that are expected to err by more than a tolerance, from their estimated errors."""
+    if not error.size:
+        return 0.0
+    odds = _ODDS_AT_TOLERANCE * (error.astype(np.float64) / tolerance) ** _ODDS_POWER
+    return float(np.mean(odds / (1.0 + odds)))
 
 
 def check_target(path: Any, name: str = "path") -> Path:

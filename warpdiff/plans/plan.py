@@ -79,8 +79,8 @@ class Plan:
             there is one and powers add, and otherwise from many points.
         split: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
             of the one under which these are most.
-        unsettled: The share that the most cells do not settle: what is told of their errors, which bounds 95 of 100, is
-            above the tolerance.
+        unsettled: The share of its lit pixels that are expected to err by more than the tolerance, as their estimated
+            errors tell; 0 of one that is not refined, which promises nothing.
         errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
@@ -260,7 +260,9 @@ class Plan:
         if self.split:
             parts.append(f"{100.0 * self.split:.3g} % of the pixels were split into cells")
             if self.unsettled:
-                parts.append(f"which does not settle {100.0 * self.unsettled:.3g} %")
+                parts.append(
+                    f"after which {100.0 * self.unsettled:.2g} % are expected to err by more than the tolerance"
+                )
         parts.append(f"float32 rounds by {self.rounding:.1e}")
         text = "; ".join(parts)
         text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."

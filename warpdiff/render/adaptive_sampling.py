@@ -61,10 +61,9 @@ class LightRefinement:
         return self.refine or self.least > 0
 
     def _bound_at(self, level: int) -> float:
-        """From which errors pixels at a level are split, and at the last one from which they have not settled."""
-        if not self.refine:
-            return np.inf
-        return self.tolerance if level == cell_levels.MOST_LEVEL else pixel_filters.bound_at(level, self.tolerance)
+        """From which errors pixels at a level are split."""
+        last = cell_levels.MOST_LEVEL - (self.tolerance >= cell_levels.COARSE_TOLERANCE)
+        return pixel_filters.bound_at(level, self.tolerance) if self.refine and level < last else np.inf
 
     def _goes_on(self, level: int) -> tuple[bool, int]:
         """Whether all pixels are split beyond a level, and to which the rims are."""

@@ -38,17 +38,16 @@ class DeviceSchedule:
         self._wanted, self._chosen, self._of_all = empty(pixels, wp.uint8), empty(pixels, wp.uint8), empty(0)
         self._given = light.empty_shares(pixels)
         self._listed, self._counts = empty(pixels), empty(1)
-        self._found, self._most_found = empty(2), wp.zeros(2, dtype=wp.int32, device=device)
+        self._found, self._most_found = empty(1), wp.zeros(1, dtype=wp.int32, device=device)
         self._taken, self._left = empty(1), empty(1)
         whole = cell_levels.rays_at(cell_levels.MOST_LEVEL)
         rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
         self._buffers = TileBuffers.by(rays, kind=light.buffer_kind, device=device)
 
     @property
-    def counts(self) -> tuple[int, int]:
-        """How many pixels were split at first, and in the end, of the light of which these are most."""
-        first, last = self._most_found.numpy().tolist()
-        return first, last
+    def count(self) -> int:
+        """How many pixels were split, of the light of which these are most."""
+        return int(self._most_found.numpy()[0])
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int | None = None) -> None:
         """Launch a kernel over all pixels, or so many of something."""
@@ -65,11 +64,11 @@ class DeviceSchedule:
         if light.splits:
             self._split_all(light)
         inputs = [self._found, light.light_index == 0]
-        wp.launch(work_queues.keep_larger, dim=2, inputs=inputs, outputs=[self._most_found], device=self._device)
+        wp.launch(work_queues.keep_larger, dim=1, inputs=inputs, outputs=[self._most_found], device=self._device)
 
     def _split_all(self, light: LightRefinement) -> None:
         view = light.frame.view
-        self._launch(work_queues.count_up, [self._wanted], [self._found[:1]])
+        self._launch(work_queues.count_up, [self._wanted], [self._found])
         self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
         for level in cell_levels.LEVELS:
             self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
@@ -77,7 +76,6 @@ class DeviceSchedule:
             if level < cell_levels.MOST_LEVEL:
                 chosen = light.select_cells(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
                 self._launch_step(chosen)
-        self._launch(work_queues.count_up, [self._wanted], [self._found[1:]])
 
     def _find_floor(self, colours: wp.array, gains: wp.array) -> None:
         """Set the floor to that of a picture."""

@@ -12,7 +12,7 @@ from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.core.thread_pool import part_of
 from warpdiff.evaluate.directions import direct_colour
-from warpdiff.image.image import Image, relative_errors
+from warpdiff.image.image import Image, relative_errors, share_beyond
 from warpdiff.kernels import adaptive, ray_hits, scattering
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Sampling
@@ -111,6 +111,7 @@ class Frame:
         # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
+        self._refined = False
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._schedule: HostSchedule | DeviceSchedule | None = None
         self._lights: Any = None
@@ -338,6 +339,7 @@ class Frame:
         several, colours = len(self._to_lights) > 1, self._colours_of_one
         errors = self._errors[several]
         self._errors[0].zero_()
+        self._refined = refine
         if several:
             self._sums[0].zero_()
         for light_index, share in self._passes(progress):
@@ -524,14 +526,15 @@ class Frame:
             errors += self._errors[0].numpy()
         error = relative_errors(errors, xyz, lit) * lit
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
-        found = np.array((0, 0) if self._schedule is None else self._schedule.counts)
+        found = 0 if self._schedule is None else self._schedule.count
         # Where only cells may meet the mesh, pixels are split that do not.
-        split, unsettled = np.minimum(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
+        split = min(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
+        unsettled = share_beyond(error[lit], plan.tolerance) if self._refined else 0.0
         return Image(
             xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
             lit=lit.reshape(shape),
             coverage=coverage,
             error=error.reshape(shape),
-            plan=replace(plan, split=float(split), unsettled=float(unsettled), errors=(told[0], told[1])),
+            plan=replace(plan, split=split, unsettled=unsettled, errors=(told[0], told[1])),
         )

@@ -32,19 +32,18 @@ class HostSchedule:
     """What is split, and when, as the host finds out.
 
     Attributes:
-        counts: How many pixels were split at first, and in the end, of the light of which these are most.
+        count: How many pixels were split, of the light of which these are most.
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
         """For pictures by these rays."""
         self._rays = rays
-        self.counts = (0, 0)
+        self.count = 0
 
     def split(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
         """Split pixels until none is left that is to be."""
-        at_first, at_last = _Splitting(light, self._rays).run(progress) if self._rays.may_see else (0, 0)
-        most = (0, 0) if light.light_index == 0 else self.counts
-        self.counts = max(most[0], at_first), max(most[1], at_last)
+        count = _Splitting(light, self._rays).run(progress) if self._rays.may_see else 0
+        self.count = count if light.light_index == 0 else max(self.count, count)
 
 
 @dataclass
@@ -52,7 +51,7 @@ class _Part:
     """Pixels that are split together.
 
     Attributes:
-        pixels: Those that are to be told better.
+        pixels: Those that were to be told better at first.
         tiles: Those whose cells tell them: they, and those around.
         given: What cells give, the struct ``Shares`` of the kernels.
         ranks: Where in it each pixel of the picture comes.
@@ -87,16 +86,15 @@ class _Splitting:
     def _launch(self, step: KernelCall, elements: int | range) -> None:
         launch_pipeline([step], elements, slice_size=SLICE, **self._rays.options)
 
-    def run(self, progress: Callable[[float], None] | None) -> tuple[int, int]:
-        """Split all, and say how many there were at first, and in the end."""
+    def run(self, progress: Callable[[float], None] | None) -> int:
+        """Split all, and say how many there were."""
         light, among = self._light, self._rays.may_see
         self._launch(light.estimate_errors(self._floor, self._wanted_out), among)
         if not light.splits:
-            return 0, 0
+            return 0
         wanted = self._wanted[among.start : among.stop]
         pixels = (np.flatnonzero(wanted) + among.start).astype(np.int32)
         light.frame.expect_cells(light.light_index, len(pixels))
-        unsettled = 0
         with shared_tile_buffers(self._threads, kind=light.buffer_kind, device=self._device) as shared:
             for first in range(0, len(pixels), _MOST_PIXELS):
                 part = self._part(pixels[first : first + _MOST_PIXELS])
@@ -108,9 +106,7 @@ class _Splitting:
                     self._compare(level, part)
                     if not len(part.tiles):
                         break
-                else:
-                    unsettled += int(np.count_nonzero(self._wanted[part.pixels]))
-        return len(pixels), unsettled
+        return len(pixels)
 
     def _part(self, pixels: NDArray[np.int32]) -> _Part:
         tiles = np.flatnonzero(pixel_filters.around(pixels, self._width, self._height)).astype(np.int32)
@@ -150,7 +146,6 @@ class _Splitting:
 
     def _compare(self, level: int, part: _Part) -> None:
         """Set the pixels of a part, and leave those of its tiles that are split again."""
-        part.pixels = part.pixels[self._wanted[part.pixels] != 0]
         step = self._light.resolve_pixels(level, part.given, self._array(part.pixels), self._floor, self._wanted_out)
         self._launch(step, len(part.pixels))
         if level == cell_levels.MOST_LEVEL:

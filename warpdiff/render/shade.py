@@ -99,11 +99,11 @@ def shade(
             from a table with levels where there is one, otherwise from many points. None is on for an averaged window
             and for a source, and off for others and for ``"direct"``.
         samples_per_pixel: Rays a pixel; 1 is its centre. Without footprints they are points under the same filter. With
-            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, … 1,024. What
+            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, … 4,096. What
             lies between the centres of pixels, and is thinner than they are wide, takes 4 or more to be seen.
         refine: Whether pixels whose parts differ by more than the tolerance allows are split, again and again, up to
-            256 cells, or 1,024 where ``tolerance`` is below 0.05. Otherwise a picture with footprints promises nothing:
-            ``image.error`` estimates what it errs by.
+            4,096 cells, or 1,024 where ``tolerance`` is 0.05 or more. Otherwise a picture with footprints promises
+            nothing: ``image.error`` estimates what it errs by.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
@@ -160,8 +160,8 @@ def shade(
 _BYTES_A_PIXEL = 210
 # Points in a pixel: 256 by 256 settle whatever a picture can show, and more would be drawn for ever.
 _MOST_SAMPLES = 2**16
-# Shares of the pixels that may err by more than the tolerance.
-MOST_UNSETTLED = 0.03
+# The share of the pixels that may err by more than the tolerance.
+_MOST_UNSETTLED = 0.01
 
 
 @dataclass(frozen=True)
@@ -308,10 +308,10 @@ def memory_named(view: View) -> contextlib.AbstractContextManager[None]:
 
 def warn_unsettled(plan: Plan) -> None:
     """Warn of a picture that does not keep its tolerance."""
-    if plan.unsettled > MOST_UNSETTLED:
+    if plan.unsettled > _MOST_UNSETTLED:
         warnings.warn(
-            f"{100.0 * plan.unsettled:.3g} % of the pixels see more than the finest cells of each "
-            f"settle to tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
+            f"{100.0 * plan.unsettled:.2g} % of the lit pixels are expected to err by more than "
+            f"tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
             WarpdiffWarning,
             stacklevel=3,
         )
