@@ -20,7 +20,7 @@ class Lights:
     strengths: wp.array(
         dtype=wp.vec2d
     )  # power, from a place at a distance of 1, and the pigment's strength over R(0); 0 leaves the pigment out
-    spreads: wp.array(dtype=wp.float32)  # standard deviation of the light's directions [rad]
+    deviations: wp.array2d(dtype=wp.vec3f)  # of the light's directions, along two vectors across it [rad]
     white_rgb: wp.array(dtype=wp.vec3d)  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
     rgb_to_xyz: wp.mat33d
 
@@ -194,24 +194,26 @@ def widen_footprints(
     # In:
     lights: Lights,
     light_index: wp.int32,
-    to_lights: wp.array(dtype=wp.vec3f),
+    pixels: Pixels,
     first: wp.int32,
     run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):
-    """Footprints in (u, v), widened by a light's directions: their covariances, Σ + s²(I − t tᵀ), as two changes.
-
-    t is the part of the direction to the light that lies in the surface.
-    """
-    spread = lights.spreads[light_index]
+    """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         given = footprints_out[i]
-        light = to_lights[i]
-        xx = given[0] * given[0] + given[2] * given[2] + spread * spread * (1.0 - light[0] * light[0])
-        xy = given[0] * given[1] + given[2] * given[3] - spread * spread * light[0] * light[1]
-        yy = given[1] * given[1] + given[3] * given[3] + spread * spread * (1.0 - light[1] * light[1])
+        xx = given[0] * given[0] + given[2] * given[2]
+        xy = given[0] * given[1] + given[2] * given[3]
+        yy = given[1] * given[1] + given[3] * given[3]
+        for axis in range(2):
+            deviation = lights.deviations[light_index, axis]
+            x = wp.dot(deviation, pixels.tangent[i])
+            y = wp.dot(deviation, pixels.bitangent[i])
+            xx += x * x
+            xy += x * y
+            yy += y * y
         # Cholesky's factor of the covariance.
         along = wp.sqrt(wp.max(xx, 1.0e-20))
         beside = xy / along

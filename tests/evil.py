@@ -242,7 +242,7 @@ KIND_OF = {
     **dict.fromkeys(["name", "title"], "name"),
     **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut"], "name"),
     **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
-    **dict.fromkeys(["bits", "width", "height"], "count"),
+    **dict.fromkeys(["bits", "width", "height", "lit_by"], "count"),
     **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "judged", "directions"], "count"),
     **dict.fromkeys(["segments", "rings", "segments_along", "segments_around", "scale_rows", "ventrals"], "segments"),
     "samples_per_pixel": "segments",

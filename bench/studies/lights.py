@@ -1,7 +1,8 @@
 """Lights of a size and environments: pictures against many more directions, albedos, time a direction.
 
-``--sizes`` compares lights of a size with discs of points, ``--skies`` environments with 16 times as many directions,
-``--albedo`` an even sky with the reflectance summed over directions, and ``--times`` tells frames by their number.
+``--sizes`` compares lights of a size with discs of points, ``--skies`` environments with many more directions,
+``--albedo`` an even sky with the reflectance summed over directions, ``--mitsuba`` flat gold under a sky with Mitsuba's
+path tracer (``pip install 'warpdiff[bench]'``), and ``--times`` tells frames by the number of directions.
 """
 
 from __future__ import annotations
@@ -16,14 +17,20 @@ import numpy as np
 import trimesh
 
 import warpdiff as wd
-from warpdiff.scene.environment import lobes_of_environment
+from warpdiff.optics import colorimetry
 
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEW = wd.View((0, 2, 4), (0, 0, 0), width=128, height=96)
+# Filled by the bodies, so that a percentile is of many pixels.
+SMALL = {
+    "tube": wd.View((0, 2, 4), (0, 0, 0), fov_y_deg=8, width=96, height=24),
+    "disc": wd.View((0, 2, 4), (0, 0, 0), fov_y_deg=25, width=56, height=32),
+}
 TOWARDS = (0.2, 0.5, 1.0)
 SURFACES = {
     "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08),
     "blazed": lambda: wd.gratings.blazed(2.5, 0.25),
+    "cd": lambda: wd.gratings.disc("CD", tracks=8, length_um=12.8, pitch_um=0.08),
 }
 BODIES = {"tube": wd.meshes.tube, "disc": wd.meshes.disc}
 
@@ -37,6 +44,39 @@ def sky(sun: float = 0.0, height: int = 64) -> np.ndarray:
     solid = math.sin(polar[height // 5]) * (math.pi / height) ** 2
     radiance[height // 5, height] += sun / solid * np.array([1.0, 0.9, 0.75])
     return radiance
+
+
+def window(height: int = 64) -> np.ndarray:
+    """A bright window in a dark room with a paler floor."""
+    polar = (np.arange(height)[:, None] + 0.5) / height
+    azimuth = (np.arange(2 * height) + 0.5) / height
+    radiance = np.where((polar + 0.0 * azimuth > 0.8)[..., None], [0.08, 0.07, 0.05], [0.03, 0.03, 0.03])
+    is_window = (np.abs(polar - 0.42) < 0.1) & (np.abs(azimuth - 1.3) < 0.12)
+    return np.where(is_window[..., None], [2.4, 2.8, 3.2], radiance)
+
+
+def overcast(height: int = 64) -> np.ndarray:
+    """The overcast sky of the CIE, three times as bright at the zenith, over a dark field, with one bright cloud."""
+    polar = ((np.arange(height) + 0.5) / height * math.pi)[:, None]
+    azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
+    up, level = np.cos(polar), np.sin(polar)
+    from_cloud = 1.0 - (0.5 * level * np.sin(azimuth) + 0.6 * up + 0.62 * level * np.cos(azimuth))
+    bright = np.where(up > 0.0, (1.0 + 2.0 * up) / 3.0 + 3.0 * np.exp(-from_cloud / 0.02), 0.15)
+    return np.asarray(bright[..., None] * np.array([0.95, 1.0, 1.05]))
+
+
+SKIES = {
+    "clear": sky,
+    "sun": lambda: sky(sun=6.0),
+    "window": window,
+    "overcast": overcast,
+    "even": lambda: np.ones((4, 8, 3)),
+}
+
+CASES = [
+    *("clear,tube,fingers", "window,disc,fingers", "overcast,disc,cd", "window,tube,cd", "even,tube,blazed"),
+    *("clear,tube,blazed", "sun,tube,fingers"),
+]
 
 
 def disc_of_points(light: wd.DirectionalLight, count: int) -> list[wd.DirectionalLight]:
@@ -75,23 +115,23 @@ def sizes(points: int) -> None:
                 print(f"| {degrees:g}° | {name}, {surface} | {errors(found, exact)} |", flush=True)
 
 
-def skies(most: int) -> None:
-    """Print errors of environments against those of 16 times as many directions."""
+def skies(cases: list[str], counts: list[int], most: int) -> None:
+    """Print errors of environments against those of the most directions; a case is sky,body,surface."""
     print("| sky | body, surface | lobes | against | median | P90 | P99 |\n| --- | --- | --- | --- | --- | --- | --- |")
-    options: dict[str, Any] = {"tolerance": 1e-1, "pigment": 0.0, "refine": False, "coherence": WINDOW}
-    for sky_name, radiance in {"sky": sky(), "sky and sun": sky(sun=6.0)}.items():
-        for name, make in BODIES.items():
-            for surface, grating in SURFACES.items():
-                hf, count = grating(), most
-                environments = []
-                while count >= 16:
-                    environments.append(wd.Environment(radiance, directions=count))
-                    count //= 4
-                pictures = [wd.shade(make(), hf, each, VIEW, **options) for each in environments]
-                numbers = [len(lobes_of_environment(each, WINDOW.sigma_um)) for each in environments]
-                for few in range(2, len(pictures)):
-                    told = f"{numbers[few]} | {numbers[few - 2]} | {errors(pictures[few], pictures[few - 2])}"
-                    print(f"| {sky_name} | {name}, {surface} | {told} |", flush=True)
+    for case in cases:
+        named, name, surface = case.split(",")
+        radiance = SKIES[named]()
+        many = wd.Environment(radiance, directions=most)
+        renderer = wd.Renderer(
+            BODIES[name](), SURFACES[surface](), many, SMALL[name], tolerance=3e-2, pigment=0.0, refine=False,
+            coherence=WINDOW,
+        )  # fmt: skip
+        exact = renderer.image()
+        for count in counts:
+            renderer.draw(wd.Environment(radiance, directions=count))
+            found = renderer.image()
+            told = f"{found.plan.lit_by} | {exact.plan.lit_by} | {errors(found, exact)}"
+            print(f"| {named} | {name}, {surface} | {told} |", flush=True)
 
 
 def albedo(directions: int) -> None:
@@ -124,13 +164,68 @@ def albedo(directions: int) -> None:
             print(f"| {name} | {degrees:g}° | {image.xyz[1, 1, 1]:.3f} | {total:.3f} |", flush=True)
 
 
+def against_mitsuba(counts: list[int]) -> None:
+    """Print how far flat gold under a grey sky is from Mitsuba's path tracer, which is given the same n and k."""
+    import mitsuba as mi
+
+    mi.set_variant("scalar_spectral")
+    gold = wd.Material.metal("Au")
+    grey = np.repeat(sky().mean(axis=2, keepdims=True), 3, axis=2)
+    told = {"eta": gold.n, "k": gold.k}
+    spectra = {
+        name: {"type": "irregular", "wavelengths": _listed(gold.wavelengths_nm), "values": _listed(values)}
+        for name, values in told.items()
+    }
+    view = wd.View((0, 1.2, 2.0), (0, 0, 0), fov_y_deg=60, width=32, height=24)
+    frame = mi.ScalarTransform4f()
+    film = {"type": "hdrfilm", "width": view.width, "height": view.height, "pixel_format": "xyz"}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3},
+        "sensor": {
+            "type": "perspective", "fov": view.fov_y_deg, "fov_axis": "y",
+            "to_world": frame.look_at(origin=list(view.eye), target=[0, 0, 0], up=[0, 1, 0]),
+            "film": film | {"component_format": "float32", "rfilter": {"type": "box"}},
+            "sampler": {"type": "stratified", "sample_count": 1024},
+        },
+        # Its first column lies where the middle one is here.
+        "sky": {"type": "envmap", "bitmap": mi.Bitmap(np.roll(grey, grey.shape[0], axis=1).astype(np.float32))},
+        "plate": {
+            "type": "rectangle", "bsdf": {"type": "conductor"} | spectra, "to_world": frame.rotate([1, 0, 0], -90),
+        },
+    }  # fmt: skip
+    exact = np.array(mi.render(mi.load_dict(scene)), dtype=np.float64)
+    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    corners = [[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]]
+    plate = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
+    print("| lobes | pixels | error of XYZ, median / P90 / P99 | ΔE2000, median / P99 |\n| --- | --- | --- | --- |")
+    for count in counts:
+        sky_of_lobes = wd.Environment(grey, directions=count)
+        image = wd.shade(
+            plate, wd.HeightField(np.zeros((32, 32)), 0.09), sky_of_lobes, view, material=gold, masking=False,
+            shadows=False, refine=False,
+        )  # fmt: skip
+        seen = image.mask
+        inside = np.zeros_like(seen)
+        inside[1:-1, 1:-1] = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
+        found, right = image.xyz[inside], exact[inside]
+        away = 100.0 * np.linalg.norm(found - right, axis=1) / np.linalg.norm(right, axis=1)
+        errors_told = " / ".join(f"{each:.1f}" for each in np.percentile(away, [50.0, 90.0, 99.0]))
+        shades = np.percentile(colorimetry.colour_difference(found, right), [50.0, 99.0])
+        print(f"| {count} | {len(found)} | {errors_told} % | {shades[0]:.2f} / {shades[1]:.2f} |", flush=True)
+
+
+def _listed(values: Any) -> str:
+    """Numbers as Mitsuba reads them."""
+    return ", ".join(f"{each:g}" for each in values)
+
+
 def times(repeats: int) -> None:
     """Print the time of a frame against the number of lobes."""
     print("| lobes | frame, not refined | refined | a lobe |\n| --- | --- | --- | --- |")
     hf, body, view = SURFACES["fingers"](), wd.meshes.tube(), wd.View((0, 2, 4), (0, 0, 0), width=640, height=480)
     for count in (16, 64, 256):
         environment = wd.Environment(sky(), directions=count)
-        lobes = len(lobes_of_environment(environment, WINDOW.sigma_um))
         took = []
         for refine in (False, True):
             renderer = wd.Renderer(
@@ -145,7 +240,7 @@ def times(repeats: int) -> None:
                 renderer.image()
                 seconds.append(time.perf_counter() - begin)
             took.append(float(np.median(seconds)))
-        print(f"| {lobes} | {took[0]:.2f} s | {took[1]:.2f} s | {1e3 * took[0] / lobes:.0f} ms |", flush=True)
+        print(f"| {count} | {took[0]:.2f} s | {took[1]:.2f} s | {1e3 * took[0] / count:.0f} ms |", flush=True)
 
 
 def main() -> int:
@@ -154,18 +249,25 @@ def main() -> int:
     parser.add_argument("--sizes", action="store_true", help="lights of a size against discs of points")
     parser.add_argument("--skies", action="store_true", help="environments against 16 times as many directions")
     parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
+    parser.add_argument("--mitsuba", action="store_true", help="flat gold under a sky against Mitsuba")
     parser.add_argument("--times", action="store_true", help="time a frame by the number of lobes")
     parser.add_argument("--points", type=int, default=400, help="of discs (400)")
-    parser.add_argument("--directions", type=int, default=4096, help="most directions of an environment (4096)")
+    parser.add_argument(
+        "--directions", type=int, nargs="+", default=[256, 512, 1024], help="that are judged (256 512 1024)"
+    )
+    parser.add_argument("--most", type=int, default=8192, help="directions that judge them (8192)")
+    parser.add_argument("--cases", nargs="+", default=CASES, help="sky,body,surface of --skies (seven)")
     parser.add_argument("--repeats", type=int, default=3, help="frames of each kind (3)")
     options = parser.parse_args()
-    every = not (options.sizes or options.skies or options.albedo or options.times)
+    every = not (options.sizes or options.skies or options.albedo or options.mitsuba or options.times)
     if options.sizes or every:
         sizes(options.points)
     if options.skies or every:
-        skies(options.directions)
+        skies(options.cases, options.directions, options.most)
     if options.albedo or every:
         albedo(1024)
+    if options.mitsuba or every:
+        against_mitsuba([256, 1024])
     if options.times or every:
         times(options.repeats)
     return 0

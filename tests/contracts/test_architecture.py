@@ -147,7 +147,7 @@ called = {
     "BakedSpectrum": spectrum,
     "Coherence": window["coherence"].sigma_um,
     "DirectionalLight": light.power,
-    "Environment": wd.Environment(np.ones((2, 4, 3))).directions,
+    "Environment": wd.Environment(np.ones((2, 4, 3))).scale,
     "HeightField": hf.pitch_um,
     "Image": wd.shade(disc, hf, light, view, **window),
     "Material": wd.Material.metal("Al"),

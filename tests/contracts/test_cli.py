@@ -52,6 +52,46 @@ def test_render_of_files(tmp_path, fuze_path):
     assert 0.05 < pixels[..., 3].mean() < 0.9
 
 
+def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
+    polar, azimuth = (np.arange(8) + 0.5) / 8, (np.arange(16) + 0.5) / 16
+    radiance = np.stack([*np.broadcast_arrays(polar[:, None], azimuth, 1.0 - polar[:, None])], axis=-1)
+    output = oiio.ImageOutput.create(str(tmp_path / "sky.exr"))
+    output.open(str(tmp_path / "sky.exr"), oiio.ImageSpec(16, 8, 3, "float"))
+    output.write_image(radiance.astype(np.float32))
+    output.close()
+    size = {"width": 16, "height": 12}
+    command = ["render", "disc", "blazed", *SMALL, "--width", "16", "--height", "12", "--eye", "0", "1", "3"]
+    command += ["--target", "0", "0", "0", "--point-light", "1", "2", "1", "3", "--no-refine"]
+    command += ["--environment", str(tmp_path / "sky.exr"), "--environment-rotation-deg", "40"]
+    command += ["--environment-scale", "2", "--environment-directions", "16"]
+    assert cli.main([*command, "-o", str(tmp_path / "under.exr")]) == 0
+    assert cli.main([*command, "--environment-behind", "-o", str(tmp_path / "under.png")]) == 0
+    found = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
+    sky = wd.Environment(radiance, rotation_deg=40.0, scale=2.0, directions=16)
+    view = wd.View((0, 1, 3), (0, 0, 0), fov_y_deg=40, **size)
+    lights = [wd.PointLight((1, 2, 1), power=3.0), sky]
+    exact = wd.shade(
+        wd.meshes.disc(), wd.gratings.blazed(2.0, 0.25), lights, view, coherence=wd.Coherence(sigma_um=5.0),
+        tolerance=0.1, refine=False,
+    )  # fmt: skip
+    exact.save(tmp_path / "exact.exr")
+    exact.save(tmp_path / "exact.png", background=sky.seen(view) / np.float32(0.04))
+    assert np.array_equal(found, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
+    shown, same = (oiio.ImageBuf(str(tmp_path / name)).get_pixels() for name in ("under.png", "exact.png"))
+    assert np.abs(shown - same).max() < 0.01
+    capsys.readouterr()
+    wrong = {
+        "--environment: there is no file": ["--environment", "none.exr"],
+        "--environment-directions must be an integer >= 16": ["--environment-directions", "3"],
+        "--environment-behind is for .png": ["--environment-behind"],
+    }
+    for said, options in wrong.items():
+        assert cli.main([*command, *options, "-o", str(tmp_path / "no.exr")]) == 2
+        assert said in capsys.readouterr().err
+    assert cli.main(["render", "disc", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr")]) == 2
+    assert "--environment-scale is of an --environment" in capsys.readouterr().err
+
+
 def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
     folder, film = tmp_path / "turn", tmp_path / "turn.webp"
     command = ["sequence", "disc:segments=16,rings=1", "blazed:period_um=2.5,depth_um=0.2", *SMALL, "--width", "24"]

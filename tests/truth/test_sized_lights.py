@@ -51,7 +51,8 @@ def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter):
     assert powers.sum() == pytest.approx(3.0)
     cosines = np.clip([axis @ each.to_light for each in lobes], -1.0, 1.0)
     # Per axis: of where lobes lie, half of the mean squared distance, and of what they spread.
-    variance = np.average(np.arccos(cosines) ** 2, weights=powers) / 2.0 + lobes[0].spread ** 2
+    spread = 0.0 if lobes[0].deviations is None else float(np.linalg.norm(lobes[0].deviations[0]))
+    variance = np.average(np.arccos(cosines) ** 2, weights=powers) / 2.0 + spread**2
     assert variance == pytest.approx((math.radians(diameter) / 4.0) ** 2, rel=0.03)
     assert len(lobes) == 1 if diameter <= 5.0 else len(lobes) > 15
 

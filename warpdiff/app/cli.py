@@ -30,6 +30,10 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.environment import Light
+
 GRATINGS: dict[str, Callable[[argparse.Namespace], wd.HeightField]] = {
     "sinusoidal": lambda a: wd.gratings.sinusoidal(a.period_um, a.depth_um),
     "lamellar": lambda a: wd.gratings.lamellar(a.period_um, a.depth_um),
@@ -129,6 +133,8 @@ def _in_flags(message: object, options: argparse.Namespace) -> str:
         return str(message)
     flags = {name: f"--{name.replace('_', '-')}" for name in vars(options)} | _FLAGS
     flags["to_light"] = "--light" if "light" in options else "--incidence-deg"
+    if "environment" in options:
+        flags |= {name: f"--environment-{name.replace('_', '-')}" for name in ("rotation_deg", "scale", "directions")}
     # Some names are words as well, and are meant as names where something is said of them.
     names = "|".join(map(re.escape, sorted(flags, key=len, reverse=True)))
     of_argument = rf"(?<![\w.'/-])(?:hf\.)?({names})(?=\[|=|:| must | has | is for )"
@@ -177,6 +183,7 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument(
         "-o", "--output", required=True, metavar="FILE", help=".png (sRGB) or .exr (linear XYZ and RGB)"
     )
+    _add_surroundings(render)
 
     _add_sequence(commands, common, surface, evaluation)
 
@@ -226,6 +233,28 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_cache(commands, common)
     return parser
+
+
+def _add_surroundings(render: argparse.ArgumentParser) -> None:
+    """Lights that are no directions; the default light is left out where there are any."""
+    group = render.add_argument_group("lights of other kinds")
+    group.add_argument(
+        "--point-light", type=float, nargs=4, action="append", default=[], metavar=("X", "Y", "Z", "POWER"),
+        help="a light at a place, and its power at a distance of 1 of the mesh's unit; may be repeated",
+    )  # fmt: skip
+    group.add_argument(
+        "--environment", metavar="FILE", help="a sky or room, EXR or HDR in latitude and longitude, linear sRGB"
+    )
+    group.add_argument(
+        "--environment-rotation-deg", type=float, default=0.0, metavar="DEG",
+        help="turn it about +y, counter-clockwise from above (default: 0)",
+    )  # fmt: skip
+    group.add_argument("--environment-scale", type=float, default=1.0, help="factor on its radiance (default: 1)")
+    group.add_argument(
+        "--environment-directions", type=int, metavar="COUNT",
+        help="most directions that stand for it, each a light's time (default: by --tolerance)",
+    )  # fmt: skip
+    group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
 
 
 def _add_sequence(commands: Any, common: Any, surface: Any, evaluation: Any) -> None:
@@ -659,9 +688,43 @@ def _view(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> None:
     _check_output(options)
-    mesh, hf, lights, view = _scene(options)
+    sky = _environment(options)
+    mesh, hf, directional, view = _scene(options)
+    illuminant = _illuminant(options)
+    others: list[Light] = [
+        wd.PointLight((x, y, z), illuminant=illuminant, power=power) for x, y, z, power in options.point_light
+    ]
+    others += [] if sky is None else [sky]
+    lights = [*(directional if options.light or not others else ()), *others]
     image = wd.shade(mesh, hf, lights, view, **_shading(options), progress=Bar(options.command))
-    _report(image, options)
+    behind = None
+    if sky is not None and options.environment_behind:
+        # Pictures by an index of refraction are relative to what it reflects at normal incidence.
+        ior = 1.5 if options.ior is None else options.ior
+        normal = 1.0 if options.material is not None else 1.0 if math.isinf(ior) else ((ior - 1.0) / (ior + 1.0)) ** 2
+        behind = sky.seen(view) / np.float32(normal)
+    _report(image, options, behind)
+
+
+def _environment(options: argparse.Namespace) -> wd.Environment | None:
+    """The sky that options name."""
+    if options.environment is None:
+        for name in ("rotation_deg", "scale", "directions", "behind"):
+            if getattr(options, f"environment_{name}") not in (0.0, 1.0, None, False):
+                raise ValueError(f"--environment-{name.replace('_', '-')} is of an --environment: give both")
+        return None
+    if options.environment_behind and options.background is not None:
+        raise ValueError("--environment-behind and --background are both behind the picture: give one of them")
+    if options.environment_behind and Path(options.output).suffix.lower() != ".png":
+        raise ValueError(f"--environment-behind is for .png files, got --output {options.output}")
+    try:
+        return wd.Environment.load(
+            options.environment, rotation_deg=options.environment_rotation_deg, scale=options.environment_scale,
+            directions=options.environment_directions,
+        )  # fmt: skip
+    except (ValueError, *_BAD_PATHS) as error:
+        # Other commands' paths are height fields.
+        raise type(error)(str(error).replace("path", "--environment", 1)) from None
 
 
 def _scene(options: argparse.Namespace) -> tuple[Any, wd.HeightField, list[wd.DirectionalLight], wd.View]:
@@ -789,10 +852,10 @@ def _check_output(options: argparse.Namespace) -> None:
         checks.number(each, "--background", least=0.0, most=1.0)
 
 
-def _report(image: wd.Image, options: argparse.Namespace) -> None:
+def _report(image: wd.Image, options: argparse.Namespace, behind: NDArray[np.float32] | None = None) -> None:
     path = image.save(
         options.output, exposure=options.exposure, exposure_stops=options.exposure_stops, display=options.display,
-        gamut=options.gamut, background=options.background,
+        gamut=options.gamut, background=options.background if behind is None else behind,
     )  # fmt: skip
     print(image.plan)
     print(path)

@@ -364,6 +364,7 @@ def _ample(
         functions=0,
         footprint=False,
         split=0.0,
+        lit_by=0,
         unsettled=0.0,
         errors=(0.0, 0.0),
         max_uv=scope.max_uv,

@@ -47,7 +47,7 @@ _NUMBERS = (
 )
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 _FINDINGS = (
-    *("split", "unsettled", "errors", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"),
+    *("lit_by", "split", "unsettled", "errors", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"),
     *("searched", "judged"),
 )
 
@@ -77,6 +77,7 @@ class Plan:
             asks for.
         footprint: Whether pixels show means over their range of (u, v), which are taken from levels of the table where
             there is one and powers add, and otherwise from many points.
+        lit_by: Of a picture, how many directions and Gaussians of directions stand for its lights.
         split: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
             of the one under which these are most.
         unsettled: The share of its lit pixels that are expected to err by more than the tolerance, as their estimated
@@ -116,6 +117,7 @@ class Plan:
     rays_per_width: float
     functions: int
     footprint: bool
+    lit_by: int
     split: float
     unsettled: float
     errors: tuple[float, float]
@@ -159,7 +161,7 @@ class Plan:
             raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
         for name, (least, most) in _SCOPE.items():
             checks.number(getattr(self, name), name, least=least, most=most)
-        for name in {*_ERRORS, *_FINDINGS} - {"errors", "searched", "judged"}:
+        for name in {*_ERRORS, *_FINDINGS} - {"errors", "searched", "judged", "lit_by"}:
             # Bounds of what diverges are of any size.
             checks.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         errors = checks.finite_array(self.errors, "errors")
@@ -167,6 +169,7 @@ class Plan:
             raise ValueError(f"errors must be a pair of numbers, got {self.errors!r}")
         checks.flag(self.searched, "searched")
         checks.count(self.judged, "judged", least=0)
+        checks.count(self.lit_by, "lit_by", least=0)
         bandwidth = checks.finite_array(self.bandwidth_um, "bandwidth_um", most=checks.MOST)
         if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
             raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
@@ -257,6 +260,8 @@ class Plan:
             aside = f" ({', '.join(asides)})" if asides else ""
             spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
             parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
+        if self.lit_by > 1:
+            parts.append(f"{self.lit_by} lobes stand for the lights")
         if self.split:
             parts.append(f"{100.0 * self.split:.3g} % of the pixels were split into cells")
             if self.unsettled:

@@ -118,7 +118,7 @@ class Frame:
         self._lit: list[tuple[LitMaterial, ...]] = []
         self._transmittances: wp.array | None = None
         self._to_lights: list[tuple[float, float, float]] = []
-        self._spreads: list[float] = []
+        self._have_sizes: list[bool] = []
         self._at_places: list[bool] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
@@ -177,9 +177,10 @@ class Frame:
         if self._lights is None or len(self._to_lights) != len(lights):
             self._lights = scattering.Lights()
             for name, dtype in (
-                ("places", wp.vec4d), ("strengths", wp.vec2d), ("spreads", wp.float32), ("white_rgb", wp.vec3d),
+                ("places", wp.vec4d), ("strengths", wp.vec2d), ("white_rgb", wp.vec3d),
             ):  # fmt: skip
                 setattr(self._lights, name, wp.empty(len(lights), dtype=dtype, device=self._device))
+            self._lights.deviations = wp.empty((len(lights), 2), dtype=wp.vec3f, device=self._device)
             self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
         of_pigment = pigment / normal if self.pigmented else 0.0
         self._at_places = [each.position is not None for each in lights]
@@ -195,8 +196,9 @@ class Frame:
                 )
         self._lights.strengths.assign(np.array(strengths))
         self._lights.white_rgb.assign(np.array(whites))
-        self._spreads = [each.spread for each in lights]
-        self._lights.spreads.assign(np.array(self._spreads, dtype=np.float32))
+        self._have_sizes = [each.deviations is not None for each in lights]
+        deviations = [np.zeros((2, 3)) if each.deviations is None else each.deviations for each in lights]
+        self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
         self._to_lights = [each.to_light for each in lights]
         self._lit = [tuple(LitMaterial(each.illuminant, material) for material in materials) for each in lights]
         self._shadows = shadows
@@ -223,8 +225,8 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
-        sizes = tuple(spread > 0.0 for spread in self._spreads)
-        return sizes, tuple(self._at_places), self.view.extent_y is None, self.casts_shadows, self.pigmented
+        sizes, places = tuple(self._have_sizes), tuple(self._at_places)
+        return sizes, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(
         self, hf: HeightField, window: Coherence, *, sampled: bool = True
@@ -293,8 +295,8 @@ class Frame:
         steps = [self.rays.footprints(seen, deviation)]
         if self._at_places[light_index]:
             steps.append(self.rays.turned_footprints(seen, self._lights, light_index, deviation))
-        if self._spreads[light_index] > 0.0:
-            inputs = [self._lights, light_index, seen.to_lights]
+        if self._have_sizes[light_index]:
+            inputs = [self._lights, light_index, seen.pixels]
             steps.append(KernelCall(scattering.widen_footprints, inputs, [seen.footprints], in_runs=True))
         return steps
 
@@ -536,5 +538,7 @@ class Frame:
             lit=lit.reshape(shape),
             coverage=coverage,
             error=error.reshape(shape),
-            plan=replace(plan, split=split, unsettled=unsettled, errors=(told[0], told[1])),
+            plan=replace(
+                plan, lit_by=len(self._to_lights), split=split, unsettled=unsettled, errors=(told[0], told[1])
+            ),
         )

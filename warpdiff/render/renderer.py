@@ -183,7 +183,7 @@ class Renderer:
         """
         checks.callback(progress, "progress")
         mine = self._mine
-        lights = mine.lights if light is None else lobes_for(light, self._wanted.request.coherence)
+        lights = mine.lights if light is None else lobes_for(light, self._wanted.request)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")

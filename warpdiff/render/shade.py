@@ -203,7 +203,7 @@ class PictureRequest:
     ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
         request = Request.checked(hf, by_geometry=True, **common)
-        lights = lobes_for(light, request.coherence)
+        lights = lobes_for(light, request)
         checks.instance(view, View, "view")
         checks.flag(shadows, "shadows")
         checks.flag(smooth, "smooth")
@@ -249,7 +249,7 @@ class PictureRequest:
 
     def with_sizes(self, plan: Plan) -> Plan:
         """A plan whose table serves lights of a size: what no table keeps for single directions, it does for these."""
-        if plan.blurs or all(each.spread == 0.0 for each in self.lights):
+        if plan.blurs or all(each.deviations is None for each in self.lights):
             return plan
         method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
         nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
@@ -319,7 +319,7 @@ def warn_unsettled(plan: Plan) -> None:
 
 def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool) -> None:
     """Refuse lights of a size where it is the coherence's, or where pixels show no means over directions."""
-    if all(each.spread == 0.0 for each in lights):
+    if all(each.deviations is None for each in lights):
         return
     if window.kind == "source":
         raise ValueError(
@@ -334,8 +334,10 @@ def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool)
         )
 
 
-def lobes_for(light: Any, window: Coherence) -> list[Lobe]:
+def lobes_for(light: Any, request: Request) -> list[Lobe]:
     """The lobes of one or several lights, which are checked."""
+    window = request.coherence
+    tolerance = request.tolerance if request.plan is None else request.plan.tolerance
     lights = [light] if isinstance(light, Light) else light
     if not isinstance(lights, Sequence) or not lights:
         raise TypeError(
@@ -349,7 +351,7 @@ def lobes_for(light: Any, window: Coherence) -> list[Lobe]:
                 raise ValueError(
                     f"light[{index}]: an Environment takes coherence of kind='averaged', got kind={window.kind!r}"
                 )
-            result += lobes_of_environment(each, window.sigma_um)
+            result += lobes_of_environment(each, window.sigma_um, tolerance)
             continue
         if not isinstance(each, PointLight):
             checks.instance(each, DirectionalLight, f"light[{index}]")

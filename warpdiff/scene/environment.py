@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from warpdiff.core.file_reading import check_there
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import LOBE_WIDTH, MOST_POWER, DirectionalLight, Lobe, PointLight
+from warpdiff.scene.lights import MOST_POWER, DirectionalLight, Lobe, PointLight
 
 if TYPE_CHECKING:
     import os
@@ -23,12 +24,17 @@ if TYPE_CHECKING:
 
 # Of radiances: squares of colours are float32.
 _MOST_RADIANCE = 1e9
-_FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 4096
-# Cells of equal area, along a side: the coarsest, 45° wide, and the finest, 0.7°, and rows of the picture for these.
-_COARSEST, _FINEST, _ROWS_FOR_FINEST = 4, 256, 768
+_FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 8192
+# Those of a tolerance of 0.1 and below, as a picture would take minutes for little more; by its square for larger ones.
+_FEWEST_CHOSEN, _MOST_CHOSEN = 128, 1024
+# Rows of the grid that is cut into cells, of 0.7°, points along a side of a cell that its moments are taken from, and
+# how much wider than a cell, in variance, its lobe is, so that lobes side by side are even.
+_ROWS, _POINTS, _WIDER = 256, 8, 3.0
+# What an even sky over a cell counts for, as if so much changed over a radian; how far beyond a cell changes count, in
+# its sizes; turns of lobes' powers.
+_EVEN, _REACH, _TURNS = 3.0, 0.5, 8
 # Lobes share so many spectra: each is a table of its own.
 _COLOURS = 8
-_ROWS_AT_A_TIME = 64
 _BYTES_A_PIXEL, _BYTES_SEEN = 24.0, 400.0
 _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
@@ -44,15 +50,15 @@ class Environment:
         radiance_rgb: Linear sRGB radiance, shape (height, width, 3); negative components count as 0.
         rotation_deg: By so much the environment is turned about +y, counter-clockwise as seen from above [degrees].
         scale: Linear factor.
-        directions: At most so many lobes, 16 to 4096, stand for it, smaller ones where it is bright: each takes as
-            long as a light.
+        directions: So many lobes, 16 to 8192, stand for it at most, narrow across edges: each takes as long as a light.
+            None is by the picture's tolerance: 1024 up to 0.1, and by its square above that down to 128.
     """
 
     radiance_rgb: ArrayLike = field(repr=False)
     _: KW_ONLY
     rotation_deg: float = 0.0
     scale: float = 1.0
-    directions: int = 256
+    directions: int | None = None
 
     def __post_init__(self) -> None:
         given = checks.finite_array(self.radiance_rgb, "radiance_rgb", most=_MOST_RADIANCE)
@@ -67,14 +73,20 @@ class Environment:
             self, "rotation_deg", checks.number(self.rotation_deg, "rotation_deg", least=-360.0, most=360.0)
         )
         object.__setattr__(self, "scale", checks.number(self.scale, "scale", least=0.0, most=_MOST_RADIANCE))
-        count = checks.count(self.directions, "directions", least=_FEWEST_DIRECTIONS)
-        if count > _MOST_DIRECTIONS:
-            raise ValueError(f"directions must be at most {_MOST_DIRECTIONS}, got {count}")
-        object.__setattr__(self, "directions", count)
+        if self.directions is not None:
+            count = checks.count(self.directions, "directions", least=_FEWEST_DIRECTIONS)
+            if count > _MOST_DIRECTIONS:
+                raise ValueError(f"directions must be at most {_MOST_DIRECTIONS}, got {count}")
+            object.__setattr__(self, "directions", count)
 
     @classmethod
     def load(
-        cls, path: str | os.PathLike[str], *, rotation_deg: float = 0.0, scale: float = 1.0, directions: int = 256
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        rotation_deg: float = 0.0,
+        scale: float = 1.0,
+        directions: int | None = None,
     ) -> Environment:
         """An environment of an EXR or HDR file in latitude and longitude, of linear sRGB.
 
@@ -145,15 +157,27 @@ class Environment:
 Light = DirectionalLight | PointLight | Environment
 
 
-def lobes_of_environment(environment: Environment, sigma_um: float) -> list[Lobe]:
-    """The lobes that stand for an environment, for windows of a deviation.
+@np.errstate(under="ignore")
+def lobes_of_environment(environment: Environment, sigma_um: float, tolerance: float) -> list[Lobe]:
+    """The lobes that stand for an environment, for windows of a deviation and pictures of a tolerance.
 
     Of radiance L from a solid angle dω comes ρ L dω 4πσ²/λ² (the absolute reflectance over ρ), so that L/λ² is what
     a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
     (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
-    power, directions = _cells(np.asarray(environment.radiance_rgb), math.radians(environment.rotation_deg))
-    found, towards, areas = _leaves(power, directions, environment.directions)
+    chosen = round(_MOST_CHOSEN * (0.1 / tolerance) ** 2)
+    most = environment.directions or min(max(chosen, _FEWEST_CHOSEN), _MOST_CHOSEN)
+    radiance = _on_grid(np.asarray(environment.radiance_rgb))
+    cells = _cells(radiance @ colorimetry.RGB_TO_XYZ[1], most)
+    means = np.array([radiance[slice(*rows), slice(*columns)].mean(axis=(0, 1)) for rows, columns in cells])
+    towards, axes = _gaussians(cells, math.radians(environment.rotation_deg))
+    ends = np.array(cells) * math.pi / _ROWS
+    areas = (np.cos(ends[:, 0, 0]) - np.cos(ends[:, 0, 1])) * (ends[:, 1, 1] - ends[:, 1, 0])
+    found = _powers(means, towards, axes)
+    # The middles are where lobes that are alike are brightest.
+    found *= (means * areas[:, None]).sum(axis=0) / np.maximum(found.sum(axis=0), 1e-300)
+    there = found.max(axis=1) > 0.0
+    found, towards, axes = found[there], towards[there], axes[there]
     luminances = found @ colorimetry.RGB_TO_XYZ[1]
     of_colours = _clusters(found / luminances[:, None], luminances, _COLOURS)
     result = []
@@ -167,110 +191,122 @@ def lobes_of_environment(environment: Environment, sigma_um: float) -> list[Lobe
                     f"{strength:g}, and {MOST_POWER:g} is the most; give a smaller scale"
                 )
             x, y, z = map(float, towards[index])
-            spread = LOBE_WIDTH * math.sqrt(areas[index] / math.pi)
-            result.append(Lobe((x, y, z), spectrum, float(strength), spread))
+            result.append(Lobe((x, y, z), spectrum, float(strength), axes[index]))
     return result
 
 
-def _cells(radiance: NDArray[np.float32], turn: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The power of RGB from cells of equal area, (n, n, 3), and unit vectors to where in them it is, in the world.
+def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Means of the radiance over the cells of a grid of the same directions, (_ROWS, 2 _ROWS, 3)."""
+    result = radiance.astype(np.float64)
+    for axis, count in enumerate((_ROWS, 2 * _ROWS)):
+        given = np.linspace(0.0, 1.0, result.shape[axis] + 1)
+        wanted = np.linspace(0.0, 1.0, count + 1)
+        if axis == 0:
+            # By solid angle.
+            given, wanted = (0.5 - 0.5 * np.cos(math.pi * each) for each in (given, wanted))
+        result = np.moveaxis(result, axis, 0)
+        sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(given)[:, None, None], 0)])
+        place = np.interp(wanted, given, np.arange(len(given)))
+        first = np.minimum(place.astype(int), len(given) - 2)
+        sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
+        result = np.moveaxis(np.diff(sums, axis=0) / np.diff(wanted)[:, None, None], 0, axis)
+    return result
 
-    The sphere is a square of equal areas (Clarberg, Fast Equal-Area Mapping of the (Hemi)Sphere using SIMD, 2008).
+
+_Cell = tuple[tuple[int, int], tuple[int, int]]
+
+
+def _cells(luminance: NDArray[np.float64], most: int) -> list[_Cell]:
+    """Rows and columns of at most so many rectangles of the grid, narrow across what changes.
+
+    Halved is, again and again, the cell and the side across which the sky changes most, within it and half of it beyond
+    either end, where its lobe reaches: next to an edge cells grow narrow one by one.
     """
-    repeats = -(-_ROWS_FOR_FINEST // len(radiance)), -(-2 * _ROWS_FOR_FINEST // radiance.shape[1])
-    height, width = len(radiance) * repeats[0], radiance.shape[1] * repeats[1]
-    azimuth = (np.arange(width) + 0.5) / width * 2.0 * math.pi - math.pi - turn
-    edges = np.cos(np.arange(height + 1) / height * math.pi)
-    size = _FINEST**2
-    power, moments = np.zeros((size, 3)), np.zeros((size, 3))
-    for first in range(0, height, _ROWS_AT_A_TIME):
-        rows = np.arange(first, min(first + _ROWS_AT_A_TIME, height))
-        upward = 0.5 * (edges[rows] + edges[rows + 1])
-        level = np.sqrt(1.0 - upward**2)
-        along = np.stack(
-            np.broadcast_arrays(level[:, None] * np.sin(azimuth), upward[:, None], -level[:, None] * np.cos(azimuth)),
-            axis=-1,
-        ).reshape(-1, 3)
-        solid = ((edges[rows] - edges[rows + 1]) * 2.0 * math.pi / width)[:, None, None]
-        taken = (np.repeat(radiance[rows // repeats[0]], repeats[1], axis=1) * solid).reshape(-1, 3)
-        cells = _cell_of(along)
-        weights = taken @ colorimetry.RGB_TO_XYZ[1]
-        for c in range(3):
-            power[:, c] += np.bincount(cells, taken[:, c], size)
-            moments[:, c] += np.bincount(cells, weights * along[:, c], size)
-    return power.reshape(_FINEST, _FINEST, 3), moments.reshape(_FINEST, _FINEST, 3)
+    solid = -np.diff(np.cos(np.arange(_ROWS + 1) / _ROWS * math.pi)) * math.pi / _ROWS
+    size = _ROWS, 2 * _ROWS
+    # Sums over columns before each, once more around; and over rows.
+    along = np.concatenate([np.zeros((_ROWS, 1)), np.cumsum(luminance, axis=1)], axis=1)
+    down = np.concatenate([np.zeros((1, 2 * _ROWS)), np.cumsum(luminance * solid[:, None], axis=0)])
+    solids = np.concatenate([[0.0], np.cumsum(solid)])
+
+    def changes(cell: _Cell, axis: int) -> float:
+        """How much light is elsewhere than were it even across an axis."""
+        (top, bottom), (left, right) = cell
+        begin, end = cell[axis]
+        reach = math.ceil(_REACH * (end - begin))
+        if end - begin < 2:
+            return 0.0
+        area = (solids[bottom] - solids[top]) * (right - left)
+        if axis == 0:
+            rows = slice(max(begin - reach, 0), min(end + reach, size[0]))
+            profile = (along[rows, right] - along[rows, left]) / (right - left)
+            weights = solid[rows]
+            extent = (bottom - top) * math.pi / _ROWS
+        else:
+            columns = np.arange(begin - reach, end + reach) % size[1]
+            profile = (down[bottom, columns] - down[top, columns]) / (solids[bottom] - solids[top])
+            weights = np.ones(len(columns))
+            extent = (right - left) * math.pi / _ROWS * math.sin(0.5 * (top + bottom) * math.pi / _ROWS)
+        mean = float(np.average(profile, weights=weights))
+        away = float(np.average(np.abs(profile - mean), weights=weights))
+        return float(area * (away + _EVEN * mean * extent**2))
+
+    queue: list[tuple[float, int, int, _Cell]] = []
+
+    def add(rows: tuple[int, int], columns: tuple[int, int]) -> None:
+        both = [changes((rows, columns), axis) for axis in (0, 1)]
+        axis = int(both[1] > both[0])
+        heapq.heappush(queue, (-both[axis], len(queue), axis, (rows, columns)))
+
+    for row in range(2):
+        for column in range(4):
+            add((row * _ROWS // 2, (row + 1) * _ROWS // 2), (column * _ROWS // 2, (column + 1) * _ROWS // 2))
+    while len(queue) < most and queue[0][0] < 0.0:
+        _, _, axis, cell = heapq.heappop(queue)
+        middle = sum(cell[axis]) // 2
+        for part in ((cell[axis][0], middle), (middle, cell[axis][1])):
+            add(*((part, cell[1]) if axis == 0 else (cell[0], part)))
+    return [cell for _, _, _, cell in queue]
 
 
-def _cell_of(along: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The cell of unit vectors, row by row."""
-    x, y, z = np.abs(along[:, 0]), np.abs(along[:, 2]), along[:, 1]
-    radius = np.sqrt(np.maximum(1.0 - np.abs(z), 0.0))
-    v = np.arctan2(y, x) * 2.0 / math.pi * radius
-    u = radius - v
-    u, v = np.where(z < 0.0, 1.0 - v, u), np.where(z < 0.0, 1.0 - u, v)
-    places = np.stack([np.copysign(v, along[:, 2]), np.copysign(u, along[:, 0])])
-    row, column = np.clip(((places + 1.0) / 2.0 * _FINEST).astype(np.int64), 0, _FINEST - 1)
-    return np.asarray(row * _FINEST + column)
+def _gaussians(cells: list[_Cell], turn: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vectors to the middles of cells, (n, 3), and the deviations of the lobes in their place, (n, 2, 3)."""
+    ends = np.array(cells) * math.pi / _ROWS
+    share = (np.arange(_POINTS) + 0.5) / _POINTS
+    polar, azimuth = (ends[:, axis, :1] + share * (ends[:, axis, 1:] - ends[:, axis, :1]) for axis in (0, 1))
+    azimuth = azimuth[:, None, :] - math.pi - turn
+    level = np.sin(polar)[:, :, None]
+    along = np.stack(
+        np.broadcast_arrays(level * np.sin(azimuth), np.cos(polar)[:, :, None], -level * np.cos(azimuth)), axis=-1
+    ).reshape(len(cells), -1, 3)
+    weights = np.repeat(np.sin(polar), _POINTS, axis=1)[:, :, None]
+    weights /= weights.sum(axis=1, keepdims=True)
+    means = (weights * along).sum(axis=1)
+    towards = means / np.linalg.norm(means, axis=1, keepdims=True)
+    away = along - means[:, None]
+    away -= (away @ towards[:, :, None]) * towards[:, None]
+    values, vectors = np.linalg.eigh(np.swapaxes(weights * away, 1, 2) @ away)
+    deviations = np.sqrt(_WIDER * np.maximum(values[:, 1:], 1e-12))
+    return towards, deviations[:, :, None] * np.swapaxes(vectors, 1, 2)[:, 1:]
 
 
-def _leaves(
-    power: NDArray[np.float64], moments: NDArray[np.float64], most: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cells that are as small as their power asks for: their RGB (n, 3), directions (n, 3) and solid angles (n,).
+@np.errstate(under="ignore")
+def _powers(means: NDArray[np.float64], towards: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The power of RGB of lobes that together are as bright in the middles of cells as these are, (n, 3).
 
-    Split are those in which luminance times solid angle, what a lobe in their place would misplace, is above what
-    leaves at most so many.
+    By Gold's ratio: each is multiplied by what it lacks, over and over, and stays positive.
     """
-    levels = [(power, moments)]
-    while len(levels[-1][0]) > _COARSEST:
-        half = len(levels[-1][0]) // 2
-        levels.append(tuple(each.reshape(half, 2, half, 2, 3).sum(axis=(1, 3)) for each in levels[-1]))
-    levels.reverse()
-    luminances = [each @ colorimetry.RGB_TO_XYZ[1] for each, _ in levels]
-    areas = [4.0 * math.pi / each.size for each in luminances]
-
-    # In whole powers of 2, so that cells that are alike are split alike: lobes of one size side by side are even.
-    with np.errstate(divide="ignore"):
-        worth = [np.rint(np.log2(each * area)) for each, area in zip(luminances, areas, strict=True)]
-
-    def kept(least: float) -> list[NDArray[np.bool_]]:
-        result, there = [], np.ones(luminances[0].shape, dtype=bool)
-        for index, luminance in enumerate(luminances):
-            there = there & (luminance > 0.0)
-            split = there & (worth[index] > least) & (index + 1 < len(luminances))
-            result.append(there & ~split)
-            there = np.kron(split, np.ones((2, 2), dtype=bool))
-        return result
-
-    # From no cell split on: the least threshold that leaves no more cells than are allowed.
-    least = float(worth[0].max())
-    while sum(np.count_nonzero(each) for each in kept(least - 1.0)) <= most and least > worth[0].max() - 100.0:
-        least -= 1.0
-    chosen = kept(least)
-    found = np.concatenate([each[cells] for (each, _), cells in zip(levels, chosen, strict=True)])
-    # From a cell's middle, which is evener than its mean where octants meet, as far as the power is from its mean.
-    middles = _cell_middles(2 * _FINEST)
-    towards = []
-    for (_, moment), luminance, cells in zip(levels, luminances, chosen, strict=True):
-        size = len(cells)
-        means = middles.reshape(size, 2 * _FINEST // size, size, 2 * _FINEST // size, 3).mean(axis=(1, 3))[cells]
-        towards.append(_cell_middles(size)[cells] + moment[cells] / luminance[cells][:, None] - means)
-    found_towards = np.concatenate(towards)
-    found_towards /= np.linalg.norm(found_towards, axis=1, keepdims=True)
-    sizes = np.concatenate([np.full(np.count_nonzero(cells), area) for cells, area in zip(chosen, areas, strict=True)])
-    return found, found_towards, sizes
-
-
-def _cell_middles(count: int) -> NDArray[np.float64]:
-    """Unit vectors to the middles of so many by so many cells, (n, n, 3)."""
-    places = (np.arange(count) + 0.5) / count * 2.0 - 1.0
-    v, u = np.meshgrid(places, places, indexing="ij")
-    beyond = 1.0 - np.abs(u) - np.abs(v)
-    radius = 1.0 - np.abs(beyond)
-    turn = ((np.abs(v) - np.abs(u)) / np.maximum(radius, 1e-30) + 1.0) * math.pi / 4.0
-    level = radius * np.sqrt(2.0 - radius**2)
-    upward = np.copysign(1.0 - radius**2, beyond)
-    return np.stack([np.copysign(np.cos(turn), u) * level, upward, np.copysign(np.sin(turn), v) * level], axis=-1)
+    deviations = np.linalg.norm(axes, axis=2)
+    middles = towards.astype(np.float32)
+    seen = np.maximum(middles @ middles.T, np.float32(0.0))
+    seen /= 2.0 * math.pi * deviations.prod(axis=1).astype(np.float32)
+    for axis in (0, 1):
+        across = middles @ (axes[:, axis] / deviations[:, axis, None] ** 2).T.astype(np.float32)
+        seen *= np.exp(np.float32(-0.5) * across**2)
+    result = means / seen.sum(axis=1, keepdims=True)
+    for _ in range(_TURNS):
+        result = result * means / np.maximum(seen @ result, 1e-30)
+    return np.asarray(result)
 
 
 def _clusters(colours: NDArray[np.float64], weights: NDArray[np.float64], most: int) -> list[NDArray[np.int64]]:

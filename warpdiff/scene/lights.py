@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdiff.core import checks
 from warpdiff.optics.spectra import Spectrum
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 # Squares of colours are float32.
 MOST_POWER = 1e12
@@ -87,7 +91,8 @@ class Lobe:
         to_light: Unit vector towards it, world frame.
         illuminant: Its illuminant.
         power: Its linear factor.
-        spread: Standard deviation of its directions [radians]; 0 is a single one.
+        deviations: Of its directions [radians], along two vectors at right angles to it, shape (2, 3), world frame;
+            None is a single direction.
         position: Where it is, world frame, from where its power falls off by the square of the distance; None is
             infinitely far away. ``to_light`` is then of no account.
     """
@@ -95,7 +100,7 @@ class Lobe:
     to_light: tuple[float, float, float]
     illuminant: str | Spectrum
     power: float
-    spread: float = 0.0
+    deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
 
 
@@ -108,15 +113,15 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     if isinstance(light, PointLight):
         return [Lobe((0.0, 0.0, 1.0), light.illuminant, light.power, position=light.position)]
     radius = math.radians(light.angular_diameter_deg / 2.0)
+    if radius == 0.0:
+        return [Lobe(light.to_light, light.illuminant, light.power)]
     if light.angular_diameter_deg <= _ONE_LOBE_DEG:
-        return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0)]
+        return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0 * _aside(np.asarray(light.to_light)))]
     count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
     spread = LOBE_WIDTH * radius / math.sqrt(count)
     inner = math.sqrt(radius**2 - 4.0 * spread**2)
     axis = np.asarray(light.to_light)
-    aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    aside /= np.linalg.norm(aside)
-    other = np.cross(axis, aside)
+    aside, other = _aside(axis)
     index = np.arange(count) + 0.5
     # Equal parts of the solid angle.
     cosine = 1.0 - index / count * (1.0 - math.cos(inner))
@@ -124,4 +129,15 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     towards = cosine[:, None] * axis + sine[:, None] * (
         np.cos(around)[:, None] * aside + np.sin(around)[:, None] * other
     )
-    return [Lobe((float(x), float(y), float(z)), light.illuminant, light.power / count, spread) for x, y, z in towards]
+    power = light.power / count
+    return [
+        Lobe((float(each[0]), float(each[1]), float(each[2])), light.illuminant, power, spread * _aside(each))
+        for each in towards
+    ]
+
+
+def _aside(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Two unit vectors at right angles to one and to each other, (2, 3)."""
+    aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(axis, aside)])
