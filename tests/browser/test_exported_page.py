@@ -26,7 +26,7 @@ FLAGS = (
     "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run "
     "--disable-background-networking --disable-component-update --disable-sync"
 )
-WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 512, 16
+WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 1024, 16
 # Machines that test may be busy.
 WAIT_MS = 240_000
 WINDOW = wd.Coherence(sigma_um=8.0)
@@ -136,7 +136,8 @@ def test_a_picture_at_rest_is_that_of_shade(shown, skin, body, index):
     differences = colour_difference(canvas(shown), exact.display()[..., :3])[interior]
     assert np.percentile(differences, 99.0) <= 3.0
     assert np.median(differences) <= 0.75
-    assert found[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.02)
+    # As much as the picture it is compared with may err by.
+    assert found[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
     assert np.abs(found[..., 3] - exact.coverage).mean() < 0.01
 
 

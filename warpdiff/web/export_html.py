@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 # Texels along a side of the page's grid over (u, v), and frames that a picture at rest adds up.
-_SIZE, _FRAMES = 1024, 512
+_SIZE, _FRAMES = 1024, 1024
 # The zeroth order's wavelengths: as many as a page has look-ups left for.
 _WAVELENGTHS = 10
 # Of what the mean plane reflects at each of them.
@@ -63,7 +63,7 @@ def export_html(
     """Write one HTML file that shows a mesh whose surface carries baked lobes, in any browser with WebGL 2.
 
     It asks for nothing else, from this machine or any other. The body is turned, moved and approached, its lights are
-    turned and its exposure is set by hand. A picture at rest adds up 512 frames, each with places of its own in the
+    turned and its exposure is set by hand. A picture at rest adds up 1,024 frames, each with places of its own in the
     pixels, and then is that of :func:`warpdiff.shade` but for quantisation, edges of shadows, and footprints narrower
     than the page's grid over (u, v) resolves: it says how narrow.
 
