@@ -247,7 +247,7 @@ def main() -> int:
     """Print the tables that are asked for, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", action="store_true", help="lights of a size against discs of points")
-    parser.add_argument("--skies", action="store_true", help="environments against 16 times as many directions")
+    parser.add_argument("--skies", action="store_true", help="environments against many more directions")
     parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
     parser.add_argument("--mitsuba", action="store_true", help="flat gold under a sky against Mitsuba")
     parser.add_argument("--times", action="store_true", help="time a frame by the number of lobes")

@@ -21,7 +21,7 @@ import import_graph as graph
 SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy", "distributed", "mitsuba", "drjit"}
 # Signals and streams are met before anything slow is imported; some commands import what the others do without; the
 # viewer's page loads while Warp is imported.
-LATER = {"warpdiff.__main__", "warpdiff.app.cli", "warpdiff.viewer.serve"}
+LATER = {"warpdiff.__main__", "warpdiff.app.cli", "warpdiff.viewer.command"}
 PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]
 ROOMS = [name for name in PACKAGE if graph.room_of(name) in graph.rooms()]
 

@@ -25,6 +25,7 @@ from warpdiff.core import checks, disk_cache
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.image.image import check_target
+from warpdiff.optics.materials import check_reflection
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -664,8 +665,8 @@ def _bench(options: argparse.Namespace) -> None:
 def _view(options: argparse.Namespace) -> None:
     if importlib.util.find_spec("websockets") is None:
         raise ValueError("the page is served with websockets, which is not installed: pip install 'warpdiff[view]'")
+    from warpdiff.viewer.command import run
     from warpdiff.viewer.scene import NamedFiles
-    from warpdiff.viewer.serve import run
 
     if not 0 <= options.port <= _MOST_PORT:
         raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
@@ -690,18 +691,18 @@ def _render(options: argparse.Namespace) -> None:
     _check_output(options)
     sky = _environment(options)
     mesh, hf, directional, view = _scene(options)
-    illuminant = _illuminant(options)
     others: list[Light] = [
-        wd.PointLight((x, y, z), illuminant=illuminant, power=power) for x, y, z, power in options.point_light
+        wd.PointLight((x, y, z), illuminant=directional[0].illuminant, power=power)
+        for x, y, z, power in options.point_light
     ]
     others += [] if sky is None else [sky]
     lights = [*(directional if options.light or not others else ()), *others]
-    image = wd.shade(mesh, hf, lights, view, **_shading(options), progress=Bar(options.command))
+    shading = _shading(options)
+    image = wd.shade(mesh, hf, lights, view, **shading, progress=Bar(options.command))
     behind = None
     if sky is not None and options.environment_behind:
         # Pictures by an index of refraction are relative to what it reflects at normal incidence.
-        ior = 1.5 if options.ior is None else options.ior
-        normal = 1.0 if options.material is not None else 1.0 if math.isinf(ior) else ((ior - 1.0) / (ior + 1.0)) ** 2
+        normal, _ = check_reflection(shading["ior"], shading["material"])
         behind = sky.seen(view) / np.float32(normal)
     _report(image, options, behind)
 

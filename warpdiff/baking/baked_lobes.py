@@ -13,6 +13,7 @@ from warpdiff.baking.polar_grid import PolarGrid
 from warpdiff.core import checks, fork_safety, free_memory
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import check_reflection
 
 if TYPE_CHECKING:
     import os
@@ -282,7 +283,7 @@ class BakedLobes:
 def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
     """R(0) of an index of refraction, None for 1.5; 1 of a material, which no index may be given beside."""
     if not lobes.has_material:
-        return reflectance_factors.normal_reflectance(1.5 if ior is None else ior)
+        return check_reflection(ior, None)[0]
     if ior is not None:
         raise ValueError("ior must not be given beside lobes that were baked with a material")
     return 1.0

@@ -290,7 +290,6 @@ def _gaussians(cells: list[_Cell], turn: float) -> tuple[NDArray[np.float64], ND
     return towards, deviations[:, :, None] * np.swapaxes(vectors, 1, 2)[:, 1:]
 
 
-@np.errstate(under="ignore")
 def _powers(means: NDArray[np.float64], towards: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
     """The power of RGB of lobes that together are as bright in the middles of cells as these are, (n, 3).
 

@@ -244,13 +244,13 @@ class Studio:
                     wanted = session.wanted
                     if wanted is None or session.in_flight >= _MOST_IN_FLIGHT:
                         continue
+                    stages = len(stages_to(wanted.values["tolerance"]))
                     if session.begun != wanted.generation:
                         # Let go where it was seen last, it is finer next, or as fine once more.
                         is_let_go = not wanted.moving and session.seen == _at_any_time(wanted)
-                        last = len(stages_to(wanted.values["tolerance"])) - 1
                         session.begun = wanted.generation
-                        session.stage = min(max(session.stage, 1), last) if is_let_go else 0
-                    if session.stage >= len(stages_to(wanted.values["tolerance"])):
+                        session.stage = min(max(session.stage, 1), stages - 1) if is_let_go else 0
+                    if session.stage >= stages:
                         continue
                     left = session.drawn_at + _REST_S - time.monotonic() if wanted.moving and session.stage else 0.0
                     if left > 0.0:

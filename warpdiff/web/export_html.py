@@ -39,8 +39,8 @@ _ENTRIES_OF_W = 512
 _MOST_LIGHTS = 8
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
-    "RESAMPLE": "resample.frag", "SURFACE_VERT": "surface.vert", "SURFACE_FRAG": "surface.frag",
-    "DISPLAY": "display.frag", "SCRIPT": "page.js",
+    "RESAMPLE": "resample.frag", "SHARPEN": "sharpen.frag", "SURFACE_VERT": "surface.vert",
+    "SURFACE_FRAG": "surface.frag", "DISPLAY": "display.frag", "SCRIPT": "page.js",
 }  # fmt: skip
 
 

@@ -113,15 +113,6 @@ function program(vertex, fragment, constants = {}) {
 const source = (id) => document.getElementById(id).textContent;
 const WHOLE = "void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }";
 const NOTHING = "void main() {}";
-// What linear interpolation between texels blurs by, a sixth of their distance squared along either axis, taken back.
-const SHARPEN = `uniform highp sampler2D frame;
-out vec4 c;
-vec4 at(ivec2 place) { return texelFetch(frame, clamp(place, ivec2(0), textureSize(frame, 0) - 1), 0); }
-void main() {
-    ivec2 here = ivec2(gl_FragCoord);
-    vec4 beside = at(here + ivec2(1, 0)) + at(here - ivec2(1, 0)) + at(here + ivec2(0, 1)) + at(here - ivec2(0, 1));
-    c = (16.0 * at(here) - beside) / 12.0;
-}`;
 const COPY = "uniform highp sampler2D frame; out vec4 c; void main() { c = texelFetch(frame, ivec2(gl_FragCoord), 0); }";
 
 function texture(target, filter, define) {
@@ -193,7 +184,7 @@ function bakeGrid(arrays) {
     const blurred = texture(
         gl.TEXTURE_2D, gl.NEAREST, () => gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, SIZE, SIZE));
     const resample = program(WHOLE, source("resample.frag"), { MOST_OCTAVES: rays.length, SIZE: SIZE.toFixed(1) });
-    const sharpen = program(WHOLE, SHARPEN), target = gl.createFramebuffer(), starts = [];
+    const sharpen = program(WHOLE, source("sharpen.frag")), target = gl.createFramebuffer(), starts = [];
     rays.reduce((start, each) => { starts.push(start); return start + rings * each; }, 0);
     gl.useProgram(resample.program);
     gl.uniform1i(resample.uniforms.ringsAnOctave, rings);

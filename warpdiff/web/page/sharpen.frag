@@ -1,0 +1,14 @@
+// What linear interpolation between texels blurs by, a sixth of their distance squared along either axis, taken back.
+
+uniform highp sampler2D frame;
+out vec4 sharpened;
+
+vec4 at(ivec2 place) {
+    return texelFetch(frame, clamp(place, ivec2(0), textureSize(frame, 0) - 1), 0);
+}
+
+void main() {
+    ivec2 here = ivec2(gl_FragCoord);
+    vec4 beside = at(here + ivec2(1, 0)) + at(here - ivec2(1, 0)) + at(here + ivec2(0, 1)) + at(here - ivec2(0, 1));
+    sharpened = (16.0 * at(here) - beside) / 12.0;
+}
