@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from warpdiff.compute.device import resolve_device
-from warpdiff.compute.pipeline import KernelCall, Pipeline, begin_pipeline, launch, launch_pipeline
+from warpdiff.compute.pipeline import KernelCall, Pipeline, launch, launch_pipeline
 from warpdiff.core.thread_pool import side_by_side
 from warpdiff.kernels.structs import Sampling
 
@@ -46,7 +46,7 @@ def test_slices_take_every_element_through_all_kernels_in_turn(threads, size):
     expected = values.numpy().copy()
     among = range(size // 3, size // 2)
     expected[among.start : among.stop] = 2 * expected[among.start : among.stop] + 2
-    begin_pipeline(steps, among, device=device, threads=threads, slice_size=7).finish()
+    launch_pipeline(steps, among, device=device, threads=threads, slice_size=7)
     np.testing.assert_array_equal(values.numpy(), expected)
 
 

@@ -93,11 +93,7 @@ class Frame:
         options: dict[str, Any] = {"smooth": smooth, "means": means, "device": device, "threads": threads}
         options["materials"] = self.has_materials
         on_device = not device.is_cpu if device_driven is None else device_driven
-        self.rays = (
-            PixelRays(surface, view, **options)
-            if on_device
-            else RasterizedRays(surface, view, samples=self._samples, **options)
-        )
+        self.rays = (PixelRays if on_device else RasterizedRays)(surface, view, **options)
         self.invalidate_gbuffer()
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         # XYZ, coverage, and what any light reaches: zeros, which are no memory yet, where no pixel is written to.

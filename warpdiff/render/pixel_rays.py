@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.pipeline import KernelCall, begin_pipeline, launch
+from warpdiff.compute.pipeline import KernelCall, launch
 from warpdiff.core import fork_safety
 from warpdiff.kernels import bvh, ray_hits, scattering
 from warpdiff.kernels.structs import Cells, Sampling
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.core.thread_pool import Work
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
@@ -130,35 +129,20 @@ class RasterizedRays(PixelRays):
     ``may_see`` are whole blocks, with a row more on either side, once faces have told.
     """
 
-    def __init__(self, surface: Surface, view: View, *, samples: int, **options: Any) -> None:
-        """Rays of a view; of one of so many samples each."""
+    def __init__(self, surface: Surface, view: View, **options: Any) -> None:
         super().__init__(surface, view, **options)
         device = self.options["device"]
-        self._samples = samples
         self.may_see = range(0)
         self._rows = wp.empty(2, dtype=wp.int32, device=device)
         self._nearest = wp.empty(self._size, dtype=wp.uint64, device=device)
         # Where rays of a sample lie, if each pixel's lies elsewhere.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
-        # Faces that are yet finding their pixels.
-        self._covering: Work | None = None
-
-    def set_view(self, view: View) -> None:
-        """Set the view, of the same size as any before, and let faces begin to find their pixels."""
-        covering, self._covering = self._covering, None
-        if covering is not None:
-            # Of a view that is no longer looked at.
-            covering.abandon()
-        self._look(view)
-        if self._samples == 1:
-            self._covering = self._begin_to_rasterize(self._sampling(0, 1))
 
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel."""
         sampling = self._sampling(sample, samples)
-        covering, self._covering = self._covering or self._begin_to_rasterize(sampling), None
-        with covering:
-            self.seen.pixels.nearest = self._nearest
+        self._rasterize(sampling)
+        self.seen.pixels.nearest = self._nearest
         # The same rows for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
         first_row, last_row = map(int, self._rows.numpy())
         self.may_see = range(0)
@@ -172,14 +156,16 @@ class RasterizedRays(PixelRays):
         """The calls that find where rays meet the mesh, and its shading frames there."""
         return self._steps(ray_hits.intersect_known_faces, self._scene.bare, sampling, pixels)
 
-    def _begin_to_rasterize(self, sampling: Any) -> Work:
-        """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
+    def _rasterize(self, sampling: Any) -> None:
+        """Let faces find their pixels, and tell in which rows these lie."""
         self._nearest.fill_(ray_hits.UNSEEN)
         self._rows.assign([self.view.height, -1])
         reach = 0.0 if sampling.samples == 1 else ray_hits.MOST_OFFSET
         inputs = [self._camera, self._scene.bare, sampling, Cells(), reach]
-        rasterize = KernelCall(ray_hits.rasterize, inputs, [self._nearest, self._rows], in_runs=True)
-        return begin_pipeline([rasterize], self._scene.face_count, slice_size=_FACES_OF_SLICE, **self.options)
+        launch(
+            ray_hits.rasterize, self._scene.face_count, inputs, [self._nearest, self._rows], slice_size=_FACES_OF_SLICE,
+            in_runs=True, **self.options,
+        )  # fmt: skip
 
     def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
         """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""

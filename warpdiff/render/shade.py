@@ -226,14 +226,12 @@ class PictureRequest:
         return cls(request, lights, pigment, shadows, smooth, samples, checks.flag(refine, "refine"))
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
-        """The arrays of a picture, whose faces begin to find their pixels."""
-        result = Frame(
+        """The arrays of a picture."""
+        return Frame(
             surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint,
             materials_of_faces=self.materials_of_faces(surface), device=self.request.device,
             threads=self.request.threads, **options,
         )  # fmt: skip
-        result.set_view(view)
-        return result
 
     def materials_of_faces(self, surface: Surface) -> NDArray[np.int32] | None:
         """Which of several materials each face is of; None where there is one."""
