@@ -4,37 +4,45 @@ import warp as wp
 
 from warpdiff.kernels import cell_levels, compile_options
 
-wp.set_module_options(compile_options.options("error_estimates.h", "cell_splats.h"))
+wp.set_module_options(compile_options.options("cell_splats.h"))
 
 # Marks of pixels that are to be split, and of those that were and need not be again; 0 is for all others.
 WANTED = wp.constant(wp.uint8(1))
 SETTLED = wp.constant(wp.uint8(2))
+SMOOTH = wp.constant(wp.float32(cell_levels.SMOOTH))
+PER_UNEVEN = wp.constant(wp.float32(cell_levels.PER_UNEVEN))
+PER_WIDE = wp.constant(wp.float32(cell_levels.PER_WIDE))
+TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
 
-@wp.func_native(
-    "warpdiff::estimate_errors<32>(colours, deflections, hit, width, height, low, high, "
-    f"{{{cell_levels.SMOOTH}f, {cell_levels.PER_UNEVEN}f, {cell_levels.PER_WIDE}f}}, "
-    "{*(const float*)floor.data, bound, all_of_them, splits_rims}, begin, end, errors_out, wanted_out);"
-)
-def estimate_errors_run(
-    colours: wp.array(dtype=wp.vec3f),
-    deflections: wp.array(dtype=wp.vec3d),
-    hit: wp.array(dtype=wp.int32),
-    width: wp.int32,
-    height: wp.int32,
-    low: wp.int32,
-    high: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bound: wp.float32,
-    all_of_them: wp.bool,
-    splits_rims: wp.bool,
-    begin: wp.int32,
-    end: wp.int32,
-    errors_out: wp.array(dtype=wp.float32),
-    wanted_out: wp.array(dtype=wp.uint8),
-):
-    """Estimates for pixels one after the other."""
+@wp.func
+def change(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, other: wp.int32) -> wp.vec2f:
+    """By how much (u, v) differs from one pixel to another."""
+    apart = deflections[other] - deflections[pixel]
+    return wp.vec2f(wp.float32(apart[0]), wp.float32(apart[1]))
+
+
+@wp.func
+def share_of_contrast(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
+    """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
+    left = change(deflections, pixel, pixel - 1)
+    right = change(deflections, pixel, pixel + 1)
+    above = change(deflections, pixel, pixel - width)
+    below = change(deflections, pixel, pixel + width)
+    along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
+    down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
+    # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
+    uneven2 = wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down)
+    for line in range(-1, 2, 2):
+        for side in range(-1, 2, 2):
+            straight = wp.where(side < 0, left, right) + wp.where(line < 0, above, below)
+            aslant = change(deflections, pixel, pixel + line * width + side) - straight
+            uneven2 = wp.max(uneven2, wp.length_sq(aslant) / wp.max(along, down))
+    own = deflections[pixel]
+    uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
+    wide = wp.sqrt(wp.max(along, down) / uv2)
+    return wp.min(SMOOTH + PER_UNEVEN * wp.sqrt(uneven2) + PER_WIDE * wide, 1.0)
 
 
 @wp.kernel
@@ -44,8 +52,6 @@ def estimate_errors(
     deflections: wp.array(dtype=wp.vec3d),
     hit: wp.array(dtype=wp.int32),
     width: wp.int32,
-    low: wp.int32,
-    high: wp.int32,
     floor: wp.array(dtype=wp.float32),
     bound: wp.float32,
     all_of_them: wp.bool,
@@ -58,13 +64,13 @@ def estimate_errors(
 ):
     """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
 
+    What does not meet the mesh differs in nothing from the pixel beside it, and is black.
+
     Args:
         colours: Theirs, of whole rows.
         deflections: What their rays see.
         hit: Whether they meet the mesh.
         width: Pixels in a row.
-        low: The first pixel that may see anything.
-        high: The one after the last of these.
         floor: What errors are relative to at least.
         bound: Of errors relative to the colour, or to the floor, from which pixels are split.
         all_of_them: Whether all are split, also where only cells may meet the mesh.
@@ -75,11 +81,36 @@ def estimate_errors(
         wanted_out: 1 for those to be split, otherwise 0.
     """
     thread, _ = wp.tid()
-    begin = first + thread * run
-    estimate_errors_run(
-        colours, deflections, hit, width, hit.shape[0] // width, low, high, floor, bound, all_of_them, splits_rims,
-        begin, begin + run, errors_out, wanted_out
-    )  # fmt: skip
+    height = hit.shape[0] // width
+    for pixel in range(first + thread * run, first + (thread + 1) * run):
+        row = pixel // width
+        column = pixel % width
+        own = wp.where(hit[pixel] != 0, colours[pixel], wp.vec3f())
+        around = wp.int32(0)
+        met = wp.int32(0)
+        beside = wp.int32(0)
+        contrast = wp.float32(0.0)
+        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+                other = y * width + x
+                around += 1
+                if hit[other] != 0:
+                    met += 1
+                    if wp.abs(y - row) + wp.abs(x - column) == 1:
+                        beside += 1
+                        contrast = wp.max(contrast, wp.length(colours[other] - own))
+        size = wp.length(own)
+        if beside == 0:
+            # Nothing tells of a pixel by itself.
+            contrast = size
+        share = wp.float32(1.0)
+        if met == 9:
+            share = share_of_contrast(deflections, pixel, width)
+        error = share * contrast
+        errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
+        is_rim = met < around and splits_rims
+        wanted = met > 0 and (is_rim or error > bound * wp.max(size, floor[0]))
+        wanted_out[pixel] = wp.uint8(wp.where(wanted or all_of_them, 1, 0))
 
 
 @wp.func_native(

@@ -42,7 +42,7 @@ class HostSchedule:
 
     def split(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
         """Split pixels until none is left that is to be."""
-        count = _Splitting(light, self._rays).run(progress) if self._rays.may_see else 0
+        count = _Splitting(light, self._rays).run(progress)
         self.count = count if light.light_index == 0 else max(self.count, count)
 
 
@@ -72,7 +72,7 @@ class _Splitting:
         self._light, self._rays, self._device = light, rays, rays.options["device"]
         self._width, self._height = rays.view.width, rays.view.height
         size = self._width * self._height
-        floor = pixel_filters.floor_of(light.colours, rays.seen.gains, rays.may_see)
+        floor = pixel_filters.floor_of(light.colours, rays.seen.gains)
         self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._wanted = np.zeros(size, dtype=np.uint8)
         self._wanted_out = self._array(self._wanted, wp.uint8)
@@ -83,17 +83,16 @@ class _Splitting:
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
-    def _launch(self, step: KernelCall, elements: int | range) -> None:
+    def _launch(self, step: KernelCall, elements: int) -> None:
         launch_pipeline([step], elements, slice_size=SLICE, **self._rays.options)
 
     def run(self, progress: Callable[[float], None] | None) -> int:
         """Split all, and say how many there were."""
-        light, among = self._light, self._rays.may_see
-        self._launch(light.estimate_errors(self._floor, self._wanted_out), among)
-        if not light.splits:
+        light = self._light
+        self._launch(light.estimate_errors(self._floor, self._wanted_out), len(self._wanted))
+        pixels = np.flatnonzero(self._wanted).astype(np.int32)
+        if not light.splits or not len(pixels):
             return 0
-        wanted = self._wanted[among.start : among.stop]
-        pixels = (np.flatnonzero(wanted) + among.start).astype(np.int32)
         light.frame.expect_cells(light.light_index, len(pixels))
         with shared_tile_buffers(self._threads, kind=light.buffer_kind, device=self._device) as shared:
             for first in range(0, len(pixels), _MOST_PIXELS):

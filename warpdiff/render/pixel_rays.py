@@ -11,7 +11,6 @@ from warpdiff.compute.pipeline import KernelCall, launch
 from warpdiff.core import fork_safety
 from warpdiff.kernels import bvh, ray_hits, scattering
 from warpdiff.kernels.structs import Cells, Sampling
-from warpdiff.render.direction_statistics import BLOCK
 from warpdiff.render.gbuffer import GBuffer
 from warpdiff.scene import device_mesh
 from warpdiff.scene.shadow_grid import grid_for, grid_pays, no_grid
@@ -36,7 +35,6 @@ class PixelRays:
 
     Attributes:
         options: The device and the number of threads of launches.
-        may_see: The pixels that may see anything.
     """
 
     def __init__(
@@ -59,7 +57,6 @@ class PixelRays:
         self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
-        self.may_see = range(self._size)
         self._look(view)
 
     def _look(self, view: View) -> None:
@@ -115,25 +112,13 @@ class PixelRays:
         """The grid, or none, for shadow rays of the pixels' own samples."""
         return self.no_shadow_grid()
 
-    def on_host(self, values: wp.array) -> NDArray[Any]:
-        """Values of all pixels on the host; zero for those that are not looked at."""
-        all_values, among = values.numpy(), slice(self.may_see.start, self.may_see.stop)
-        found: NDArray[Any] = np.zeros_like(all_values)
-        found[among] = all_values[among]
-        return found
-
 
 class RasterizedRays(PixelRays):
-    """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none.
-
-    ``may_see`` are whole blocks, with a row more on either side, once faces have told.
-    """
+    """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none."""
 
     def __init__(self, surface: Surface, view: View, **options: Any) -> None:
         super().__init__(surface, view, **options)
         device = self.options["device"]
-        self.may_see = range(0)
-        self._rows = wp.empty(2, dtype=wp.int32, device=device)
         self._nearest = wp.empty(self._size, dtype=wp.uint64, device=device)
         # Where rays of a sample lie, if each pixel's lies elsewhere.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
@@ -141,41 +126,28 @@ class RasterizedRays(PixelRays):
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel."""
         sampling = self._sampling(sample, samples)
-        self._rasterize(sampling)
+        self._nearest.fill_(ray_hits.UNSEEN)
+        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else ray_hits.MOST_OFFSET, self._nearest)
         self.seen.pixels.nearest = self._nearest
-        # The same rows for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
-        first_row, last_row = map(int, self._rows.numpy())
-        self.may_see = range(0)
-        if first_row <= last_row:
-            first = max(first_row - 1, 0) * self.view.width // BLOCK
-            end = -(-(last_row + 2) * self.view.width // BLOCK)
-            self.may_see = range(first * BLOCK, min(end * BLOCK, self._size))
         return self.steps(sampling, self.seen.pixels)
 
     def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
         return self._steps(ray_hits.intersect_known_faces, self._scene.bare, sampling, pixels)
 
-    def _rasterize(self, sampling: Any) -> None:
-        """Let faces find their pixels, and tell in which rows these lie."""
-        self._nearest.fill_(ray_hits.UNSEEN)
-        self._rows.assign([self.view.height, -1])
-        reach = 0.0 if sampling.samples == 1 else ray_hits.MOST_OFFSET
-        inputs = [self._camera, self._scene.bare, sampling, Cells(), reach]
-        launch(
-            ray_hits.rasterize, self._scene.face_count, inputs, [self._nearest, self._rows], slice_size=_FACES_OF_SLICE,
-            in_runs=True, **self.options,
-        )  # fmt: skip
-
     def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
         """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""
         nearest = wp.full(pixels * cells.across**2, ray_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
-        inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
-        launch(
-            ray_hits.rasterize, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES_OF_SLICE,
-            in_runs=True, **self.options,
-        )  # fmt: skip
+        self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
+
+    def _rasterize(self, sampling: Any, cells: Any, reach: float, nearest: wp.array) -> None:
+        """Let faces find their rays."""
+        inputs = [self._camera, self._scene.bare, sampling, cells, reach]
+        launch(
+            ray_hits.rasterize, self._scene.face_count, inputs, [nearest], slice_size=_FACES_OF_SLICE, in_runs=True,
+            **self.options,
+        )  # fmt: skip
 
     def _sampling(self, sample: int, samples: int) -> Any:
         sampling = super()._sampling(sample, samples)
@@ -191,7 +163,7 @@ class RasterizedRays(PixelRays):
 
     def shadow_grid(self, to_light: Sequence[float], samples: int) -> Any:
         """A grid of faces where it is worth it for as many rays, once the first are cast; otherwise the hierarchy."""
-        return self._grid_for(to_light, samples * int(np.count_nonzero(self.on_host(self.seen.pixels.hit))))
+        return self._grid_for(to_light, samples * int(np.count_nonzero(self.seen.pixels.hit.numpy())))
 
     def shadow_grid_of_cells(self, to_light: Sequence[float], pixels: int) -> Any:
         """The grid, or none, for shadow rays of the cells of so many split pixels."""

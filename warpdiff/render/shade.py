@@ -134,7 +134,7 @@ def shade(
         surface = prepare_surface(mesh, tangents=tangents)
         picture = wanted.frame(surface, view)
         wanted.set_lights(picture, wanted.lights)
-        scope, count, sample = picture.measure_directions(hf, request.coherence, sampled=request.plan is None)
+        scope, count, sample = picture.measure_directions(hf, request.coherence)
         found = request.plan
         if found is not None:
             warn_outside(found, hf, scope)
