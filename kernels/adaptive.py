@@ -17,32 +17,36 @@ FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
 
 @wp.func
-def change(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, other: wp.int32) -> wp.vec2f:
+def change(own: wp.vec3d, other: wp.vec3d) -> wp.vec2f:
     """By how much (u, v) differs from one pixel to another."""
-    apart = deflections[other] - deflections[pixel]
-    return wp.vec2f(wp.float32(apart[0]), wp.float32(apart[1]))
+    return wp.vec2f(wp.float32(other[0] - own[0]), wp.float32(other[1] - own[1]))
 
 
 @wp.func
 def share_of_contrast(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
     """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
-    left = change(deflections, pixel, pixel - 1)
-    right = change(deflections, pixel, pixel + 1)
-    above = change(deflections, pixel, pixel - width)
-    below = change(deflections, pixel, pixel + width)
+    own = deflections[pixel]
+    left = change(own, deflections[pixel - 1])
+    right = change(own, deflections[pixel + 1])
+    above = change(own, deflections[pixel - width])
+    below = change(own, deflections[pixel + width])
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
     # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
-    uneven2 = wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down)
-    for line in range(-1, 2, 2):
-        for side in range(-1, 2, 2):
-            straight = wp.where(side < 0, left, right) + wp.where(line < 0, above, below)
-            aslant = change(deflections, pixel, pixel + line * width + side) - straight
-            uneven2 = wp.max(uneven2, wp.length_sq(aslant) / wp.max(along, down))
-    own = deflections[pixel]
+    aslant2 = wp.max(
+        wp.max(
+            wp.length_sq(change(own, deflections[pixel - width - 1]) - left - above),
+            wp.length_sq(change(own, deflections[pixel - width + 1]) - right - above),
+        ),
+        wp.max(
+            wp.length_sq(change(own, deflections[pixel + width - 1]) - left - below),
+            wp.length_sq(change(own, deflections[pixel + width + 1]) - right - below),
+        ),
+    )
+    most = wp.max(along, down)
+    uneven2 = wp.max(wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down), aslant2 / most)
     uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
-    wide = wp.sqrt(wp.max(along, down) / uv2)
-    return wp.min(SMOOTH + PER_UNEVEN * wp.sqrt(uneven2) + PER_WIDE * wide, 1.0)
+    return wp.min(SMOOTH + PER_UNEVEN * wp.sqrt(uneven2) + PER_WIDE * wp.sqrt(most / uv2), 1.0)
 
 
 @wp.kernel
@@ -84,32 +88,34 @@ def estimate_errors(
     height = hit.shape[0] // width
     for pixel in range(first + thread * run, first + (thread + 1) * run):
         row = pixel // width
-        column = pixel % width
+        column = pixel - row * width
         own = wp.where(hit[pixel] != 0, colours[pixel], wp.vec3f())
         around = wp.int32(0)
         met = wp.int32(0)
         beside = wp.int32(0)
-        contrast = wp.float32(0.0)
-        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                other = y * width + x
-                around += 1
-                if hit[other] != 0:
-                    met += 1
-                    if wp.abs(y - row) + wp.abs(x - column) == 1:
-                        beside += 1
-                        contrast = wp.max(contrast, wp.length(colours[other] - own))
-        size = wp.length(own)
+        contrast2 = wp.float32(0.0)
+        for line in range(-1, 2):
+            for side in range(-1, 2):
+                y = row + line
+                x = column + side
+                if y >= 0 and y < height and x >= 0 and x < width:
+                    other = y * width + x
+                    around += 1
+                    if hit[other] != 0:
+                        met += 1
+                        if line * side == 0 and line != side:
+                            beside += 1
+                            contrast2 = wp.max(contrast2, wp.length_sq(colours[other] - own))
         if beside == 0:
             # Nothing tells of a pixel by itself.
-            contrast = size
+            contrast2 = wp.length_sq(own)
         share = wp.float32(1.0)
         if met == 9:
             share = share_of_contrast(deflections, pixel, width)
-        error = share * contrast
+        error = share * wp.sqrt(contrast2)
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
         is_rim = met < around and splits_rims
-        wanted = met > 0 and (is_rim or error > bound * wp.max(size, floor[0]))
+        wanted = met > 0 and (is_rim or error > bound * wp.max(wp.length(own), floor[0]))
         wanted_out[pixel] = wp.uint8(wp.where(wanted or all_of_them, 1, 0))
 
 

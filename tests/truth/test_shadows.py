@@ -170,14 +170,6 @@ def test_lists_of_many_faces_hide_what_is_below(rng):
     np.testing.assert_array_equal(found, hidden(shadow_grid.no_grid(scene), light, places))
 
 
-def test_rays_have_the_same_hierarchy_whatever_others_had():
-    scenes = [scene_of(given(trimesh.creation.icosphere(subdivisions=2))) for _ in range(2)]
-    for scene, order in zip(scenes, ((True, False), (False, True)), strict=True):
-        found = {few: scene.with_hierarchy(few=few).mesh_id for few in order}
-        assert found[True] != found[False]
-        assert {few: scene.with_hierarchy(few=few).mesh_id for few in order} == found
-
-
 def test_threads_make_the_same_grid(rng):
     surface = given(meshes.tube(segments_along=96, segments_around=64))
     light = unit((0.3, 0.5, 0.8))
@@ -230,19 +222,13 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     assert all(grid.starts.shape[0] for grid in made)
     asked = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(pixel_rays, "grid_pays", lambda *_: False)
+    monkeypatch.setattr(pixel_rays.RasterizedRays, "_grid_for", lambda rays, *_: rays.no_shadow_grid())
     expected = wd.shade(mesh, hf, lights, view, **options)
     assert len(made) == asked
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.lit, expected.lit)
     unhidden = wd.shade(mesh, hf, lights, view, shadows=False, **options)
     assert np.any(unhidden.xyz != found.xyz)
-
-
-def test_a_grid_is_for_more_rays_than_a_few():
-    assert shadow_grid.grid_pays(16_000, 150_000)
-    assert not shadow_grid.grid_pays(1_000_000, 1000)
-    assert not shadow_grid.grid_pays(12, 0)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

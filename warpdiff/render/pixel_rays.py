@@ -13,7 +13,7 @@ from warpdiff.kernels import bvh, ray_hits, scattering
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.render.gbuffer import GBuffer
 from warpdiff.scene import device_mesh
-from warpdiff.scene.shadow_grid import grid_for, grid_pays, no_grid
+from warpdiff.scene.shadow_grid import grid_for, no_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -170,6 +170,7 @@ class RasterizedRays(PixelRays):
         return self._grid_for(to_light, _SHADOW_RAYS_OF_CELLS * pixels)
 
     def _grid_for(self, to_light: Sequence[float], rays: int) -> Any:
-        if not grid_pays(self._scene.face_count, rays):
-            return no_grid(self._scene, few=True)
+        # A face takes half as long in a grid as a ray does through the hierarchy.
+        if rays <= self._scene.face_count:
+            return self.no_shadow_grid()
         return grid_for(self._surface, self._scene, to_light, **self.options)
