@@ -18,7 +18,7 @@ from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Pixels
 from warpdiff.render import pixel_rays
 from warpdiff.scene import shadow_grid
-from warpdiff.scene.device_mesh import SceneArrays, pixels_within
+from warpdiff.scene.device_mesh import SceneArrays
 from warpdiff.scene.mesh_import import prepare_surface
 
 
@@ -229,23 +229,3 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     np.testing.assert_array_equal(found.lit, expected.lit)
     unhidden = wd.shade(mesh, hf, lights, view, shadows=False, **options)
     assert np.any(unhidden.xyz != found.xyz)
-
-
-@pytest.mark.parametrize("orthographic", [False, True])
-def test_how_many_pixels_see_a_surface_is_known_before_rays_are_cast(orthographic):
-    mesh = meshes.tube(segments_along=24, segments_around=16)
-    surface = prepare_surface(mesh)
-    hf, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.3, 0.5, 1.0))
-    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
-    for distance in (0.6, 1.0, 4.0):
-        eye = (0.5 * distance, 1.0 * distance, 1.5 * distance)
-        size = {"width": 120, "height": 90}
-        view = (
-            wd.View.orthographic(eye, (0.1, 0.0, 0.0), extent_y=distance, **size)
-            if orthographic
-            else wd.View(eye, (0.1, 0.0, 0.0), **size)
-        )
-        met = np.count_nonzero(wd.shade(mesh, hf, light, view, plan=plan).mask)
-        assert met / 2.5 < pixels_within(surface, view) < 2.5 * met
-    # From within its box.
-    assert pixels_within(surface, wd.View((0.0, 0.0, 0.01), (1.0, 0.0, 0.0), width=120, height=90)) == 120 * 90

@@ -23,7 +23,6 @@ from warpdiff.render import adaptive_sampling, pixel_filters
 from warpdiff.render.device_schedule import DeviceSchedule
 from warpdiff.render.host_schedule import HostSchedule
 from warpdiff.render.pixel_rays import RAYS_OF_SLICE, PixelRays, RasterizedRays
-from warpdiff.scene import device_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -229,7 +228,8 @@ class Frame:
         # A few rays a pixel see what all do, and of many pixels their own rays what cells do.
         samples, measured = self._samples, min(self._samples, _SAMPLES_MEASURED)
         if self._means:
-            pixels = max(device_mesh.pixels_within(self._surface, self.view), 1)
+            self.cast(0)
+            pixels = max(int(np.count_nonzero(self.seen.pixels.hit.numpy())), 1)
             samples = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
         for sample in range(measured):
             for light_index in range(len(self._to_lights)):

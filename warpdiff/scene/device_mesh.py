@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import weakref
 from typing import TYPE_CHECKING, Any
 
@@ -101,21 +100,6 @@ def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
     result.width = view.width
     result.height = view.height
     return result
-
-
-def pixels_within(surface: Surface, view: View) -> int:
-    """About how many pixels see a surface: half of those within its box, or all if some of that is behind the eye."""
-    frame = view.frame()
-    sides = surface.radius * np.abs(surface.vertices).max(axis=0).astype(np.float64)
-    seen = sides * list(itertools.product((-1.0, 1.0), repeat=3)) + surface.centre - frame.origin
-    depth = np.ones(len(seen)) if frame.orthographic else -(seen @ frame.back)
-    if depth.min() <= 0.0:
-        return view.width * view.height
-    shares = [
-        np.ptp(np.clip(seen @ axis / (half * depth), -1.0, 1.0)) / 2.0
-        for axis, half in ((frame.right, frame.half_width), (frame.up, frame.half_height))
-    ]
-    return int(view.width * view.height * shares[0] * shares[1] / 2.0)
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
