@@ -13,7 +13,7 @@ from warpdiff.core.thread_pool import part_of
 from warpdiff.kernels import cell_levels
 from warpdiff.render import pixel_filters
 from warpdiff.render.adaptive_sampling import SLICE
-from warpdiff.render.gbuffer import shared_tile_buffers
+from warpdiff.render.gbuffer import SharedTileBuffers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.render.adaptive_sampling import LightRefinement
-    from warpdiff.render.gbuffer import SharedTileBuffers
+    from warpdiff.render.gbuffer import BufferKind
     from warpdiff.render.pixel_rays import RasterizedRays
 
 # Pixels that are split together, for each of which there are some 40 numbers.
@@ -39,10 +39,12 @@ class HostSchedule:
         """For pictures by these rays."""
         self._rays = rays
         self.count = 0
+        # To make them takes as long as to look up thousands of pixels.
+        self._buffers: dict[BufferKind, SharedTileBuffers] = {}
 
     def split(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
         """Split pixels until none is left that is to be."""
-        count = _Splitting(light, self._rays).run(progress)
+        count = _Splitting(light, self._rays).run(self._buffers, progress)
         self.count = count if light.light_index == 0 else max(self.count, count)
 
 
@@ -86,25 +88,27 @@ class _Splitting:
     def _launch(self, step: KernelCall, elements: int) -> None:
         launch_pipeline([step], elements, slice_size=SLICE, **self._rays.options)
 
-    def run(self, progress: Callable[[float], None] | None) -> int:
-        """Split all, and say how many there were."""
+    def run(self, buffers: dict[BufferKind, SharedTileBuffers], progress: Callable[[float], None] | None) -> int:
+        """Split all, by buffers that are made once, and say how many there were."""
         light = self._light
         self._launch(light.estimate_errors(self._floor, self._wanted_out), len(self._wanted))
         pixels = np.flatnonzero(self._wanted).astype(np.int32)
         if not light.splits or not len(pixels):
             return 0
         light.frame.expect_cells(light.light_index, len(pixels))
-        with shared_tile_buffers(self._threads, kind=light.buffer_kind, device=self._device) as shared:
-            for first in range(0, len(pixels), _MOST_PIXELS):
-                part = self._part(pixels[first : first + _MOST_PIXELS])
-                together = len(part.pixels)
-                for level in cell_levels.LEVELS:
-                    ends = (level - 1) / cell_levels.MOST_LEVEL, level / cell_levels.MOST_LEVEL
-                    begin, end = ((first + share * together) / len(pixels) for share in ends)
-                    self._splat(level, part, shared, part_of(progress, begin, end))
-                    self._compare(level, part)
-                    if not len(part.tiles):
-                        break
+        kind = light.buffer_kind
+        if kind not in buffers:
+            buffers[kind] = SharedTileBuffers(self._threads, kind=kind, device=self._device)
+        for first in range(0, len(pixels), _MOST_PIXELS):
+            part = self._part(pixels[first : first + _MOST_PIXELS])
+            together = len(part.pixels)
+            for level in cell_levels.LEVELS:
+                ends = (level - 1) / cell_levels.MOST_LEVEL, level / cell_levels.MOST_LEVEL
+                begin, end = ((first + share * together) / len(pixels) for share in ends)
+                self._splat(level, part, buffers[kind], part_of(progress, begin, end))
+                self._compare(level, part)
+                if not len(part.tiles):
+                    break
         return len(pixels)
 
     def _part(self, pixels: NDArray[np.int32]) -> _Part:
