@@ -186,7 +186,7 @@ def intersect_known_faces(
     first: wp.int32,
     run: wp.int32,
 ):
-    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` has found.
+    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` or ``trace_bvh`` has found.
 
     Args:
         camera: The view.

@@ -29,21 +29,20 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     """The kernels' outputs by name, (height * width, ...) each, by rays or face by face."""
     scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
     sampling = Sampling()
-    sampling.sample, sampling.samples, sampling.seed = sample, samples, seed
     count = view.width * view.height
     pixels = pixels_for(count)
     axes = camera_of(view, surface)
-    launches = [(bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling, pixels], [])]
+    pixels.nearest = wp.full(count, ray_hits.UNSEEN, dtype=wp.uint64, device="cpu")
+    sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
+    find = (bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling], [pixels.nearest])
     if covers:
-        pixels.nearest = wp.full(count, ray_hits.UNSEEN, dtype=wp.uint64, device="cpu")
-        sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
         reach = ray_hits.MOST_OFFSET if samples > 1 else 0.0
-        given = [axes, scene.bare, sampling, Cells(), reach]
-        launches = [
-            (ray_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
-            (ray_hits.rasterize, scene.face_count, given, [pixels.nearest]),
-            (ray_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
-        ]
+        find = (ray_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), reach], [pixels.nearest])
+    launches = [
+        (ray_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
+        find,
+        (ray_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
+    ]
     launches.append((ray_hits.make_shading_frames, count, [scene.bare, pixels], []))
     for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
@@ -289,13 +288,15 @@ def test_cells_are_found_face_by_face(make, level, slices, request):
     sampling.tiles = wp.array(chosen, dtype=wp.int32, device="cpu")
     sampling.places = pixel_filters.places_at(level, "cpu")
     found = []
-    for kernel in (ray_hits.intersect_known_faces, bvh.trace_bvh):
+    by_rays = wp.empty_like(nearest)
+    wp.launch(bvh.trace_bvh, 1, [camera, scene.with_hierarchy(), sampling, 0, count], [by_rays], device="cpu")
+    for faces in (nearest, by_rays):
         pixels = pixels_for(count)
-        pixels.nearest = nearest
+        pixels.nearest = faces
         # Some slices begin within a pixel.
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
-            inputs = [camera, scene.with_hierarchy(), sampling, pixels, int(begin), int(end - begin)]
-            wp.launch(kernel, 1, inputs, device="cpu")
+            inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
+            wp.launch(ray_hits.intersect_known_faces, 1, inputs, device="cpu")
         found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
     np.testing.assert_array_equal(hit, face >= 0)

@@ -48,7 +48,7 @@ class GBuffer:
             return wp.empty(size, dtype=dtype, device=device)
 
         pixels = Pixels()
-        pixels.nearest = empty(wp.uint64, 0)
+        pixels.nearest = empty(wp.uint64)
         pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
             setattr(pixels, name, empty(wp.vec3f))
@@ -114,7 +114,6 @@ class SharedTileBuffers:
         self._size = -(-pixel_filters.MOST_RAYS // whole) * whole
         rays = parts * self._size
         self.buffers = TileBuffers.by(rays, kind=kind, device=device)
-        self.buffers.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
         self._nearest = self.buffers.seen.pixels.nearest.numpy()
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
         self._colours = self.buffers.colours.numpy()

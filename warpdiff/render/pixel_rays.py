@@ -8,7 +8,6 @@ import numpy as np
 import warp as wp
 
 from warpdiff.compute.pipeline import KernelCall, launch
-from warpdiff.core import fork_safety
 from warpdiff.kernels import bvh, ray_hits, scattering
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.render.gbuffer import GBuffer
@@ -35,6 +34,7 @@ class PixelRays:
 
     Attributes:
         options: The device and the number of threads of launches.
+        seen: The G-buffer of the pixels' own rays, under the last light.
     """
 
     def __init__(
@@ -52,27 +52,21 @@ class PixelRays:
 
         They have footprints if they show ``means``, and gains of one of several ``materials``.
         """
-        self._surface, self._means, self._size = surface, means, view.width * view.height
-        self._materials = materials
+        self._surface, self._size = surface, view.width * view.height
         self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
+        # Where rays of a sample lie, if each pixel's lies elsewhere.
+        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
-        self._look(view)
-
-    def _look(self, view: View) -> None:
-        self.view = view
-        self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
-        self.may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
+        coloured = surface.has_base_colour
+        self.seen = GBuffer.by(self._size, device=device, means=means, coloured=coloured, materials=materials)
+        self.set_view(view)
 
     def set_view(self, view: View) -> None:
         """Set the view, of the same size as any before."""
-        self._look(view)
-
-    @fork_safety.cached_property
-    def seen(self) -> GBuffer:
-        """The G-buffer of the pixels' own rays, under the last light."""
-        coloured, device = self._surface.has_base_colour, self.options["device"]
-        return GBuffer.by(self._size, device=device, means=self._means, coloured=coloured, materials=self._materials)
+        self.view = view
+        self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
+        self.may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
 
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel."""
@@ -80,18 +74,28 @@ class PixelRays:
 
     def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
-        return self._steps(bvh.trace_bvh, self._scene.with_hierarchy(), sampling, pixels)
+        inputs = [self._camera, self._scene.with_hierarchy(), sampling]
+        return [KernelCall(bvh.trace_bvh, inputs, [pixels.nearest], in_runs=True), *self._known(sampling, pixels)]
 
-    def _steps(self, find: Any, arrays: Any, sampling: Any, pixels: Any) -> list[KernelCall]:
+    def _known(self, sampling: Any, pixels: Any) -> list[KernelCall]:
+        """The calls that find where rays meet the faces that are known to be nearest, and shading frames there."""
+        inputs = [self._camera, self._scene.bare, sampling, pixels]
         return [
-            KernelCall(find, [self._camera, arrays, sampling, pixels], [], in_runs=True),
-            KernelCall(ray_hits.make_shading_frames, [arrays, pixels], [], in_runs=True),
+            KernelCall(ray_hits.intersect_known_faces, inputs, [], in_runs=True),
+            KernelCall(ray_hits.make_shading_frames, [self._scene.bare, pixels], [], in_runs=True),
         ]
 
     def _sampling(self, sample: int, samples: int) -> Any:
-        """Where a sample of every pixel lies."""
+        """Where a sample of every pixel lies: a single one in its centre."""
         sampling = Sampling()
-        sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
+        if samples > 1:
+            if not len(self._offsets):
+                self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self.options["device"])
+            launch(
+                ray_hits.place_samples, self._size, [sample, samples, _SEED], [self._offsets], slice_size=RAYS_OF_SLICE,
+                in_runs=True, **self.options,
+            )  # fmt: skip
+            sampling.offsets = self._offsets
         return sampling
 
     def footprints(self, seen: GBuffer, deviation: float) -> KernelCall:
@@ -116,24 +120,16 @@ class PixelRays:
 class RasterizedRays(PixelRays):
     """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none."""
 
-    def __init__(self, surface: Surface, view: View, **options: Any) -> None:
-        super().__init__(surface, view, **options)
-        device = self.options["device"]
-        self._nearest = wp.empty(self._size, dtype=wp.uint64, device=device)
-        # Where rays of a sample lie, if each pixel's lies elsewhere.
-        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
-
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
-        """The calls that send one ray through every pixel."""
-        sampling = self._sampling(sample, samples)
-        self._nearest.fill_(ray_hits.UNSEEN)
-        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else ray_hits.MOST_OFFSET, self._nearest)
-        self.seen.pixels.nearest = self._nearest
+        """The calls that send one ray through every pixel, whose faces are found at once."""
+        sampling, nearest = self._sampling(sample, samples), self.seen.pixels.nearest
+        nearest.fill_(ray_hits.UNSEEN)
+        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else ray_hits.MOST_OFFSET, nearest)
         return self.steps(sampling, self.seen.pixels)
 
     def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
-        return self._steps(ray_hits.intersect_known_faces, self._scene.bare, sampling, pixels)
+        return self._known(sampling, pixels)
 
     def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
         """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""
@@ -148,18 +144,6 @@ class RasterizedRays(PixelRays):
             ray_hits.rasterize, self._scene.face_count, inputs, [nearest], slice_size=_FACES_OF_SLICE, in_runs=True,
             **self.options,
         )  # fmt: skip
-
-    def _sampling(self, sample: int, samples: int) -> Any:
-        sampling = super()._sampling(sample, samples)
-        if samples > 1:
-            if not len(self._offsets):
-                self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self.options["device"])
-            launch(
-                ray_hits.place_samples, self._size, [sample, samples, _SEED], [self._offsets], slice_size=RAYS_OF_SLICE,
-                in_runs=True, **self.options,
-            )  # fmt: skip
-            sampling.offsets = self._offsets
-        return sampling
 
     def shadow_grid(self, to_light: Sequence[float], samples: int) -> Any:
         """A grid of faces where it is worth it for as many rays, once the first are cast; otherwise the hierarchy."""
