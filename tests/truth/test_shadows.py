@@ -203,8 +203,10 @@ def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
     hf = wd.gratings.fingers(size_um=6.4, seed=1)
     light, other = wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))
     plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
-    for eye, lit_by in (((0.0, 1.0, 1.5), light), ((0.2, 1.0, 1.5), light), ((0.2, 1.0, 1.5), other)):
-        wd.shade(mesh, hf, lit_by, wd.View(eye, (0.0, 0.0, 0.0), width=96, height=72), plan=plan)
+    views = [wd.View((x, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72) for x in (0.0, 0.2)]
+    renderer = wd.Renderer(mesh, hf, light, views[0], plan=plan)
+    renderer.draw(light, views[1])
+    renderer.draw(other)
     assert made == [light.to_light, other.to_light]
 
 
