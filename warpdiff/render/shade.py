@@ -14,8 +14,7 @@ from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.kernels import cell_levels
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import LitMaterial
-from warpdiff.planning import search
-from warpdiff.planning.planner import FEWEST_SEARCHED, plan_for, warn_outside
+from warpdiff.planning.planner import plan_for, warn_outside
 from warpdiff.planning.request import Request
 from warpdiff.plans.plan import AUTOMATIC, has_table
 from warpdiff.render.frame import Frame, load_kernels
@@ -128,8 +127,6 @@ def shade(
     )  # fmt: skip
     request = wanted.request
     load_kernels(request.device)
-    if plan is None:
-        wanted.load_likely_kernels(view)
     with memory_named(view):
         surface = prepare_surface(mesh, tangents=tangents)
         picture = wanted.frame(surface, view)
@@ -261,19 +258,6 @@ class PictureRequest:
             normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
             pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
-
-    def load_likely_kernels(self, view: View) -> None:
-        """Begin to load what the plan is likely to take: threads that compile would wait until rays have been cast."""
-        request = self.request
-        if request.method.partition("/")[0] not in ("auto", AUTOMATIC):
-            return
-        if not request.footprint and view.width * view.height < FEWEST_SEARCHED:
-            # What its bounds will ask for is not known.
-            return
-        # What looks halfway between light and eye has the largest |w|.
-        back = view.frame().back
-        max_w = max(float(np.linalg.norm(np.add(each.to_light, back))) for each in self.lights)
-        search.begin_to_load(request, AUTOMATIC, max_w)
 
 
 def _takes_footprints(footprint: bool | None, request: Request) -> bool:

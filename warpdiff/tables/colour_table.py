@@ -154,11 +154,6 @@ def begin_to_load(
     _load_kernels(*_prepared(hf, plan, scope, lit, device=device, threads=threads), plan, device)
 
 
-def kernel_of_look_ups(functions: int, coherence: Coherence) -> Any:
-    """The kernel that looks up a table with so many functions of w."""
-    return colour_lookup.lookup(functions, coherence.kind == "source").integrate
-
-
 def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
     count = how.functions.shape[1]
     target = colour_lookup.lookup(count, source.is_lines)
