@@ -3,10 +3,10 @@
 import warp as wp
 
 from warpdiff.kernels import cell_levels, compile_options
-from warpdiff.kernels.shading_frames import LEAST_TANGENT, LIFT, face_the_viewer, lifted, perpendicular
-from warpdiff.kernels.structs import Camera, Cells, Pixels, Sampling, SurfaceArrays
+from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
+from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 
-wp.set_module_options(compile_options.options("rasterize.h", "ray_hits.h"))
+wp.set_module_options(compile_options.options("rasterize.h", "ray_hits.h", "shading_frames.h"))
 
 # How far from a pixel's centre its samples lie, at most.
 MOST_OFFSET = 1.5
@@ -240,45 +240,30 @@ def make_shading_frames(
         first: The first thread's pixel.
         run: How many a thread takes.
     """
-    for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        if pixels.hit[ray] == 0:
-            continue
-        i0 = surface.faces[pixels.face[ray], 0]
-        i1 = surface.faces[pixels.face[ray], 1]
-        i2 = surface.faces[pixels.face[ray], 2]
-        place = pixels.place[ray]
-        shares = wp.vec3f(place[0], place[1], wp.max(1.0 - place[0] - place[1], 0.0))
-        to_view = pixels.to_view[ray]
-        p0 = surface.positions[i0]
-        p1 = surface.positions[i1]
-        p2 = surface.positions[i2]
-        point = shares[0] * p0 + shares[1] * p1 + shares[2] * p2
-        geometric = wp.normalize(wp.cross(p1 - p0, p2 - p0))
-        side = wp.where(wp.dot(geometric, to_view) < 0.0, wp.float32(-1.0), wp.float32(1.0))
-        geometric = side * geometric
-        normal = geometric
-        origin = point
-        if surface.smooth:
-            n0 = side * surface.normals[i0]
-            n1 = side * surface.normals[i1]
-            n2 = side * surface.normals[i2]
-            blend = shares[0] * n0 + shares[1] * n1 + shares[2] * n2
-            if wp.length_sq(blend) > 1.0e-8:
-                normal = wp.normalize(blend)
-            origin = (
-                shares[0] * lifted(point, p0, n0)
-                + shares[1] * lifted(point, p1, n1)
-                + shares[2] * lifted(point, p2, n2)
-            )
-        normal = face_the_viewer(normal, geometric, to_view)
-        tangent = shares[0] * surface.tangents[i0] + shares[1] * surface.tangents[i1] + shares[2] * surface.tangents[i2]
-        tangent = tangent - wp.dot(tangent, normal) * normal
-        if wp.length_sq(tangent) > LEAST_TANGENT:
-            # Projected twice, as in face_the_viewer.
-            tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
-        else:
-            tangent = perpendicular(normal)
-        pixels.normal[ray] = normal
-        pixels.tangent[ray] = tangent
-        pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)
-        pixels.shadow_origin[ray] = origin + LIFT * geometric
+    begin = first + wp.tid() * run
+    if shading_frames_run(surface, pixels, begin, begin + run) == 0:
+        return
+    for ray in range(begin, begin + run):
+        if pixels.hit[ray] == SPECIAL:
+            pixels.hit[ray] = 1
+            i0 = surface.faces[pixels.face[ray], 0]
+            i1 = surface.faces[pixels.face[ray], 1]
+            i2 = surface.faces[pixels.face[ray], 2]
+            p0 = surface.positions[i0]
+            geometric = wp.normalize(wp.cross(surface.positions[i1] - p0, surface.positions[i2] - p0))
+            to_view = pixels.to_view[ray]
+            if wp.dot(geometric, to_view) < 0.0:
+                geometric = -geometric
+            normal = face_the_viewer(pixels.normal[ray], geometric, to_view)
+            place = pixels.place[ray]
+            share = wp.max(wp.float32(0.0), 1.0 - place[0] - place[1])
+            tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
+            tangent = tangent - wp.dot(tangent, normal) * normal
+            if wp.length_sq(tangent) > LEAST_TANGENT:
+                # Projected twice, as in face_the_viewer.
+                tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
+            else:
+                tangent = perpendicular(normal)
+            pixels.normal[ray] = normal
+            pixels.tangent[ray] = tangent
+            pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)

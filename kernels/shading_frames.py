@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
+
 # How far a shadow ray starts above the surface: some hundred roundings of a position.
 LIFT = wp.constant(wp.float32(1.0e-5))
 # The least cosine between the shading normal and the view.
@@ -43,11 +45,9 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
     return result
 
 
-@wp.func
-def lifted(point: wp.vec3f, corner: wp.vec3f, normal: wp.vec3f) -> wp.vec3f:
-    """A point of a face, lifted to the tangent plane of one of its corners where it lies below.
-
-    Shadow rays start from the smooth surface that the normals stand for (Hanika 2021, "Hacking the shadow terminator"),
-    or facets would shadow each other where the light grazes the surface.
-    """
-    return point - wp.min(wp.dot(point - corner, normal), 0.0) * normal
+@wp.func_native(
+    f"return warpdiff::make_shading_frames<32, {int(SPECIAL)}>(surface, pixels, begin, end, "
+    f"{{{float(LEAST_COSINE)}f, {float(LEAST_TANGENT)}f, {float(LIFT)}f}});"
+)
+def shading_frames_run(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
+    """Shading frames of pixels one after the other, and where their shadow rays start; returns how many are left."""

@@ -8,6 +8,8 @@ import warp as wp
 
 # What a filter does to (u, v): its change by one standard deviation along rows, and along columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
+# Of a pixel that is yet to be taken by itself.
+SPECIAL = wp.constant(2)
 
 
 @wp.struct

@@ -18,7 +18,6 @@ struct PixelBatch {
     WARPDIFF_INLINE void load(const Surface& surface, const Pixels& pixels, int from, int count)
     {
         const int* const hit = numbers<const int>(pixels.hit);
-        const int* const faces = numbers<const int>(surface.faces);
         const float* const places = numbers<const float>(pixels.place);
         const float* const views = numbers<const float>(pixels.to_view);
         const float* const positions = numbers<const float>(surface.positions);
@@ -27,7 +26,7 @@ struct PixelBatch {
         for (int i = 0; i < N; ++i) {
             const int k = from + (i < count ? i : 0);
             met[i] = hit[k] != 0;
-            const int* const corners = faces + 3LL * (met[i] ? numbers<const int>(pixels.face)[k] : 0);
+            const int* const corners = corners_of(surface, pixels, k, met[i]);
             for (int which = 0; which < 3; ++which) {
                 const long long at = 3LL * corners[which];
                 for (int c = 0; c < 3; ++c) {
@@ -40,6 +39,12 @@ struct PixelBatch {
             share0[i] = met[i] ? places[2LL * k] : 0.0f;
             share1[i] = met[i] ? places[2LL * k + 1] : 0.0f;
         }
+    }
+
+    template <class Surface, class Pixels>
+    static WARPDIFF_INLINE const int* corners_of(const Surface& surface, const Pixels& pixels, int pixel, bool is_met)
+    {
+        return numbers<const int>(surface.faces) + 3LL * (is_met ? numbers<const int>(pixels.face)[pixel] : 0);
     }
 };
 

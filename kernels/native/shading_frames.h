@@ -1,0 +1,150 @@
+// Shading frames of pixels, and where their shadow rays start.
+
+#pragma once
+
+#include "pixel_batch.h"
+#include "simd.h"
+#include "vectors.h"
+
+namespace warpdiff {
+
+struct FrameLimits {
+    float least_cosine;   // between the normal and the view
+    float least_tangent2; // square of the tangent's part at right angles to the normal
+    float lift;           // of shadow rays above the surface
+};
+
+// Frames of N pixels by axis, and which of them are left to be made one by one: their normals have to be turned to the
+// viewer, or their tangents vanish.
+template <int N>
+struct ShadingFrames {
+    Batch<N> tangent[3], bitangent[3], normal[3], shadow_origin[3];
+    Batch<N, bool> is_special;
+};
+
+// Where a shadow ray starts (Hanika 2021, "Hacking the shadow terminator"): from the smooth surface that the normals
+// stand for, or the facets would shadow each other where the light grazes it: from what is lifted to the tangent planes
+// of the corners where it lies below, which is where the surface is convex.
+template <int N>
+WARPDIFF_INLINE void lift_to_tangent_planes(
+    const PixelBatch<N>& pixels, int i, const float* share, const float* point, float side, bool smooth, float* origin)
+{
+    for (int c = 0; c < 3; ++c) origin[c] = smooth ? 0.0f : point[c];
+    for (int which = 0; which < 3; ++which) {
+        float above = 0.0f;
+        for (int c = 0; c < 3; ++c)
+            above += side * pixels.normal[which][c][i] * (point[c] - pixels.position[which][c][i]);
+        const float lift = above < 0.0f ? above * side : 0.0f;
+        for (int c = 0; c < 3; ++c)
+            origin[c] += smooth ? share[which] * (point[c] - lift * pixels.normal[which][c][i]) : 0.0f;
+    }
+}
+
+// The part of a pixel's tangent at right angles to its normal, of unit length; returns the square of its own.
+template <int N>
+WARPDIFF_INLINE float project_tangent(
+    const PixelBatch<N>& pixels, int i, const float* share, const float* normal, float* tangent)
+{
+    float along = 0.0f;
+    for (int c = 0; c < 3; ++c) {
+        tangent[c] = share[0] * pixels.tangent[0][c][i] + share[1] * pixels.tangent[1][c][i]
+            + share[2] * pixels.tangent[2][c][i];
+        along += tangent[c] * normal[c];
+    }
+    for (int c = 0; c < 3; ++c) tangent[c] -= along * normal[c];
+    const float left2 = dot(tangent, tangent);
+    // Projected twice: a short remainder of two nearly parallel vectors carries their rounding.
+    float again = 0.0f, tangent2 = 0.0f;
+    for (int c = 0; c < 3; ++c) again += tangent[c] * normal[c];
+    for (int c = 0; c < 3; ++c) {
+        tangent[c] -= again * normal[c];
+        tangent2 += tangent[c] * tangent[c];
+    }
+    const float per_tangent = 1.0f / wp::sqrt(tangent2);
+    for (int c = 0; c < 3; ++c) tangent[c] *= per_tangent;
+    return left2;
+}
+
+// The frames of a batch of pixels; `handedness` is that of each one's face.
+template <int N>
+WARPDIFF_INLINE void find_frames(
+    const PixelBatch<N>& pixels, const Batch<N>& handedness, bool smooth, FrameLimits limits, ShadingFrames<N>& frames)
+{
+    for (int i = 0; i < N; ++i) {
+        const float share2 = 1.0f - pixels.share0[i] - pixels.share1[i];
+        const float share[3] = {pixels.share0[i], pixels.share1[i], share2 > 0.0f ? share2 : 0.0f};
+        float edge1[3], edge2[3], across[3], view[3], point[3], blend[3], normal[3], tangent[3], bitangent[3],
+            origin[3];
+        for (int c = 0; c < 3; ++c) {
+            const float p0 = pixels.position[0][c][i], p1 = pixels.position[1][c][i], p2 = pixels.position[2][c][i];
+            edge1[c] = p1 - p0;
+            edge2[c] = p2 - p0;
+            point[c] = share[0] * p0 + share[1] * p1 + share[2] * p2;
+            view[c] = pixels.to_view[c][i];
+        }
+        cross(edge1, edge2, across);
+        const float side = dot(across, view) < 0.0f ? -1.0f : 1.0f;
+        const float per_across = side / wp::sqrt(dot(across, across));
+        for (int c = 0; c < 3; ++c) {
+            across[c] *= per_across;
+            blend[c] = 0.0f;
+            for (int which = 0; which < 3; ++which) blend[c] += share[which] * side * pixels.normal[which][c][i];
+        }
+        const float size2 = dot(blend, blend), per_size = 1.0f / wp::sqrt(size2);
+        const bool blends = smooth && size2 > 1.0e-8f;
+        for (int c = 0; c < 3; ++c) normal[c] = blends ? per_size * blend[c] : across[c];
+        lift_to_tangent_planes(pixels, i, share, point, side, smooth, origin);
+        const float left2 = project_tangent(pixels, i, share, normal, tangent);
+        frames.is_special[i] = dot(normal, view) < limits.least_cosine || !(left2 > limits.least_tangent2);
+        cross(normal, tangent, bitangent);
+        for (int c = 0; c < 3; ++c) {
+            frames.tangent[c][i] = tangent[c];
+            frames.bitangent[c][i] = handedness[i] * bitangent[c];
+            frames.normal[c][i] = normal[c];
+            frames.shadow_origin[c][i] = origin[c] + limits.lift * across[c];
+        }
+    }
+}
+
+// Vectors of pixels; zeros between those that meet the mesh, as to skip these takes longer.
+template <int N>
+WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&found)[3], const Batch<N, bool>& met, int count)
+{
+    for (int i = 0; i < count; ++i)
+        for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? found[c][i] : 0.0f;
+}
+
+// Frames of pixels from begin to end. Returns how many of them are left to be made one by one, whose `hit` is then
+// SPECIAL.
+template <int BATCH, int SPECIAL, class Surface, class Pixels>
+WARPDIFF_INLINE int make_shading_frames(
+    const Surface& surface, const Pixels& pixels, int begin, int end, FrameLimits limits)
+{
+    constexpr int N = batch_of(BATCH);
+    int* const hit = numbers<int>(pixels.hit);
+    int specials = 0;
+    for (int from = begin; from < end; from += N) {
+        const int count = wp::min(end - from, N);
+        if (!any_hit(hit + from, count)) continue;
+        PixelBatch<N> batch;
+        batch.load(surface, pixels, from, count);
+        Batch<N> handedness;
+        for (int i = 0; i < N; ++i)
+            handedness[i] = numbers<const float>(
+                surface.handedness)[batch.corners_of(surface, pixels, from + (i < count ? i : 0), batch.met[i])[0]];
+        ShadingFrames<N> frames;
+        find_frames(batch, handedness, surface.smooth, limits, frames);
+        put_vectors(numbers<float>(pixels.tangent) + 3LL * from, frames.tangent, batch.met, count);
+        put_vectors(numbers<float>(pixels.bitangent) + 3LL * from, frames.bitangent, batch.met, count);
+        put_vectors(numbers<float>(pixels.normal) + 3LL * from, frames.normal, batch.met, count);
+        put_vectors(numbers<float>(pixels.shadow_origin) + 3LL * from, frames.shadow_origin, batch.met, count);
+        for (int i = 0; i < count; ++i) {
+            const bool is_special = batch.met[i] && frames.is_special[i];
+            hit[from + i] = is_special ? SPECIAL : hit[from + i];
+            specials += is_special;
+        }
+    }
+    return specials;
+}
+
+} // namespace warpdiff
