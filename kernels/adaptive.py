@@ -120,13 +120,14 @@ def estimate_errors(
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, hidden, pixels, colours_before, errors_before, ranks, weights, level, "
-    f"{cell_levels.LEAST_FALL}f, begin, end, shares_out, means_out, changes_out, levels_out, dark_out);"
+    "warpdiff::splat_cells(colours, hit, hidden, gains, pixels, colours_before, errors_before, ranks, weights, level, "
+    f"{cell_levels.LEAST_FALL}f, begin, end, shares_out, means_out, changes_out, levels_out, dark_out, crossed_out);"
 )
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
     hidden: wp.array(dtype=wp.bool),
+    gains: wp.array(dtype=wp.float32),
     pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f),
     errors_before: wp.array(dtype=wp.float32),
@@ -140,6 +141,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32),
     levels_out: wp.array(dtype=wp.uint8),
     dark_out: wp.array(dtype=wp.uint8),
+    crossed_out: wp.array(dtype=wp.bool),
 ):
     """Shares of pixels one after the other."""
 
@@ -150,6 +152,7 @@ def splat_cells(
     colours: wp.array(dtype=wp.vec3f),
     hit: wp.array(dtype=wp.int32),
     hidden: wp.array(dtype=wp.bool),
+    gains: wp.array(dtype=wp.float32),
     pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f),
     errors_before: wp.array(dtype=wp.float32),
@@ -164,6 +167,7 @@ def splat_cells(
     changes_out: wp.array(dtype=wp.float32),
     levels_out: wp.array(dtype=wp.uint8),
     dark_out: wp.array(dtype=wp.uint8),
+    crossed_out: wp.array(dtype=wp.bool),
 ):
     """Splat a pixel's cells through the filter: what they add to that pixel and to the eight around it.
 
@@ -171,6 +175,7 @@ def splat_cells(
         colours: Those of the cells, pixel after pixel and row by row.
         hit: Whether they meet the mesh.
         hidden: Whether the light is hidden from there; empty is nowhere.
+        gains: 0 where they are not lit.
         pixels: Whose they are; −1 is none.
         colours_before: Of the picture's pixels by one ray each.
         errors_before: Theirs.
@@ -185,12 +190,13 @@ def splat_cells(
         changes_out: How far these are apart; at first, from the pixel's one ray.
         levels_out: Set to ``level``.
         dark_out: A bit for each quadrant, row by row: 1 if the light is hidden from any of its cells.
+        crossed_out: Whether any cell meets nothing or is not lit.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
     splat_cells_run(
-        colours, hit, hidden, pixels, colours_before, errors_before, ranks, weights, level, begin, begin + run,
-        shares_out, means_out, changes_out, levels_out, dark_out
+        colours, hit, hidden, gains, pixels, colours_before, errors_before, ranks, weights, level, begin,
+        begin + run, shares_out, means_out, changes_out, levels_out, dark_out, crossed_out
     )  # fmt: skip
 
 
@@ -203,6 +209,7 @@ class Shares:
     changes: wp.array(dtype=wp.float32)
     levels: wp.array(dtype=wp.uint8)
     dark: wp.array(dtype=wp.uint8)
+    crossed: wp.array(dtype=wp.bool)
     ranks: wp.array(dtype=wp.int32)
     per_thirds: wp.array2d(dtype=wp.float32)  # by level, what the filter has in each of three pixels over the weights'
 
@@ -235,6 +242,7 @@ def resolve_pixels(
     errors_out: wp.array(dtype=wp.float32),
     coverage_out: wp.array(dtype=wp.float64),
     lit_out: wp.array(dtype=wp.bool),
+    edges_out: wp.array(dtype=wp.bool),
     wanted_out: wp.array(dtype=wp.uint8),
 ):
     """Set pixels to what cells give them; by how much that changed with the last levels is what they may err by.
@@ -255,6 +263,7 @@ def resolve_pixels(
         errors_out: ‖ΔXYZ‖, before and now.
         coverage_out: Shares of cells that meet the mesh.
         lit_out: Set where any cell has a colour.
+        edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
         wanted_out: ``WANTED`` for those to be split again, ``SETTLED`` for others that were.
     """
     thread, _ = wp.tid()
@@ -318,7 +327,9 @@ def resolve_pixels(
         colours_out[pixel] = colour
         errors_out[pixel] = error
         coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
-        lit_out[pixel] = lit_out[pixel] or wp.length_sq(colour) > wp.float32(0.0)
+        if wp.length_sq(colour) > wp.float32(0.0):
+            lit_out[pixel] = True
+            edges_out[pixel] = edges_out[pixel] or given.crossed[rank_of(given.ranks, pixel)]
         rim = level < rim_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
         if not goes_on and not rim and not error > bound * wp.max(wp.length(colour), floor[0]):
             wanted_out[pixel] = SETTLED

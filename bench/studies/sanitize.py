@@ -20,6 +20,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import types
 from pathlib import Path
 from typing import Any
@@ -46,14 +47,17 @@ class Sanitized:
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._libraries = folder, {}
+        # Threads that record their launches ask at once.
+        self._lock = threading.Lock()
         self.called: set[str] = set()
 
     def function(self, kernel: Any) -> Any:
         """That of a kernel."""
         module = kernel.module
-        if module not in self._libraries:
-            self._libraries[module] = self._compiled(module)
-        library, source = self._libraries[module]
+        with self._lock:
+            if module not in self._libraries:
+                self._libraries[module] = self._compiled(module)
+            library, source = self._libraries[module]
         key = re.escape(kernel.key)
         name = re.search(rf"\b({key}(_[0-9a-f]+)?_cpu_forward)\(", source)
         if name is None:

@@ -7,22 +7,25 @@
 namespace warpdiff {
 
 // Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
-// weights, and that of the weights; the mean colour; and a bit for each quadrant that the light is hidden from.
+// weights, and that of the weights; the mean colour; a bit for each quadrant that the light is hidden from; and whether
+// any cell meets nothing or is not lit.
 struct CellSums {
     float shares[3][3][4] = {}, mean[3] = {};
     unsigned char dark = 0;
+    bool crossed = false;
 };
 
 // Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
 // `along` weighs cells by how far they are, along one axis, from the middle pixel of three.
 WARPDIFF_INLINE CellSums sum_cells(
-    const float* colours, const int* hit, const bool* hidden, const float* along, int across)
+    const float* colours, const int* hit, const bool* hidden, const float* gains, const float* along, int across)
 {
     CellSums sums;
     int cell = 0;
     for (int row = 0; row < across; ++row) {
         float of_row[3][4] = {};
         for (int column = 0; column < across; ++column, ++cell) {
+            sums.crossed |= hit[cell] == 0 || !(gains[cell] > 0.0f);
             if (hit[cell] == 0) continue;
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
             const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
@@ -42,10 +45,10 @@ WARPDIFF_INLINE CellSums sum_cells(
 // Splat pixels from begin to end of those that are split, −1 is none: `least_fall` is the share of what was expected
 // that their means are taken to change by at least.
 template <class Colours, class Hits, class Flags, class Numbers, class Shares, class Bytes>
-WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& hidden, const Hits& pixels,
-    const Colours& colours_before, const Numbers& errors_before, const Hits& ranks, const Numbers& weights, int level,
-    float least_fall, int begin, int end, Shares& shares_out, Colours& means_out, Numbers& changes_out,
-    Bytes& levels_out, Bytes& dark_out)
+WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& hidden, const Numbers& gains,
+    const Hits& pixels, const Colours& colours_before, const Numbers& errors_before, const Hits& ranks,
+    const Numbers& weights, int level, float least_fall, int begin, int end, Shares& shares_out, Colours& means_out,
+    Numbers& changes_out, Bytes& levels_out, Bytes& dark_out, Flags& crossed_out)
 {
     const int across = 1 << level;
     for (int tile = begin; tile < end; ++tile) {
@@ -53,7 +56,8 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         if (pixel < 0) continue;
         const long long first = (long long)tile * across * across;
         const CellSums sums = sum_cells(numbers<const float>(colours) + 3 * first, numbers<const int>(hit) + first,
-            is_empty(hidden) ? nullptr : numbers<const bool>(hidden) + first, numbers<const float>(weights), across);
+            is_empty(hidden) ? nullptr : numbers<const bool>(hidden) + first, numbers<const float>(gains) + first,
+            numbers<const float>(weights), across);
         const long long rank = is_empty(ranks) ? pixel : numbers<const int>(ranks)[pixel];
         memcpy(numbers<float>(shares_out) + 36 * rank, sums.shares, sizeof(sums.shares));
         float* const mean = numbers<float>(means_out) + 3 * rank;
@@ -70,6 +74,7 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         *change = wp::max(wp::sqrt(change2), least_fall * expected);
         numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;
         numbers<unsigned char>(dark_out)[rank] = sums.dark;
+        numbers<bool>(crossed_out)[rank] = sums.crossed;
     }
 }
 

@@ -16,6 +16,7 @@ from warpdiff import meshes
 from warpdiff.kernels import adaptive as kernels
 from warpdiff.kernels import cell_levels
 from warpdiff.render import host_schedule, pixel_filters
+from warpdiff.render.shade import warn_unsettled
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
@@ -201,6 +202,25 @@ def test_what_cells_do_not_settle_is_warned_of(fingers, table):
         image = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
     assert image.plan.unsettled > 0.01
     assert "are expected to err by more" in str(image.plan)
+
+
+def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
+    """A pixel is inside if all points of its own square meet the mesh and are lit."""
+    mesh, camera, (_, _, inside) = truth
+    renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
+    lit = renderer.image().lit
+    edges = renderer._mine.frame._edges.numpy().reshape(lit.shape)
+    assert not edges[inside].any()
+    assert np.count_nonzero(lit & ~inside) > 20
+    # Some are crossed by so little that none of 16 cells tells.
+    assert np.mean(edges[lit & ~inside]) > 0.8
+
+
+@pytest.mark.parametrize("told", ["unsettled", "unsettled_edges"])
+def test_more_errors_are_let_pass_at_edges(table, told):
+    warn_unsettled(dataclasses.replace(table, **{told: 0.009 if told == "unsettled" else 0.049}))
+    with pytest.warns(wd.WarpdiffWarning, match="5.1 %|1.1 %"):
+        warn_unsettled(dataclasses.replace(table, **{told: 0.011 if told == "unsettled" else 0.051}))
 
 
 def test_neither_threads_nor_parts_matter(fingers, table, monkeypatch):

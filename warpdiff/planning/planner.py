@@ -366,6 +366,7 @@ def _ample(
         split=0.0,
         lit_by=0,
         unsettled=0.0,
+        unsettled_edges=0.0,
         errors=(0.0, 0.0),
         max_uv=scope.max_uv,
         max_lateral=scope.max_lateral,

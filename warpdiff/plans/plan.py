@@ -47,8 +47,8 @@ _NUMBERS = (
 )
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 _FINDINGS = (
-    *("lit_by", "split", "unsettled", "errors", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"),
-    *("searched", "judged"),
+    *("lit_by", "split", "unsettled", "unsettled_edges", "errors", "aliasing", "scalar_error", "multiply_adds"),
+    *("table_multiply_adds", "searched", "judged"),
 )
 
 
@@ -81,7 +81,8 @@ class Plan:
         split: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
             of the one under which these are most.
         unsettled: The share of its lit pixels that are expected to err by more than the tolerance, as their estimated
-            errors tell; 0 of one that is not refined, which promises nothing.
+            errors tell, of those that no edge passes; 0 of one that is not refined, which promises nothing.
+        unsettled_edges: The same of those that an edge passes, of the mesh or of what is lit, and of three tolerances.
         errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
@@ -120,6 +121,7 @@ class Plan:
     lit_by: int
     split: float
     unsettled: float
+    unsettled_edges: float
     errors: tuple[float, float]
     max_uv: float
     max_lateral: float

@@ -34,7 +34,7 @@ class LightRefinement:
         light_index: Which of the picture's lights it is.
         colours: XYZ of pixels, before and after.
         errors: What they err by, ‖ΔXYZ‖.
-        others: Their coverage, and which are lit.
+        others: Their coverage, which are lit, and through which an edge passes.
         tolerance: From which errors, relative to the colour, pixels are split.
         least: The level that all pixels are split to.
         refine: Whether any are split further.
@@ -85,9 +85,9 @@ class LightRefinement:
         weights = pixel_filters.weights_at(level, means, name)
         inputs = [
             buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows),
-            buffers.tiles[level], self.colours, self.errors, given.ranks, weights, level,
+            buffers.seen.gains, buffers.tiles[level], self.colours, self.errors, given.ranks, weights, level,
         ]  # fmt: skip
-        outputs = [given.shares, given.means, given.changes, given.levels, given.dark]
+        outputs = [given.shares, given.means, given.changes, given.levels, given.dark, given.crossed]
         return [
             *steps,
             KernelCall(adaptive.splat_cells, inputs, outputs, in_runs=True, block=cell_levels.rays_at(level)),
@@ -120,6 +120,7 @@ class LightRefinement:
         result.means = wp.empty(pixels, dtype=wp.vec3f, device=device)
         result.changes = wp.empty(pixels, dtype=wp.float32, device=device)
         result.levels, result.dark = (wp.empty(pixels, dtype=wp.uint8, device=device) for _ in range(2))
+        result.crossed = wp.empty(pixels, dtype=wp.bool, device=device)
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
         result.per_thirds = pixel_filters.per_thirds_on(self.integrator.blurs, device.alias)
         return result

@@ -12,7 +12,7 @@ from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.core.thread_pool import part_of
 from warpdiff.evaluate.directions import direct_colour
-from warpdiff.image.image import Image, relative_errors, share_beyond
+from warpdiff.image.image import EDGES_PER_TOLERANCE, Image, relative_errors, share_beyond
 from warpdiff.kernels import adaptive, ray_hits, scattering
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Sampling
@@ -101,6 +101,8 @@ class Frame:
         # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
+        # Through which pixels an edge passes, as cells have found.
+        self._edges = wp.empty(0, dtype=wp.bool, device=device)
         self._refined = False
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._schedule: HostSchedule | DeviceSchedule | None = None
@@ -325,10 +327,12 @@ class Frame:
         """Add means over pixels, which are split where one ray does not tell them."""
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
+            self._edges = wp.empty(self._size, dtype=wp.bool, device=self._device)
         left_out = self._left_out_buffer(integrator)
         several, colours = len(self._to_lights) > 1, self._colours_of_one
         errors = self._errors[several]
         self._errors[0].zero_()
+        self._edges.zero_()
         self._refined = refine
         if several:
             self._sums[0].zero_()
@@ -342,7 +346,7 @@ class Frame:
             first, rest = part_of(share, 0.0, _PROGRESS_OF_FIRST_RAYS), part_of(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
             launch_pipeline(steps, self._size, slice_size=_COLOURS_OF_SLICE, progress=first, **self.rays.options)
             light = adaptive_sampling.LightRefinement(
-                self, integrator, light_index, colours, errors, self._sums[1:], tolerance,
+                self, integrator, light_index, colours, errors, [*self._sums[1:], self._edges], tolerance,
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._scheduled(light)
@@ -508,7 +512,9 @@ class Frame:
         found = 0 if self._schedule is None else self._schedule.count
         # Where only cells may meet the mesh, pixels are split that do not.
         split = min(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
-        unsettled = share_beyond(error[lit], plan.tolerance) if self._refined else 0.0
+        edges = self._edges.numpy() if self._refined else np.zeros(len(lit), dtype=np.bool_)
+        bounds = ((lit & ~edges, plan.tolerance), (lit & edges, EDGES_PER_TOLERANCE * plan.tolerance))
+        unsettled = [share_beyond(error[each], bound) if self._refined else 0.0 for each, bound in bounds]
         return Image(
             xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
@@ -516,6 +522,11 @@ class Frame:
             coverage=coverage,
             error=error.reshape(shape),
             plan=replace(
-                plan, lit_by=len(self._to_lights), split=split, unsettled=unsettled, errors=(told[0], told[1])
+                plan,
+                lit_by=len(self._to_lights),
+                split=split,
+                unsettled=unsettled[0],
+                unsettled_edges=unsettled[1],
+                errors=(told[0], told[1]),
             ),
         )

@@ -157,8 +157,8 @@ def shade(
 _BYTES_A_PIXEL = 210
 # Points in a pixel: 256 by 256 settle whatever a picture can show, and more would be drawn for ever.
 _MOST_SAMPLES = 2**16
-# The share of the pixels that may err by more than the tolerance.
-_MOST_UNSETTLED = 0.01
+# The share of the pixels that may err by more than the tolerance, and of those at edges by more than theirs.
+_MOST_UNSETTLED, _MOST_UNSETTLED_EDGES = 0.01, 0.05
 
 
 @dataclass(frozen=True)
@@ -290,10 +290,11 @@ def memory_named(view: View) -> contextlib.AbstractContextManager[None]:
 
 def warn_unsettled(plan: Plan) -> None:
     """Warn of a picture that does not keep its tolerance."""
-    if plan.unsettled > _MOST_UNSETTLED:
+    if plan.unsettled > _MOST_UNSETTLED or plan.unsettled_edges > _MOST_UNSETTLED_EDGES:
         warnings.warn(
             f"{100.0 * plan.unsettled:.2g} % of the lit pixels are expected to err by more than "
-            f"tolerance={plan.tolerance:g}: see image.error, or render a larger picture, or look from closer",
+            f"tolerance={plan.tolerance:g}, and of those at edges {100.0 * plan.unsettled_edges:.2g} % by three times "
+            "as much: see image.error, or render a larger picture, or look from closer",
             WarpdiffWarning,
             stacklevel=3,
         )
