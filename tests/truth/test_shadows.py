@@ -224,7 +224,7 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     assert all(grid.starts.shape[0] for grid in made)
     asked = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(pixel_rays.RasterizedRays, "_grid_for", lambda rays, *_: rays.no_shadow_grid())
+    monkeypatch.setattr(pixel_rays.RasterizedRays, "shadow_grid", pixel_rays.PixelRays.shadow_grid)
     expected = wd.shade(mesh, hf, lights, view, **options)
     assert len(made) == asked
     np.testing.assert_array_equal(found.xyz, expected.xyz)

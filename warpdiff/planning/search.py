@@ -149,7 +149,6 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         making = cost_model.making_multiply_adds(trial.hf, tried)
         if polar_layout.megabytes(tried) > polar_layout.MOST_MEGABYTES or making > most_making:
             break
-        trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
         if best is None:
             trial.settle(tried)
         error = trial.judged(tried)

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 _SEED = 0
 # Of a slice: pixels whose rays are found, and faces.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# Shadow rays of the cells of a pixel that is split, about: of a snake 22 at 1e-1, 43 at 3e-2.
-_SHADOW_RAYS_OF_CELLS = 16
 
 
 class PixelRays:
@@ -108,13 +106,9 @@ class PixelRays:
         inputs = [self._camera, self._scene.bare, seen.pixels, lights, light_index, deviation]
         return KernelCall(scattering.turn_footprints, inputs, [seen.footprints], in_runs=True)
 
-    def no_shadow_grid(self) -> Any:
+    def shadow_grid(self, _to_light: Sequence[float] | None, _rays: int, _pixels: int | None = None) -> Any:
         """What asks the hierarchy, for any light."""
         return no_grid(self._scene)
-
-    def shadow_grid(self, _to_light: Sequence[float], _samples: int) -> Any:
-        """The grid, or none, for shadow rays of the pixels' own samples."""
-        return self.no_shadow_grid()
 
 
 class RasterizedRays(PixelRays):
@@ -145,16 +139,14 @@ class RasterizedRays(PixelRays):
             **self.options,
         )  # fmt: skip
 
-    def shadow_grid(self, to_light: Sequence[float], samples: int) -> Any:
-        """A grid of faces where it is worth it for as many rays, once the first are cast; otherwise the hierarchy."""
-        return self._grid_for(to_light, samples * int(np.count_nonzero(self.seen.pixels.hit.numpy())))
+    def shadow_grid(self, to_light: Sequence[float] | None, rays: int, pixels: int | None = None) -> Any:
+        """A grid of faces where it is worth it for so many rays of each pixel, once the first are cast.
 
-    def shadow_grid_of_cells(self, to_light: Sequence[float], pixels: int) -> Any:
-        """The grid, or none, for shadow rays of the cells of so many split pixels."""
-        return self._grid_for(to_light, _SHADOW_RAYS_OF_CELLS * pixels)
-
-    def _grid_for(self, to_light: Sequence[float], rays: int) -> Any:
+        Pixels are those that meet the mesh unless their number is told. Otherwise, and for a light at a place, which
+        has no one direction, it is the hierarchy that is asked.
+        """
+        pixels = int(np.count_nonzero(self.seen.pixels.hit.numpy())) if pixels is None else pixels
         # A face takes half as long in a grid as a ray does through the hierarchy.
-        if rays <= self._scene.face_count:
-            return self.no_shadow_grid()
+        if to_light is None or rays * pixels <= self._scene.face_count:
+            return no_grid(self._scene)
         return grid_for(self._surface, self._scene, to_light, **self.options)

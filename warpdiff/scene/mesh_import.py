@@ -236,7 +236,7 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
     It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
     """
-    normals = _cached_normals(mesh)
+    normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache
     if worked_out and _has_facets(mesh):
         facets = np.zeros(vertices.shape)
@@ -258,11 +258,6 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
         if not np.allclose(normals[:, at], computed[:, at], atol=1e-6):
             return normals.T
     return None
-
-
-def _cached_normals(mesh: Any) -> Any:
-    """Vertex normals that trimesh holds, or None."""
-    return mesh.vertex_normals if "vertex_normals" in mesh._cache else None
 
 
 def _has_facets(mesh: Any) -> bool:

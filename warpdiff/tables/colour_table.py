@@ -147,13 +147,6 @@ def function_count(
     return int(_prepared(hf, plan, scope, lit, device=device, threads=threads)[1].functions.shape[1])
 
 
-def begin_to_load(
-    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
-) -> None:
-    """Begin to load the kernels that make a plan's table and look it up."""
-    _load_kernels(*_prepared(hf, plan, scope, lit, device=device, threads=threads), plan, device)
-
-
 def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
     count = how.functions.shape[1]
     target = colour_lookup.lookup(count, source.is_lines)
