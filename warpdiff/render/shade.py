@@ -125,32 +125,33 @@ def shade(
         samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device, threads=threads,
         progress=progress,
     )  # fmt: skip
-    request = wanted.request
-    load_kernels(request.device)
+    device, workers = wanted.request.device, wanted.request.threads
+    load_kernels(device)
     with memory_named(view):
         surface = prepare_surface(mesh, tangents=tangents)
-        picture = wanted.frame(surface, view)
-        wanted.set_lights(picture, wanted.lights)
-        scope, count, sample = picture.measure_directions(hf, request.coherence)
-        found = request.plan
-        if found is not None:
-            warn_outside(found, hf, scope)
-        else:
-            found = plan_for(request, scope, sample, count)
-        found = wanted.with_sizes(found)
-        if found.method == "direct":
-            picture.sum_directly(hf, found, progress=progress)
-        else:
-            integrator = Integrator(hf, found, scope, device=request.device, threads=request.threads)
-            picture.integrate(integrator, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
-        image = picture.image(found)
+        image = _drawn(wanted, surface, view, progress)
         if layers:
-            told = layers_of(
-                surface, view, layers, smooth=wanted.smooth, device=request.device, threads=request.threads
-            )
+            told = layers_of(surface, view, layers, smooth=wanted.smooth, device=device, threads=workers)
             image = replace(image, layers=told)
     warn_unsettled(image.plan)
     return image
+
+
+def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
+    """The picture of a mesh that is ready, by a plan for what its pixels see."""
+    request = wanted.request
+    picture = wanted.frame(surface, view)
+    wanted.set_lights(picture, wanted.lights)
+    scope, count, sample = picture.measure_directions(request.hf, request.coherence)
+    if request.plan is not None:
+        warn_outside(request.plan, request.hf, scope)
+    found = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
+    if found.method == "direct":
+        picture.sum_directly(request.hf, found, progress=progress)
+    else:
+        integrator = Integrator(request.hf, found, scope, device=request.device, threads=request.threads)
+        picture.integrate(integrator, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+    return picture.image(found)
 
 
 # What a picture takes while it is made, as measured, of any kind.

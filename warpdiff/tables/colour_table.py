@@ -156,7 +156,7 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
     else:
         needed = [source.sampler.resample, projector.project]
     if any(len(products) > 1 for products in how.octaves):
-        needed.append(projector.add_product)
+        needed.append(spectrum_sampling.adder(count))
     needed += [target.interpolate, target.integrate]
     load([*needed, target.blur] if has_mip_levels(plan) else needed, device)
 
@@ -340,7 +340,7 @@ def _filler(
             of_octave(octave, matrices_of(product), values)
             factors = wp.array(product.factors, dtype=wp.float32, device=device)
             inputs = [values, factors, index == 0]
-            launch(projector.add_product, layout.spokes[0][octave], inputs, [on_spokes], **options)
+            launch(spectrum_sampling.adder(count), layout.spokes[0][octave], inputs, [on_spokes], **options)
 
     return fill
 
