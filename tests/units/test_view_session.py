@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import queue
 import time
@@ -60,16 +61,16 @@ def is_last(told):
 
 def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
     with Page(studio) as page:
-        studio.want(page.session, wanted(1))
+        studio.want(page.session, wanted(1, tolerance=0.03))
         told = page.until(lambda each: each["kind"] == "map")
         pictures = [each for each in told if each[0]["kind"] == "picture"]
-        assert [each["tolerance"] for each, _ in pictures] == [None, 0.1]
-        assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/png"]
-        assert pictures[1][0]["error"]["p99"] < 3 * 0.1
+        assert [each["tolerance"] for each, _ in pictures] == [None, 0.1, 0.03]
+        assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/jpeg", "image/png"]
+        assert pictures[2][0]["error"]["p99"] <= pictures[1][0]["error"]["p99"] < 3 * 0.1
         assert told[-1][0]["angles"]["to_light"]["theta_deg"] == pytest.approx(
-            np.degrees(np.arccos(pictures[1][0]["to_light"][2])), abs=0.5
+            np.degrees(np.arccos(pictures[2][0]["to_light"][2])), abs=0.5
         )
-        last, data = pictures[1]
+        last, data = pictures[2]
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
@@ -77,33 +78,47 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
 
 
-def test_what_is_let_go_where_it_was_seen_is_finer_at_once(studio):
+def test_what_is_let_go_is_refined_at_once(studio):
     with Page(studio) as page:
         studio.want(page.session, wanted(1, moving=True))
         page.until(lambda each: each["kind"] == "picture")
-        studio.want(page.session, wanted(2))
+        # Where it was seen, or a little beyond.
+        for generation, azimuth_deg in ((2, 20.0), (4, 31.0)):
+            studio.want(page.session, wanted(generation, azimuth_deg=azimuth_deg))
+            ((first, _), *_) = (each for each in page.until(is_last) if each[0]["kind"] == "picture")
+            assert (first["generation"], first["tolerance"]) == (generation, 0.1)
+            studio.want(page.session, wanted(generation + 1, moving=True, azimuth_deg=30.0))
+            page.until(lambda each, after=generation: each["kind"] == "picture" and each["generation"] == after + 1)
+        # What is set otherwise is seen unrefined before.
+        page.until(is_last)
+        studio.want(page.session, wanted(7, azimuth_deg=20.0))
+        page.until(is_last)
+        studio.want(page.session, wanted(8, azimuth_deg=-20.0))
         ((first, _), *_) = (each for each in page.until(is_last) if each[0]["kind"] == "picture")
-        assert (first["generation"], first["tolerance"]) in {(2, 0.1), (1, 0.1)}
-        studio.want(page.session, wanted(3, moving=True, azimuth_deg=30.0))
-        page.until(lambda each: each["kind"] == "picture" and each["generation"] == 3)
-        studio.want(page.session, wanted(4, azimuth_deg=31.0))
-        ((first, _), *_) = (
-            each for each in page.until(is_last) if each[0]["kind"] == "picture" and each[0]["generation"] == 4
-        )
         assert first["tolerance"] is None
+
+
+def test_another_place_in_a_picture_that_stands_is_told_without_drawing_it_again(studio):
+    with Page(studio) as page:
+        studio.want(page.session, wanted(1))
+        before = page.until(lambda each: each["kind"] == "map")[-1][0]
+        studio.want(page.session, dataclasses.replace(wanted(2), probe=(0.5, 0.8)))
+        ((told, _),) = page.until(lambda each: each["kind"] == "map")
+        assert told["generation"] == 2
+        assert told["at"][1] > before["at"][1] + 0.04
 
 
 def test_a_picture_that_is_out_of_date_is_abandoned(studio, monkeypatch):
     draw, begun = wd.Renderer.draw, queue.Queue()
 
-    def slow(self, light, view, *, progress):
+    def slow(self, light, view, *, progress, coarser=None):
         if self._wanted.refine and view.width == 60 and not begun.qsize():
             begun.put(view)
             give_up = time.monotonic() + WAIT_S
             while time.monotonic() < give_up:
                 progress(0.5)
                 time.sleep(0.001)
-        return draw(self, light, view, progress=progress)
+        return draw(self, light, view, progress=progress, coarser=coarser)
 
     with Page(studio) as page:
         studio.want(page.session, wanted(1))
@@ -146,13 +161,38 @@ def test_an_error_is_told_and_ends_nothing(studio):
         assert other.got.empty() or all(each["kind"] == "map" for each, _ in other.got.queue)
 
 
+def test_a_page_s_first_picture_does_not_wait_for_the_finest_of_another(studio, monkeypatch):
+    draw, begun = wd.Renderer.draw, queue.Queue()
+
+    def slow(self, light, view, *, progress, coarser=None):
+        if self._wanted.refine and not begun.qsize():
+            begun.put(view)
+            give_up = time.monotonic() + WAIT_S
+            while time.monotonic() < give_up:
+                progress(0.5)
+                time.sleep(0.001)
+        return draw(self, light, view, progress=progress, coarser=coarser)
+
+    with Page(studio) as page, Page(studio) as other:
+        monkeypatch.setattr(wd.Renderer, "draw", slow)
+        studio.want(page.session, wanted(1))
+        page.until(lambda each: each["kind"] == "picture")
+        begun.get(timeout=WAIT_S)
+        begun.put(None)
+        studio.want(other.session, wanted(1, azimuth_deg=50.0))
+        first = other.until(lambda each: each["kind"] == "picture")[-1][0]
+        assert first["tolerance"] is None
+        assert page.until(is_last)
+        assert other.until(is_last)
+
+
 def test_stages_end_with_the_tolerance():
     for tolerance in (0.5, 0.1, 0.03, 0.01):
-        stages = [each for each in stages_to(tolerance) if each is not None]
-        assert not stages[0].refined
-        assert [each.tolerance for each in stages[1:]] == sorted((each.tolerance for each in stages[1:]), reverse=True)
-        assert stages[-1].tolerance == tolerance
-        assert [each.last for each in stages] == [False] * (len(stages) - 1) + [True]
+        first, *finer = stages_to(tolerance)
+        assert first.tolerance is None
+        assert [each.tolerance for each in finer] == sorted({each.tolerance for each in finer}, reverse=True)
+        assert finer[-1] == (tolerance, True)
+        assert not any(each.last for each in (first, *finer[:-1]))
 
 
 def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):

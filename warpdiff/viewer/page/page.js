@@ -177,6 +177,8 @@ async function map(told, data) {
   byId("angles").textContent = [...lines, told.text ?? "reflectance for this light, over all views"].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = told.generation;
+  // It comes after the last picture, which may be of a generation before and stand.
+  canvas.dataset.generation = told.generation;
   if (told.at) probed = told.at;
   place();
 }
