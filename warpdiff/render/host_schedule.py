@@ -88,7 +88,8 @@ class _Part:
     @property
     def found(self) -> list[NDArray[Any]]:
         """What each of the tiles in ``given`` gives."""
-        return [getattr(self.given, name).numpy() for name in ("shares", "means", "changes", "levels", "dark")]
+        names = "shares", "means", "changes", "levels", "dark", "crossed"
+        return [getattr(self.given, name).numpy() for name in names]
 
 
 class _KeptCells:

@@ -235,7 +235,7 @@ class Renderer:
             mine.drawn = False
 
         for tolerance, reached in (coarser or {}).items():
-            if not checks.number(tolerance, "coarser") > self.plan.tolerance:
+            if not checks.number(tolerance, "coarser", most=0.5) > self.plan.tolerance:
                 raise ValueError(
                     f"coarser must be above the plan's {self.plan.tolerance:g}, got {tolerance!r}: omit it"
                 )
