@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 import warpdiff as wd
+from warpdiff.compute.device import resolve_device
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.viewer import bodies
 from warpdiff.viewer.controls import checked, controls
@@ -246,6 +247,34 @@ def test_scenes_are_written_as_they_are_made():
     assert words[:4] == ["warpdiff", "render", "disc", "blazed:period_um=2.0,depth_um=0.25"]
     assert words[words.index("--ior") + 1] == "inf"
     assert {"--no-masking", "--angular-diameter-deg", "--display"} < set(words)
+
+
+def test_lights_of_a_scene_are_far_or_near_and_have_a_size():
+    view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
+    wide = Scene.of(VALUES | {"light_diameter_deg": 2.0}, NamedFiles())
+    assert wide.placed((1.0, 2.0, 3.0), 2.0) is wide
+    assert wide.light.make().angular_diameter_deg == 2.0
+    words = wide.command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--light-diameter-deg") + 1] == "2.0"
+    near = Scene.of(VALUES | {"light": "near", "distance": 3.0, "illuminant": "A"}, NamedFiles())
+    light = near.placed((1.0, 2.0, 3.0), 2.0).light.make()
+    away = np.subtract(light.position, (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(away, 6.0 * np.array(wide.light.make().to_light), atol=1e-5)
+    assert (light.power, light.illuminant) == (36.0, "A")
+    words = near.placed((1.0, 2.0, 3.0), 2.0).command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--point-light") + 1 :][:4] == [*map(str, light.position), "36.0"]
+
+
+def test_a_light_at_the_eye_is_seen_where_it_is():
+    surface = prepare_surface(wd.meshes.tube())
+    view = bodies.framed(surface, 40, 30)
+    options = {"smooth": True, "device": resolve_device(None), "threads": 1}
+    for column, row in ((14, 15), (25, 16)):
+        near = bodies.local_directions(surface, view, wd.PointLight(view.eye), column, row, **options)
+        np.testing.assert_allclose(near.to_light, near.to_view, atol=1e-5)
+        towards = np.subtract(view.eye, surface.centre)
+        far = bodies.local_directions(surface, view, wd.DirectionalLight(towards), column, row, **options)
+        assert np.linalg.norm(np.subtract(far.to_light, near.to_light)) > 1e-3
 
 
 def test_metals_of_a_scene_are_written():

@@ -272,17 +272,17 @@ class Studio:
 
         scene = Scene.of(wanted.values, self.files)
         stages = stages_to(scene.tolerance)
-        rows = wanted.values["height"]
-        width = max(round(wanted.aspect * rows), 1)
         body = self._surface(scene)
-        full = _view(wanted, body, width, rows)
+        scene = scene.placed(body.centre.tolist(), body.radius)
+        full = _view(wanted, body)
         if index == len(stages):
             self._send_angles_and_map(session, wanted, scene, full, watch)
             session.stage = index + 1
             return
         begin = time.perf_counter()
-        scale = 1.0 if index else self._scale(width * rows)
-        view = dataclasses.replace(full, width=max(round(scale * width), 1), height=max(round(scale * rows), 1))
+        scale = 1.0 if index else self._scale(full.width * full.height)
+        width, height = (max(round(scale * each), 1) for each in (full.width, full.height))
+        view = dataclasses.replace(full, width=width, height=height)
 
         def say() -> None:
             session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": scene.tolerance}, None)
@@ -297,7 +297,7 @@ class Studio:
             "height": view.height,
             "camera": {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg},
             "body": {"centre": body.centre.tolist(), "radius": body.radius},
-            "to_light": light.to_light,
+            "to_light": scene.to_light,
         }
 
         def send() -> None:
@@ -383,7 +383,7 @@ class Studio:
 
         return self._made.renderers.get_or_make((*of, refine, view.width, view.height), make)
 
-    def _base(self, scene: Scene, light: wd.DirectionalLight, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
+    def _base(self, scene: Scene, light: Any, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
         """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
         say()
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
@@ -415,7 +415,7 @@ class Studio:
             place = _nearest(whole & image.lit, wanted.probe) or _nearest(whole, wanted.probe)
         light = scene.light.make()
         local = place and bodies.local_directions(
-            self._surface(scene), view, light.to_light, *place, smooth=wanted.values["smooth"], device=self._device,
+            self._surface(scene), view, light, *place, smooth=wanted.values["smooth"], device=self._device,
             threads=self._threads,
         )  # fmt: skip
         found: dict[str, Any] = {"kind": "map", "generation": wanted.generation, "angles": None}
@@ -451,8 +451,10 @@ def _is_let_go(session: Session, wanted: Wanted) -> bool:
     return session.seen is not None and session.seen.moving and not wanted.moving
 
 
-def _view(wanted: Wanted, body: Surface, width: int, height: int) -> wd.View:
-    """The view of a page."""
+def _view(wanted: Wanted, body: Surface) -> wd.View:
+    """The view of a page at rest."""
+    height = wanted.values["height"]
+    width = max(round(wanted.aspect * height), 1)
     if wanted.camera is None:
         return bodies.framed(body, width, height)
     eye, target, up, fov = wanted.camera
