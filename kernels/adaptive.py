@@ -4,37 +4,49 @@ import warp as wp
 
 from warpdiff.kernels import cell_levels, compile_options
 
-wp.set_module_options(compile_options.options("error_estimates.h", "cell_splats.h"))
+wp.set_module_options(compile_options.options("cell_splats.h"))
 
 # Marks of pixels that are to be split, and of those that were and need not be again; 0 is for all others.
 WANTED = wp.constant(wp.uint8(1))
 SETTLED = wp.constant(wp.uint8(2))
+SMOOTH = wp.constant(wp.float32(cell_levels.SMOOTH))
+PER_UNEVEN = wp.constant(wp.float32(cell_levels.PER_UNEVEN))
+PER_WIDE = wp.constant(wp.float32(cell_levels.PER_WIDE))
+TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
 
-@wp.func_native(
-    "warpdiff::estimate_errors<32>(colours, deflections, hit, width, height, low, high, "
-    f"{{{cell_levels.SMOOTH}f, {cell_levels.PER_UNEVEN}f, {cell_levels.PER_WIDE}f}}, "
-    "{*(const float*)floor.data, bound, all_of_them, splits_rims}, begin, end, errors_out, wanted_out);"
-)
-def estimate_errors_run(
-    colours: wp.array(dtype=wp.vec3f),
-    deflections: wp.array(dtype=wp.vec3d),
-    hit: wp.array(dtype=wp.int32),
-    width: wp.int32,
-    height: wp.int32,
-    low: wp.int32,
-    high: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bound: wp.float32,
-    all_of_them: wp.bool,
-    splits_rims: wp.bool,
-    begin: wp.int32,
-    end: wp.int32,
-    errors_out: wp.array(dtype=wp.float32),
-    wanted_out: wp.array(dtype=wp.uint8),
-):
-    """Estimates for pixels one after the other."""
+@wp.func
+def change(own: wp.vec3d, other: wp.vec3d) -> wp.vec2f:
+    """By how much (u, v) differs from one pixel to another."""
+    return wp.vec2f(wp.float32(other[0] - own[0]), wp.float32(other[1] - own[1]))
+
+
+@wp.func
+def share_of_contrast(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
+    """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
+    own = deflections[pixel]
+    left = change(own, deflections[pixel - 1])
+    right = change(own, deflections[pixel + 1])
+    above = change(own, deflections[pixel - width])
+    below = change(own, deflections[pixel + width])
+    along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
+    down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
+    # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
+    aslant2 = wp.max(
+        wp.max(
+            wp.length_sq(change(own, deflections[pixel - width - 1]) - left - above),
+            wp.length_sq(change(own, deflections[pixel - width + 1]) - right - above),
+        ),
+        wp.max(
+            wp.length_sq(change(own, deflections[pixel + width - 1]) - left - below),
+            wp.length_sq(change(own, deflections[pixel + width + 1]) - right - below),
+        ),
+    )
+    most = wp.max(along, down)
+    uneven2 = wp.max(wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down), aslant2 / most)
+    uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
+    return wp.min(SMOOTH + PER_UNEVEN * wp.sqrt(uneven2) + PER_WIDE * wp.sqrt(most / uv2), 1.0)
 
 
 @wp.kernel
@@ -44,8 +56,6 @@ def estimate_errors(
     deflections: wp.array(dtype=wp.vec3d),
     hit: wp.array(dtype=wp.int32),
     width: wp.int32,
-    low: wp.int32,
-    high: wp.int32,
     floor: wp.array(dtype=wp.float32),
     bound: wp.float32,
     all_of_them: wp.bool,
@@ -58,13 +68,13 @@ def estimate_errors(
 ):
     """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
 
+    What does not meet the mesh differs in nothing from the pixel beside it, and is black.
+
     Args:
         colours: Theirs, of whole rows.
         deflections: What their rays see.
         hit: Whether they meet the mesh.
         width: Pixels in a row.
-        low: The first pixel that may see anything.
-        high: The one after the last of these.
         floor: What errors are relative to at least.
         bound: Of errors relative to the colour, or to the floor, from which pixels are split.
         all_of_them: Whether all are split, also where only cells may meet the mesh.
@@ -75,11 +85,38 @@ def estimate_errors(
         wanted_out: 1 for those to be split, otherwise 0.
     """
     thread, _ = wp.tid()
-    begin = first + thread * run
-    estimate_errors_run(
-        colours, deflections, hit, width, hit.shape[0] // width, low, high, floor, bound, all_of_them, splits_rims,
-        begin, begin + run, errors_out, wanted_out
-    )  # fmt: skip
+    height = hit.shape[0] // width
+    for pixel in range(first + thread * run, first + (thread + 1) * run):
+        row = pixel // width
+        column = pixel - row * width
+        own = wp.where(hit[pixel] != 0, colours[pixel], wp.vec3f())
+        around = wp.int32(0)
+        met = wp.int32(0)
+        beside = wp.int32(0)
+        contrast2 = wp.float32(0.0)
+        for line in range(-1, 2):
+            for side in range(-1, 2):
+                y = row + line
+                x = column + side
+                if y >= 0 and y < height and x >= 0 and x < width:
+                    other = y * width + x
+                    around += 1
+                    if hit[other] != 0:
+                        met += 1
+                        if line * side == 0 and line != side:
+                            beside += 1
+                            contrast2 = wp.max(contrast2, wp.length_sq(colours[other] - own))
+        if beside == 0:
+            # Nothing tells of a pixel by itself.
+            contrast2 = wp.length_sq(own)
+        share = wp.float32(1.0)
+        if met == 9:
+            share = share_of_contrast(deflections, pixel, width)
+        error = share * wp.sqrt(contrast2)
+        errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
+        is_rim = met < around and splits_rims
+        wanted = met > 0 and (is_rim or error > bound * wp.max(wp.length(own), floor[0]))
+        wanted_out[pixel] = wp.uint8(wp.where(wanted or all_of_them, 1, 0))
 
 
 @wp.func_native(

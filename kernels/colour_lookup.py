@@ -29,7 +29,7 @@ _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h"
 REACH = 7
 # Directions that a thread looks up one after the other on the CPU, at most.
 RUN = 256
-# Of those, or of their segments, how many before its turn one's rows are asked for.
+# Of those, how many before its turn one's rows are asked for.
 _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
@@ -227,7 +227,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         """Add the XYZ of a run of deflections times their gains."""
 
     @wp.func_native(
-        f"warpdiff::look_up_footprints<{functions}, {str(source).lower()}, {RUN}, {_AHEAD}, {MOST_PARTS}>(table, taps, "
+        f"warpdiff::look_up_footprints<{functions}, {str(source).lower()}, {RUN}, {MOST_PARTS}>(table, taps, "
         f"{{{DEVIATIONS}f, {1.0 / variance_before(DEVIATIONS):.8f}f}}, deflections, to_lights, gains, footprints, "
         "begin, end, left_out, xyz_out);"
     )

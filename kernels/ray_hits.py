@@ -96,8 +96,7 @@ _MOST_CELLS = max(cell_levels.rays_at(level) for level in cell_levels.LEVELS)
 
 
 @wp.func_native(
-    f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, reach, begin, end, nearest_out, "
-    "rows_out);"
+    f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, reach, begin, end, nearest_out);"
 )
 def rasterize_run(
     camera: Camera,
@@ -108,7 +107,6 @@ def rasterize_run(
     begin: wp.int32,
     end: wp.int32,
     nearest_out: wp.array(dtype=wp.uint64),
-    rows_out: wp.array(dtype=wp.int32),
 ):
     """Rasterize a run of faces into the nearest face of each ray."""
 
@@ -125,7 +123,6 @@ def rasterize(
     run: wp.int32,
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
-    rows_out: wp.array(dtype=wp.int32),
 ):
     """Find the face that each pixel's ray sees, or each cell's, by rasterizing faces: on the CPU alone.
 
@@ -141,10 +138,9 @@ def rasterize(
         run: How many a thread takes.
         nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
             kept. All bits set is none.
-        rows_out: The least and the largest row that a face may be seen in, from those that are there on; or empty.
     """
     begin = first + wp.tid() * run
-    rasterize_run(camera, surface, sampling, cells, reach, begin, begin + run, nearest_out, rows_out)
+    rasterize_run(camera, surface, sampling, cells, reach, begin, begin + run, nearest_out)
 
 
 @wp.func
@@ -190,7 +186,7 @@ def intersect_known_faces(
     first: wp.int32,
     run: wp.int32,
 ):
-    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` has found.
+    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` or ``trace_bvh`` has found.
 
     Args:
         camera: The view.

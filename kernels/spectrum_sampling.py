@@ -241,6 +241,16 @@ def projector(lanes: int, functions: int) -> Any:
         skipped = wp.static(FILTER_REACH)
         project_spokes(values, at, given, skipped, matrices, weights, terms, nodes, first_spoke, rows_out)
 
+    return types.SimpleNamespace(
+        row=row_t, functions=functions_t, project=project, project_lines=project_lines, abreast=abreast,
+    )  # fmt: skip
+
+
+@functools.cache
+def adder(functions: int) -> Any:
+    """The kernel that adds colours of so many functions of w, times a factor for each node."""
+    row_t = lookup(functions).row
+
     @wp.kernel(module="unique", module_options=OPTIONS)
     def add_product(
         # In:
@@ -261,7 +271,4 @@ def projector(lanes: int, functions: int) -> Any:
             else:
                 rows_out[at + node] = rows_out[at + node] + value
 
-    return types.SimpleNamespace(
-        row=row_t, functions=functions_t, project=project, project_lines=project_lines, add_product=add_product,
-        abreast=abreast,
-    )  # fmt: skip
+    return add_product

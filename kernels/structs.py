@@ -26,14 +26,11 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Sample of every pixel, of how many, a single one in the pixel's centre; or cells of some pixels."""
+    """Where rays lie: in pixels' centres, unless it is told; or cells of some pixels."""
 
-    sample: wp.int32
-    samples: wp.int32
-    seed: wp.int32
     tiles: wp.array(dtype=wp.int32)  # pixels whose cells these are, one after the other, −1 is none; empty is off
     places: wp.array(dtype=wp.vec2d)  # where a pixel's cells lie, (right, down) of the centre [pixels]; or empty
-    offsets: wp.array(dtype=wp.vec2d)  # where this sample of each pixel lies; empty unless rays are found face by face
+    offsets: wp.array(dtype=wp.vec2d)  # where a sample of each pixel lies, as ``places``; or empty
 
 
 @wp.struct
@@ -66,7 +63,7 @@ class SurfaceArrays:
 class Pixels:
     """Hits and shading frames, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
 
-    nearest: wp.array(dtype=wp.uint64)  # what ``rasterize`` found of these rays; empty asks the hierarchy
+    nearest: wp.array(dtype=wp.uint64)  # what ``rasterize`` or ``trace_bvh`` found of these rays
     hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face is then of no account
     face: wp.array(dtype=wp.int32)  # the face that is met, or −1
     place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner

@@ -165,7 +165,7 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
         frame.cast(0)
 
     def found() -> Found:
-        hit = frame.rays.on_host(frame.seen.pixels.hit) == 1
+        hit = frame.seen.pixels.hit.numpy() == 1
         # Where nothing is met, normals are whatever was there.
         return Found(hit, np.where(hit[:, None], frame.seen.pixels.normal.numpy(), 0.0).astype(np.float64))
 

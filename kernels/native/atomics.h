@@ -27,15 +27,6 @@ WARPDIFF_INLINE void keep_smallest(Number* kept, Number found)
     }
 }
 
-template <class Number>
-WARPDIFF_INLINE void keep_largest(Number* kept, Number found)
-{
-    Number known = __atomic_load_n(kept, __ATOMIC_RELAXED);
-    while (
-        found > known && !__atomic_compare_exchange_n(kept, &known, found, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
-    }
-}
-
 #endif
 
 } // namespace warpdiff

@@ -435,24 +435,6 @@ struct Nodes {
     {
         return ON_GPU ? gaussian_weight(segments, cut, s, m) : weight[s][m];
     }
-
-    // Ask for a segment's rows: most are those of the part before, and at either end new ones come in.
-    template <int WIDTH, class Table>
-    WARPDIFF_INLINE void ask(const Table& table, const Segments<N>& segments, int s) const
-    {
-        if (ON_GPU) return;
-        const long long stride = (long long)table.nodes * WIDTH;
-        for (int m = 0; m < segments.nodes[s]; ++m) {
-            const long long across = (count[s][m] - 1) * stride;
-            const float* const first = numbers<const float>(table.rows) + (long long)row[s][m] * WIDTH;
-            for (int l = 0; l < WIDTH; l += WIDTH - 1) {
-                prefetch(first + l);
-                prefetch(first + across + l);
-            }
-            prefetch(first + stride);
-            prefetch(first + across - stride);
-        }
-    }
 };
 
 // A part's sum so far, and of its weights.
@@ -463,14 +445,12 @@ struct PartSum {
 };
 
 // Sum rows of segments, and add the colours of parts that end with them.
-template <int WIDTH, int AHEAD, int N, class Table, class Taps>
+template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Asked<N>& asked,
     const Parts<N>& parts, const Segments<N>& segments, Nodes<N>& nodes, PartSum<WIDTH>& sum, float* xyz)
 {
     const float* const weights = numbers<const float>(taps.weights);
-    for (int s = 0; s < segments.count && s < AHEAD; ++s) nodes.template ask<WIDTH>(table, segments, s);
     for (int s = 0; s < segments.count; ++s) {
-        if (s + AHEAD < segments.count) nodes.template ask<WIDTH>(table, segments, s + AHEAD);
         const int k = segments.part[s];
         const bool tabulated = parts.step[k] >= 0;
         const float* const tabulated_weights = weights + (tabulated ? parts.first_weight[k] + segments.first[s] : 0);
@@ -501,10 +481,9 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
 
 // Add the mean XYZ over footprints and the source of deflections from begin to end, at most RUN, times their gains.
 //
-// Of a source, those that the table does not serve are skipped, and `left_out` holds their gains, others' are 0. Rows
-// are asked for AHEAD segments before they are summed.
-template <int FUNCTIONS, bool SOURCE, int RUN, int AHEAD, int MOST_PARTS, class Table, class Taps, class Deflections,
-    class Lights, class Gains, class Footprints, class Colours>
+// Of a source, those that the table does not serve are skipped, and `left_out` holds their gains, others' are 0.
+template <int FUNCTIONS, bool SOURCE, int RUN, int MOST_PARTS, class Table, class Taps, class Deflections, class Lights,
+    class Gains, class Footprints, class Colours>
 WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, CutGaussian cut,
     const Deflections& deflections, const Lights& to_lights, const Gains& gains, const Footprints& footprints,
     int begin, int end, Gains& left_out, Colours& xyz_out)
@@ -534,7 +513,7 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
             next_segments(table, parts, next_node, segments);
             place_segments<SOURCE>(table, taps, parts, segments);
             nodes.find(table, taps, segments, cut);
-            sum_segments<WIDTH, AHEAD>(table, taps, cut, asked, parts, segments, nodes, sum, xyz);
+            sum_segments<WIDTH>(table, taps, cut, asked, parts, segments, nodes, sum, xyz);
         }
     }
 }

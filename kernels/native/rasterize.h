@@ -98,11 +98,6 @@ struct Triangles {
     }
 };
 
-// The rows that any face may be seen in.
-struct RowRange {
-    int least, most;
-};
-
 // Corners on the grid, boxes, and edges, of all triangles side by side.
 template <class Picture>
 WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
@@ -222,14 +217,12 @@ WARPDIFF_INLINE void visit_split_pixels(
 
 // Visit the rays of all pixels that triangles may cover.
 template <class Picture>
-inline void visit_rays(const Picture& picture, Triangles& triangles, RowRange& rows)
+inline void visit_rays(const Picture& picture, Triangles& triangles)
 {
     set_up(picture, triangles);
     for (int i = 0; i < triangles.count; ++i) {
         if (!(triangles.low_row[i] <= triangles.high_row[i] && triangles.low_column[i] <= triangles.high_column[i]))
             continue;
-        rows.least = wp::min(rows.least, (int)triangles.low_row[i]);
-        rows.most = wp::max(rows.most, (int)triangles.high_row[i]);
         for (int row = (int)triangles.low_row[i]; row <= (int)triangles.high_row[i]; ++row) {
             // What of the row may count, with a pixel's width of slack.
             double least = triangles.low_column[i], largest = triangles.high_column[i];
@@ -301,8 +294,7 @@ WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* posit
 
 // A triangle or two of what is left of a face; their edges, but for the cut and where the two meet, are the face's.
 template <class Picture>
-WARPDIFF_INLINE void add_clipped(
-    const Picture& picture, const ClippedFace& left, int face, Triangles& triangles, RowRange& rows)
+WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& left, int face, Triangles& triangles)
 {
     for (int k = 2; k < left.count; ++k) {
         const int which[3] = {0, k - 1, k}, i = triangles.count++;
@@ -316,7 +308,7 @@ WARPDIFF_INLINE void add_clipped(
         triangles.rises[2][i] = k == 2 ? left.rises[0] : true;
         triangles.face[i] = face;
         if (triangles.count == FACES) {
-            visit_rays(picture, triangles, rows);
+            visit_rays(picture, triangles);
             triangles.count = 0;
         }
     }
@@ -354,15 +346,14 @@ WARPDIFF_INLINE bool project_faces(
     return any;
 }
 
-// Rasterize faces from begin to end into the nearest face of each ray, and the rows that they may be seen in.
-template <int MOST_CELLS, class Camera, class Surface, class Sampling, class Cells, class Nearest, class Rows>
+// Rasterize faces from begin to end into the nearest face of each ray.
+template <int MOST_CELLS, class Camera, class Surface, class Sampling, class Cells, class Nearest>
 WARPDIFF_INLINE void rasterize_faces(const Camera& camera, const Surface& surface, const Sampling& sampling,
-    const Cells& cells, double reach, int begin, int end, Nearest& nearest_out, Rows& rows_out)
+    const Cells& cells, double reach, int begin, int end, Nearest& nearest_out)
 {
     const Raster<MOST_CELLS> picture(camera, sampling, cells, reach, nearest_out);
     const int* const faces = numbers<const int>(surface.faces);
     const float* const positions = numbers<const float>(surface.positions);
-    RowRange rows = {picture.height, -1};
     Triangles triangles;
     for (int from = begin; from < end; from += FACES) {
         const int count = wp::min(end - from, FACES);
@@ -370,13 +361,10 @@ WARPDIFF_INLINE void rasterize_faces(const Camera& camera, const Surface& surfac
         if (is_cut) {
             triangles.count = 0;
             for (int face = from; face < from + count; ++face)
-                add_clipped(picture, clip_face(picture, positions, faces + 3LL * face), face, triangles, rows);
+                add_clipped(picture, clip_face(picture, positions, faces + 3LL * face), face, triangles);
         }
-        if (triangles.count > 0) visit_rays(picture, triangles, rows);
+        if (triangles.count > 0) visit_rays(picture, triangles);
     }
-    if (rows.most < 0 || is_empty(rows_out)) return;
-    keep_smallest(numbers<int>(rows_out), rows.least);
-    keep_largest(numbers<int>(rows_out) + 1, rows.most);
 }
 
 #endif

@@ -40,8 +40,6 @@ KERNELS = {
     "shadow_grid": {"count", "fill", "trace_shadow_rays", "project"},
     "scattering": {
         "pixel_footprints",
-        "reduce_directions",
-        "sample_directions",
         "scattering_vectors",
         "select_material",
         "turn_footprints",

@@ -313,8 +313,6 @@ def test_errors_are_estimated_by_those_beside(size, slices, rng):
         wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
         size[1],
-        0,
-        hit.size,
         wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3,
         False,

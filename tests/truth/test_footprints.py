@@ -209,8 +209,8 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
     frame.deflect(0, 0)
     rays, pixels, found = frame.rays, frame.seen.pixels, frame.seen.footprints
-    launch_pipeline([rays.footprints(frame.seen, deviation)], rays.may_see, **rays.options)
-    hit = np.flatnonzero(rays.on_host(pixels.hit))
+    launch_pipeline([rays.footprints(frame.seen, deviation)], 48 * 36, **rays.options)
+    hit = np.flatnonzero(pixels.hit.numpy())
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *each, smooth=smooth) for each in at)

@@ -19,9 +19,7 @@ from trimesh.visual.material import SimpleMaterial
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.bench.truth import reference
-from warpdiff.planning import search, trial
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables import colour_table
 
 # More are judged by bench/studies/picture_error.py.
 PIXELS = 400
@@ -436,36 +434,6 @@ def test_progress_grows_to_one(options, snake, fingers):
     assert np.all(np.diff(seen) >= 0.0)
     assert seen[0] > 0.0
     assert seen[-1] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("light", "options", "look_ups"),
-    [
-        (SNAKE_LIGHT, {}, 1),
-        (wd.DirectionalLight((0.6, 1.0, -0.1)), {}, 1),
-        # By points: without a table, means take many of them.
-        (SNAKE_LIGHT, {"tolerance": 1e-3, "footprint": False}, 0),
-        (SNAKE_LIGHT, {"coherence": wd.Coherence("centred")}, 0),
-    ],
-)
-def test_kernels_are_guessed_right_before_rays_are_cast(snake, light, options, look_ups, monkeypatch):
-    begun = []
-
-    def record(module):
-        load = module.load
-        monkeypatch.setattr(module, "load", lambda kernels, device: begun.append(set(kernels)) or load(kernels, device))
-
-    record(search)
-    record(trial)
-    record(colour_table)
-    skin = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
-    # Small pictures are not searched for, unless it is a table that they take.
-    size = (96, 72) if look_ups else (640, 480)
-    wd.shade(snake, skin, light, snake_view(*size), **options)
-    guessed, searched, *tabled = begun
-    assert len(guessed) == 2 + look_ups
-    assert searched <= guessed
-    assert guessed <= searched.union(*tabled), "compiled and never used"
 
 
 @pytest.mark.permanent("forks, pools, callbacks that render or raise")

@@ -18,7 +18,7 @@ from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Pixels
 from warpdiff.render import pixel_rays
 from warpdiff.scene import shadow_grid
-from warpdiff.scene.device_mesh import SceneArrays, pixels_within
+from warpdiff.scene.device_mesh import SceneArrays
 from warpdiff.scene.mesh_import import prepare_surface
 
 
@@ -170,14 +170,6 @@ def test_lists_of_many_faces_hide_what_is_below(rng):
     np.testing.assert_array_equal(found, hidden(shadow_grid.no_grid(scene), light, places))
 
 
-def test_rays_have_the_same_hierarchy_whatever_others_had():
-    scenes = [scene_of(given(trimesh.creation.icosphere(subdivisions=2))) for _ in range(2)]
-    for scene, order in zip(scenes, ((True, False), (False, True)), strict=True):
-        found = {few: scene.with_hierarchy(few=few).mesh_id for few in order}
-        assert found[True] != found[False]
-        assert {few: scene.with_hierarchy(few=few).mesh_id for few in order} == found
-
-
 def test_threads_make_the_same_grid(rng):
     surface = given(meshes.tube(segments_along=96, segments_around=64))
     light = unit((0.3, 0.5, 0.8))
@@ -211,8 +203,10 @@ def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
     hf = wd.gratings.fingers(size_um=6.4, seed=1)
     light, other = wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))
     plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
-    for eye, lit_by in (((0.0, 1.0, 1.5), light), ((0.2, 1.0, 1.5), light), ((0.2, 1.0, 1.5), other)):
-        wd.shade(mesh, hf, lit_by, wd.View(eye, (0.0, 0.0, 0.0), width=96, height=72), plan=plan)
+    views = [wd.View((x, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72) for x in (0.0, 0.2)]
+    renderer = wd.Renderer(mesh, hf, light, views[0], plan=plan)
+    renderer.draw(light, views[1])
+    renderer.draw(other)
     assert made == [light.to_light, other.to_light]
 
 
@@ -230,36 +224,10 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     assert all(grid.starts.shape[0] for grid in made)
     asked = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(pixel_rays, "grid_pays", lambda *_: False)
+    monkeypatch.setattr(pixel_rays.RasterizedRays, "shadow_grid", pixel_rays.PixelRays.shadow_grid)
     expected = wd.shade(mesh, hf, lights, view, **options)
     assert len(made) == asked
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.lit, expected.lit)
     unhidden = wd.shade(mesh, hf, lights, view, shadows=False, **options)
     assert np.any(unhidden.xyz != found.xyz)
-
-
-def test_a_grid_is_for_more_rays_than_a_few():
-    assert shadow_grid.grid_pays(16_000, 150_000)
-    assert not shadow_grid.grid_pays(1_000_000, 1000)
-    assert not shadow_grid.grid_pays(12, 0)
-
-
-@pytest.mark.parametrize("orthographic", [False, True])
-def test_how_many_pixels_see_a_surface_is_known_before_rays_are_cast(orthographic):
-    mesh = meshes.tube(segments_along=24, segments_around=16)
-    surface = prepare_surface(mesh)
-    hf, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.3, 0.5, 1.0))
-    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
-    for distance in (0.6, 1.0, 4.0):
-        eye = (0.5 * distance, 1.0 * distance, 1.5 * distance)
-        size = {"width": 120, "height": 90}
-        view = (
-            wd.View.orthographic(eye, (0.1, 0.0, 0.0), extent_y=distance, **size)
-            if orthographic
-            else wd.View(eye, (0.1, 0.0, 0.0), **size)
-        )
-        met = np.count_nonzero(wd.shade(mesh, hf, light, view, plan=plan).mask)
-        assert met / 2.5 < pixels_within(surface, view) < 2.5 * met
-    # From within its box.
-    assert pixels_within(surface, wd.View((0.0, 0.0, 0.01), (1.0, 0.0, 0.0), width=120, height=90)) == 120 * 90

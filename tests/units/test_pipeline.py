@@ -10,9 +10,9 @@ import pytest
 import warp as wp
 
 from warpdiff.compute.device import resolve_device
-from warpdiff.compute.pipeline import KernelCall, Pipeline, begin_pipeline, launch, launch_pipeline
+from warpdiff.compute.pipeline import KernelCall, Pipeline, launch, launch_pipeline
 from warpdiff.core.thread_pool import side_by_side
-from warpdiff.kernels.structs import Sampling
+from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
 
@@ -46,7 +46,7 @@ def test_slices_take_every_element_through_all_kernels_in_turn(threads, size):
     expected = values.numpy().copy()
     among = range(size // 3, size // 2)
     expected[among.start : among.stop] = 2 * expected[among.start : among.stop] + 2
-    begin_pipeline(steps, among, device=device, threads=threads, slice_size=7).finish()
+    launch_pipeline(steps, among, device=device, threads=threads, slice_size=7)
     np.testing.assert_array_equal(values.numpy(), expected)
 
 
@@ -76,6 +76,7 @@ def test_threads_launch_one_chain_over_elements_of_their_own():
 @wp.kernel(enable_backward=False)
 def gather_all(
     sampling: Sampling,
+    cells: Cells,
     place: wp.vec2d,
     factor: wp.float32,
     adds: wp.bool,
@@ -87,7 +88,7 @@ def gather_all(
     i = first + wp.tid()
     offset = sampling.places[0]
     if adds and none.shape[0] == 0:
-        values_out[i] += wp.float64(factor) * values[i, 1] + place[1] + offset[0] + wp.float64(sampling.sample)
+        values_out[i] += wp.float64(factor) * values[i, 1] + place[1] + offset[0] + wp.float64(cells.across)
 
 
 def test_arguments_of_any_type_arrive():
@@ -96,11 +97,11 @@ def test_arguments_of_any_type_arrive():
     values = wp.array([[0.0, 1.0], [0.0, 2.0], [0.0, 3.0]], dtype=wp.float64, device=device)
     expected = np.zeros(3)
     for sample in range(2):
-        sampling = Sampling()
-        sampling.sample = sample
+        sampling, cells = Sampling(), Cells()
+        cells.across = sample
         sampling.places = wp.array([[0.25, 0.0]], dtype=wp.vec2d, device=device)
         for none in (None, wp.empty(0, dtype=wp.int32, device=device)):
-            inputs = [sampling, wp.vec2d(0.0, 0.5), np.float32(1.5), True, values]
+            inputs = [sampling, cells, wp.vec2d(0.0, 0.5), np.float32(1.5), True, values]
             step = KernelCall(gather_all, inputs, [none, found])
             launch_pipeline([step], 3, device=device, threads=1)
             expected += 1.5 * values.numpy()[:, 1] + 0.75 + sample

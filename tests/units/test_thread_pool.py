@@ -1,11 +1,11 @@
-"""Work on several threads: every item once, what this thread does meanwhile, and errors of either."""
+"""Work on several threads: every item once, and errors."""
 
 import threading
 import time
 
 import pytest
 
-from warpdiff.core.thread_pool import Work, _kept, cores, side_by_side
+from warpdiff.core.thread_pool import _kept, cores, side_by_side
 
 THREADS = (1, 2, 5)
 
@@ -16,38 +16,22 @@ def test_every_item_is_worked_on_once(threads, count):
     done = []
     side_by_side(done.append, range(count), threads=threads)
     assert sorted(done) == list(range(count))
-    with Work(done.append, range(count), threads=threads):
-        done.append(-1)
-    assert sorted(done) == sorted([*range(count), *range(count), -1])
-
-
-def test_others_work_while_this_thread_does_something_else():
-    begun = threading.Event()
-    # Would wait in vain if items came after it.
-    with Work(lambda _: begun.set(), [0], threads=2):
-        assert begun.wait(60.0)
 
 
 @pytest.mark.parametrize("threads", THREADS)
-@pytest.mark.parametrize("where", ["work", "meanwhile"])
-def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads, where):
+def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads):
     at_work = []
 
     def work(index):
         at_work.append(index)
         time.sleep(0.01)
-        if where == "work" and index == 3:
+        if index == 3:
             raise ValueError("of an item")
         at_work.remove(index)
 
-    def both():
-        with Work(work, range(8), threads=threads):
-            if where == "meanwhile":
-                raise ValueError("of this thread")
-
-    with pytest.raises(ValueError, match="of an item" if where == "work" else "of this thread"):
-        both()
-    assert at_work == ([3] if where == "work" else [])
+    with pytest.raises(ValueError, match="of an item"):
+        side_by_side(work, range(8), threads=threads)
+    assert at_work == [3]
 
 
 @pytest.mark.parametrize("threads", THREADS)
@@ -63,9 +47,6 @@ def test_an_error_ends_work(threads):
     with pytest.raises(KeyboardInterrupt):
         side_by_side(work, range(1000), threads=threads)
     assert len(done) < 20
-    abandoned = Work(work, range(2, 1000), threads=threads)
-    abandoned.abandon()
-    assert len(done) < 40
 
 
 def test_work_within_work_needs_no_free_thread():
@@ -90,7 +71,7 @@ def test_progress_is_told_by_one_at_a_time_which_may_work_itself(threads):
         side_by_side(nested.append, range(4), threads=threads)
         told.append(done)
 
-    Work(lambda _: None, range(8), threads=threads, progress=tell, joins=True).finish()
+    side_by_side(lambda _: None, range(8), threads=threads, progress=tell)
     assert told == [(k + 1) / 8 for k in range(8)]
     assert sorted(nested) == sorted(8 * list(range(4)))
 
@@ -107,7 +88,7 @@ def test_progress_that_fails_ends_work(threads):
         done.append(item)
 
     with pytest.raises(KeyError, match="of progress"):
-        Work(work, range(1000), threads=threads, progress=fail, joins=True).finish()
+        side_by_side(work, range(1000), threads=threads, progress=fail)
     assert len(done) < 20
     side_by_side(done.append, [-1], threads=threads)
     assert done[-1] == -1
@@ -124,9 +105,7 @@ def test_threads_that_do_not_begin_are_done_without(threads, monkeypatch):
     monkeypatch.setattr(threading.Thread, "start", fail)
     done = []
     side_by_side(done.append, range(10), threads=threads)
-    with Work(done.append, range(10), threads=threads):
-        pass
-    assert sorted(done) == sorted([*range(10), *range(10)])
+    assert sorted(done) == list(range(10))
     _kept.cache_clear()
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpdiff.compute.device import load_now, resolve_device
-from warpdiff.core.thread_pool import Work
+from warpdiff.core.thread_pool import side_by_side
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -124,15 +124,7 @@ def launch(
     launch_pipeline([KernelCall(kernel, inputs, outputs, in_runs)], size, **options)
 
 
-def launch_pipeline(steps: Sequence[KernelCall], elements: int | range, **options: Any) -> None:
-    """Launch kernels of which each reads of an element what those before it wrote of the same one.
-
-    See :func:`begin_pipeline`.
-    """
-    begin_pipeline(steps, elements, joins=True, **options).finish()
-
-
-def begin_pipeline(
+def launch_pipeline(
     steps: Sequence[KernelCall],
     elements: int | range,
     *,
@@ -140,9 +132,8 @@ def begin_pipeline(
     threads: int,
     slice_size: int = ELEMENTS_OF_SLICE,
     progress: Callable[[float], None] | None = None,
-    joins: bool = False,
-) -> Work:
-    """Begin to launch such kernels.
+) -> None:
+    """Launch kernels of which each reads of an element what those before it wrote of the same one.
 
     A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads, each
     through all kernels; every index is computed by itself, and the result depends neither on the threads' number nor on
@@ -155,29 +146,21 @@ def begin_pipeline(
         threads: At most so many.
         slice_size: Elements that go through the kernels together, rounded up to whole blocks.
         progress: Called with the share that is done.
-        joins: Whether this thread takes part in it at once.
     """
     among = range(elements) if isinstance(elements, int) else elements
-    if not among:
-        if progress is not None:
-            progress(1.0)
-        return _NOTHING
-    if not device.is_cpu or device.is_capturing:
+    if among and device.is_cpu and not device.is_capturing:
+        block = math.lcm(*(step.block for step in steps))
+        size = -(-slice_size // block) * block
+        slices = -(-len(among) // size)
+        at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TURNS_PER_THREAD * threads)), 1)
+        take = Pipeline(steps).slices(among, size, at_a_time)
+        # Whoever has taken so many helps those that have not.
+        times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
+        side_by_side(lambda _: take(), range(times), threads=threads, progress=progress)
+        return
+    for step in steps if among else ():
+        step.launch(among, device)
+    if progress is not None:
         # Launches of a frame queue up; whoever reads their results waits for them.
-        for step in steps:
-            step.launch(among, device)
-        if progress is not None:
-            wp.synchronize_device(device)
-            progress(1.0)
-        return _NOTHING
-    block = math.lcm(*(step.block for step in steps))
-    size = -(-slice_size // block) * block
-    slices = -(-len(among) // size)
-    at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TURNS_PER_THREAD * threads)), 1)
-    take = Pipeline(steps).slices(among, size, at_a_time)
-    # Whoever has taken so many helps those that have not.
-    times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
-    return Work(lambda _: take(), range(times), threads=threads, progress=progress, joins=joins)
-
-
-_NOTHING = Work(lambda _: None, [], threads=1)
+        wp.synchronize_device(device)
+        progress(1.0)

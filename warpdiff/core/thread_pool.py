@@ -1,4 +1,4 @@
-"""Work on several threads, and what this thread does meanwhile."""
+"""Work on several threads."""
 
 from __future__ import annotations
 
@@ -14,52 +14,43 @@ from warpdiff.core import fork_safety
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-_MOST_WAIT_S = 3e-4
 _NONE = object()
 
 
-class Work:
-    """Some work for each item, which others begin with: the next one whenever a thread is free.
-
-    As a context it is finished where that ends, and in between this thread does what neither needs that work nor is
-    needed by it, and launches on this thread alone.
-    """
+class _Work:
+    """Some work for each item: the next one whenever a thread is free."""
 
     def __init__(
-        self,
-        work: Callable[[Any], None],
-        items: Sequence[Any],
-        *,
-        threads: int,
-        progress: Callable[[float], None] | None = None,
-        joins: bool = False,
+        self, work: Callable[[Any], None], items: Sequence[Any], progress: Callable[[float], None] | None
     ) -> None:
-        """Begin on all threads but this one, to which the last item is left if it ``joins`` them at once."""
         self._work, self._left, self._count, self._progress = work, iter(items), len(items), progress
         self._lock, self._telling = threading.Lock(), threading.Lock()
         self._done = 0
-        self._begun = threading.Event()
         self._process = os.getpid()
-        others = min(threads - 1, len(items) - joins)
-        # More than stay end with the work.
-        self._own = ThreadPoolExecutor(others) if others > cores() else None
         self._others: list[Future[None]] = []
+
+    def finish(self, threads: int) -> None:
+        """Work on so many threads, of which this is one, until all is done; the first error ends it, and is raised."""
+        others = min(threads, self._count) - 1
+        # More than stay end with the work.
+        own = ThreadPoolExecutor(others) if others > cores() else None
         # Fewer do where there is no memory for a thread.
         with contextlib.suppress(RuntimeError):
             for _ in range(others):
-                self._others.append((self._own or _kept()).submit(self._help))
-        if self._others and not joins:
-            try:
-                # Another thread does not get hold of the interpreter while this one goes on in it.
-                self._begun.wait(_MOST_WAIT_S)
-            except BaseException:
-                self.abandon()
-                raise
-
-    def _help(self) -> None:
-        """Begin on another thread."""
-        self._begun.set()
-        self._run()
+                self._others.append((own or _kept()).submit(self._run))
+        try:
+            self._run()
+        finally:
+            if not self._is_cut_off:
+                # Those that have not begun may never do so: whatever keeps them from it may wait for this thread.
+                self._others = [other for other in self._others if not other.cancel()]
+                wait(self._others)
+                if own is not None:
+                    own.shutdown(wait=False)
+        if self._is_cut_off:
+            raise RuntimeError(f"this process was forked in the midst of work on several threads: {fork_safety.REMEDY}")
+        for other in self._others:
+            other.result()
 
     def _run(self) -> None:
         """Work until none is left."""
@@ -72,7 +63,8 @@ class Work:
                 self._work(item)
                 self._tell()
         except BaseException:
-            self._drop()
+            # What nobody has begun with is left.
+            self._left = iter(())
             raise
 
     def _tell(self) -> None:
@@ -87,46 +79,6 @@ class Work:
         """Whether others were at it when this process was forked: they are in the parent."""
         return bool(self._others) and os.getpid() != self._process
 
-    def _drop(self) -> None:
-        """Leave what nobody has begun with."""
-        if not self._is_cut_off:
-            with self._lock:
-                self._left = iter(())
-
-    def _await(self) -> None:
-        """Wait for those that have begun."""
-        if not self._is_cut_off:
-            # Those that have not begun may never do so: whatever keeps them from it may wait for this thread.
-            self._others = [other for other in self._others if not other.cancel()]
-            wait(self._others)
-            if self._own is not None:
-                self._own.shutdown(wait=False)
-
-    def finish(self) -> None:
-        """Take part in it until all is done, and raise what was raised; the first error ends it."""
-        try:
-            self._run()
-        finally:
-            self._await()
-        if self._is_cut_off:
-            raise RuntimeError(f"this process was forked in the midst of work on several threads: {fork_safety.REMEDY}")
-        for other in self._others:
-            other.result()
-
-    def abandon(self) -> None:
-        """End it where it is, whatever was raised."""
-        self._drop()
-        self._await()
-
-    def __enter__(self) -> Work:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.finish()
-        else:
-            self.abandon()
-
 
 def side_by_side(
     work: Callable[[Any], None],
@@ -136,7 +88,7 @@ def side_by_side(
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Do some work for each item, the next one whenever a thread is free."""
-    Work(work, items, threads=threads, progress=progress, joins=True).finish()
+    _Work(work, items, progress).finish(threads)
 
 
 def part_of(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:

@@ -138,17 +138,8 @@ class Image:
         shown, alpha = self._shown(display, factor, gamut, exact=exact), self.coverage[..., None]
         if behind is None:
             return np.concatenate([shown, alpha], axis=2, dtype=np.float32)
-        # Most pixels show one or the other alone.
-        mixed = np.empty((*self.coverage.shape, 3), dtype=np.float32)
-        mixed[...] = colorimetry.srgb_encode(behind)
-        whole, parts = self.coverage >= 1.0, (self.coverage > 0.0) & (self.coverage < 1.0)
-        mixed[whole] = shown[whole]
-        share = alpha[parts]
-        light = (
-            share * colorimetry.srgb_decode(shown[parts]) + (1.0 - share) * np.broadcast_to(behind, shown.shape)[parts]
-        )
-        mixed[parts] = colorimetry.srgb_encode(light)
-        return mixed
+        light = alpha * colorimetry.srgb_decode(shown) + (1.0 - alpha) * behind
+        return colorimetry.srgb_encode(light).astype(np.float32)
 
     def _exposure(
         self, display: str, exposure: float | None, stops: float, source: Image | None, *, scales: bool = True

@@ -14,21 +14,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.compute.device import load
-from warpdiff.fourier import low_rank_basis
 from warpdiff.fourier.phase_series import EXPANSIONS
 from warpdiff.planning import cost_model
-from warpdiff.planning.trial import kernels_tried
-from warpdiff.plans.direction_range import DirectionRange
 from warpdiff.plans.plan import FUNCTIONS
-from warpdiff.tables import coefficient_table, colour_table, polar_layout
+from warpdiff.tables import coefficient_table, polar_layout
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from warpdiff.planning.request import Request
     from warpdiff.planning.trial import Trial
     from warpdiff.plans.plan import Plan
 
@@ -57,8 +52,6 @@ _REPAIRS, _MORE_EXPONENT, _WORTH_A_REPAIR = 8, 2.0, 0.95
 # The least weight is at most a thousandth, a picture's floor, of the tolerance: pilots may miss the few directions that
 # see the tail of a bright order and little else.
 _LEAST_WEIGHT_SHARE = 1e-3
-# Functions of w that tables have at these tolerances, of most surfaces. Kernels of more terms take long to compile.
-_LIKELY_FUNCTIONS, _AT_TOLERANCES, _MOST_GUESSED = 8, (3e-3, 2e-2), 32
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SCATTER_FACTOR = 1.2
 _SUBDIVISION_SHARE = 0.3
@@ -74,28 +67,6 @@ _LEAST_PREDICTED_SHARE = 0.1
 _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 # Sets of wavelengths that err by so many tolerances in the median end the search for smaller ones.
 _HOPELESS_FACTOR = 10.0
-
-
-def begin_to_load(request: Request, method: str, max_w: float) -> None:
-    """Begin to load what a search for a fitted basis is likely to take, before its directions are known.
-
-    A wrong guess is compiled in vain, a second of one thread, once; what is needed in its place comes that much later.
-
-    Args:
-        request: What is asked for.
-        method: That of plans.
-        max_w: An estimate of the largest |w|.
-    """
-    coherence = request.coherence
-    terms = low_rank_basis.series_terms(request.hf, DirectionRange(0.0, 0.0, 0.0, max_w).kappas)
-    if terms > _MOST_GUESSED:
-        return
-    needed = [each.integrate for each in kernels_tried(terms, method, coefficient_table.LANES, coherence)]
-    is_likely = _AT_TOLERANCES[0] <= request.tolerance <= _AT_TOLERANCES[1]
-    if request.footprint and coherence.kind == "averaged" and is_likely:
-        # It takes the longest; the table's others are asked for behind those that come first.
-        needed.append(colour_table.kernel_of_look_ups(_LIKELY_FUNCTIONS, coherence))
-    load(needed, request.device)
 
 
 def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
@@ -178,7 +149,6 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         making = cost_model.making_multiply_adds(trial.hf, tried)
         if polar_layout.megabytes(tried) > polar_layout.MOST_MEGABYTES or making > most_making:
             break
-        trial.begin_to_load(dataclasses.replace(tried, footprint=footprint))
         if best is None:
             trial.settle(tried)
         error = trial.judged(tried)

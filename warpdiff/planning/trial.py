@@ -25,7 +25,6 @@ from warpdiff.tables.integrator import Integrator
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from warpdiff.optics.coherence import Coherence
     from warpdiff.planning.request import Request
     from warpdiff.plans.direction_range import DirectionRange, DirectionSample
     from warpdiff.plans.plan import Plan
@@ -109,7 +108,8 @@ class Trial:
         self._gain = float(np.percentile(sample.gains, 99.0))
         terms = low_rank_basis.series_terms(hf, scope.kappas)
         self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms)
-        kernels = kernels_tried(terms, plan.method, min(plan.terms, coefficient_table.LANES), plan.coherence)
+        tried = ((TRUTH, terms), (plan.method, min(plan.terms, coefficient_table.LANES)))
+        kernels = [coefficient_table.kernels_for(method, plan.coherence, count) for method, count in tried]
         load([each.integrate if self.integrates else each.sample for each in kernels], device)
 
         seen, suspect = pilot_directions.watched(hf, scope, sample, coarse, threads=threads)
@@ -217,10 +217,6 @@ class Trial:
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
-    def begin_to_load(self, plan: Plan) -> None:
-        """Begin to load what a plan's table takes."""
-        colour_table.begin_to_load(self.hf, plan, self._scope, self._lit[0], device=self._device, threads=self._threads)
-
     def with_functions(self, plan: Plan, more: int = 0) -> Plan:
         """A plan that says how many functions of w its table has, those for its tolerance or some more."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
@@ -263,14 +259,6 @@ class Trial:
                 weights = np.where(mask, self.pilots.weights, 0.0)
                 result &= fine[..., index, :] @ weights >= (0.99 - 1e-9) * weights.sum()
         return result
-
-
-def kernels_tried(series_terms: int, method: str, terms: int, coherence: Coherence) -> list[Any]:
-    """The kernels of the truth and of a plan."""
-    return [
-        coefficient_table.kernels_for(TRUTH, coherence, series_terms),
-        coefficient_table.kernels_for(method, coherence, terms),
-    ]
 
 
 def brightness(luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True) -> float:

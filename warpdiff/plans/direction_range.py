@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,11 +46,11 @@ class DirectionSample:
 
     @classmethod
     def among(
-        cls, deflections: NDArray[np.float64], to_lights: NDArray[np.float64], gains: NDArray[np.float64]
+        cls, deflections: NDArray[np.float64], to_lights: NDArray[Any], gains: NDArray[Any], parts: int = 1
     ) -> DirectionSample:
-        """Some of the lit ones among a call's directions, spread over their order."""
+        """Some of the lit ones among directions, spread over their order; ``parts`` passes share a call's sample."""
         lit = np.flatnonzero(gains > 0.0)
-        places = lit[sample_ranks(len(lit))]
+        places = lit[sample_ranks(len(lit), parts)]
         weights = np.full(len(places), len(lit) / max(len(places), 1))
         return cls(
             deflections[places].astype(np.float64), to_lights[places].astype(np.float64), gains[places].astype(float),
@@ -65,11 +65,6 @@ class DirectionSample:
             np.concatenate([each.deflections for each in parts]), np.concatenate([each.to_lights for each in parts]),
             np.concatenate([each.gains for each in parts]), weights,
         )  # fmt: skip
-
-    @classmethod
-    def none(cls) -> DirectionSample:
-        """No directions."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
         """Take the directions at some places, with weights of their own."""
@@ -120,7 +115,7 @@ class DirectionRange:
         hf: HeightField,
         coherence: Coherence,
         deflections: NDArray[np.float64],
-        to_lights: NDArray[np.float64],
+        to_lights: NDArray[Any],
         lit: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:

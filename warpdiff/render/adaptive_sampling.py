@@ -71,10 +71,10 @@ class LightRefinement:
 
     def estimate_errors(self, floor: wp.array, wanted: wp.array) -> KernelCall:
         """The call that estimates the error of every pixel by one ray, and says which are to be split."""
-        seen, view, among = self.frame.seen, self.frame.view, self.frame.rays.may_see
+        seen, view = self.frame.seen, self.frame.view
         inputs = [
-            self.colours, seen.deflections, seen.pixels.hit, view.width, among.start, among.stop, floor,
-            self._bound_at(0), self.least > 0, self.refine,
+            self.colours, seen.deflections, seen.pixels.hit, view.width, floor, self._bound_at(0), self.least > 0,
+            self.refine,
         ]  # fmt: skip
         return KernelCall(adaptive.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
 

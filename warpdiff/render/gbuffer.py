@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +15,7 @@ from warpdiff.kernels.structs import Footprint, Pixels
 from warpdiff.render import pixel_filters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -50,7 +48,7 @@ class GBuffer:
             return wp.empty(size, dtype=dtype, device=device)
 
         pixels = Pixels()
-        pixels.nearest = empty(wp.uint64, 0)
+        pixels.nearest = empty(wp.uint64)
         pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
         for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin"):
             setattr(pixels, name, empty(wp.vec3f))
@@ -107,18 +105,15 @@ class SharedTileBuffers:
 
     Attributes:
         buffers: All of them.
-        parts: How many there are.
     """
 
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Make so many parts."""
-        self.parts, self._run = parts, RUN
         # Whole pixels of any level, and whole runs of look-ups.
         whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
         self._size = -(-pixel_filters.MOST_RAYS // whole) * whole
         rays = parts * self._size
         self.buffers = TileBuffers.by(rays, kind=kind, device=device)
-        self.buffers.seen.pixels.nearest = wp.empty(rays, dtype=wp.uint64, device=device)
         self._nearest = self.buffers.seen.pixels.nearest.numpy()
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
         self._colours = self.buffers.colours.numpy()
@@ -159,31 +154,10 @@ class SharedTileBuffers:
             self._colours[first:end] = 0.0
             # Look-ups take whole runs.
             for gains in self._gains:
-                gains[end : -(-end // self._run) * self._run] = 0.0
-            pipeline.launch(range(first, end))
-            self._free.append(first)
+                gains[end : -(-end // RUN) * RUN] = 0.0
+            try:
+                pipeline.launch(range(first, end))
+            finally:
+                self._free.append(first)
 
         side_by_side(work, slices, threads=threads, progress=progress)
-
-
-# Those that no picture is in, by kind, and how many are kept: to make one takes as long as to look up thousands of
-# pixels.
-_free: dict[BufferKind, list[SharedTileBuffers]] = {
-    BufferKind(*each): [] for each in itertools.product((False, True), repeat=3)
-}
-_MOST_FREE = 2
-
-
-@contextlib.contextmanager
-def shared_tile_buffers(parts: int, *, kind: BufferKind, device: wp.Device) -> Iterator[SharedTileBuffers]:
-    """Borrow buffers of so many parts or more, which nobody else has meanwhile."""
-    free = _free[kind]
-    try:
-        buffers = free.pop()
-    except IndexError:
-        buffers = None
-    if buffers is None or buffers.parts < parts:
-        buffers = SharedTileBuffers(parts, kind=kind, device=device)
-    yield buffers
-    free.append(buffers)
-    del free[_MOST_FREE:]

@@ -13,7 +13,7 @@ from warpdiff.core.thread_pool import part_of
 from warpdiff.kernels import cell_levels
 from warpdiff.render import pixel_filters
 from warpdiff.render.adaptive_sampling import SLICE
-from warpdiff.render.gbuffer import shared_tile_buffers
+from warpdiff.render.gbuffer import SharedTileBuffers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.render.adaptive_sampling import LightRefinement
-    from warpdiff.render.gbuffer import SharedTileBuffers
+    from warpdiff.render.gbuffer import BufferKind
     from warpdiff.render.pixel_rays import RasterizedRays
 
 # Pixels that are split together, for each of which there are some 40 numbers.
@@ -39,6 +39,8 @@ class HostSchedule:
         """For pictures by these rays."""
         self._rays = rays
         self.count = 0
+        # To make them takes as long as to look up thousands of pixels.
+        self._buffers: dict[BufferKind, SharedTileBuffers] = {}
 
     def split(
         self,
@@ -57,10 +59,8 @@ class HostSchedule:
         of_one_ray = [each.numpy().copy() for each in changing] if coarser else []
         for index, tolerance in enumerate([*(each for each, _ in coarser), light.tolerance]):
             part = part_of(progress, index / (len(coarser) + 1), (index + 1) / (len(coarser) + 1))
-            splitting = (
-                _Splitting(replace(light, tolerance=tolerance), self._rays, kept) if self._rays.may_see else None
-            )
-            self.count = max(before, splitting.run(part) if splitting else 0)
+            splitting = _Splitting(replace(light, tolerance=tolerance), self._rays, kept)
+            self.count = max(before, splitting.run(self._buffers, part))
             if index < len(coarser):
                 coarser[index][1]()
                 for array, values in zip(changing, of_one_ray, strict=True):
@@ -126,7 +126,7 @@ class _Splitting:
         self._light, self._rays, self._kept, self._device = light, rays, kept, rays.options["device"]
         self._width, self._height = rays.view.width, rays.view.height
         size = self._width * self._height
-        floor = pixel_filters.floor_of(light.colours, rays.seen.gains, rays.may_see)
+        floor = pixel_filters.floor_of(light.colours, rays.seen.gains)
         self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._wanted = np.zeros(size, dtype=np.uint8)
         self._wanted_out = self._array(self._wanted, wp.uint8)
@@ -139,32 +139,33 @@ class _Splitting:
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
-    def _launch(self, step: KernelCall, elements: int | range) -> None:
+    def _launch(self, step: KernelCall, elements: int) -> None:
         launch_pipeline([step], elements, slice_size=SLICE, **self._rays.options)
 
-    def run(self, progress: Callable[[float], None] | None) -> int:
-        """Split all, and say how many there were."""
-        light, among = self._light, self._rays.may_see
-        self._launch(light.estimate_errors(self._floor, self._wanted_out), among)
-        if not light.splits:
+    def run(self, buffers: dict[BufferKind, SharedTileBuffers], progress: Callable[[float], None] | None) -> int:
+        """Split all, by buffers that are made once, and say how many there were."""
+        light = self._light
+        self._launch(light.estimate_errors(self._floor, self._wanted_out), len(self._wanted))
+        pixels = np.flatnonzero(self._wanted).astype(np.int32)
+        if not light.splits or not len(pixels):
             return 0
-        wanted = self._wanted[among.start : among.stop]
-        pixels = (np.flatnonzero(wanted) + among.start).astype(np.int32)
         light.frame.expect_cells(light.light_index, len(pixels))
         if len(pixels) > _MOST_PIXELS:
             # Tiles between parts see what the part before has changed.
             self._kept = None
-        with shared_tile_buffers(self._threads, kind=light.buffer_kind, device=self._device) as shared:
-            for first in range(0, len(pixels), _MOST_PIXELS):
-                part = self._part(pixels[first : first + _MOST_PIXELS])
-                together = len(part.pixels)
-                for level in cell_levels.LEVELS:
-                    ends = (level - 1) / cell_levels.MOST_LEVEL, level / cell_levels.MOST_LEVEL
-                    begin, end = ((first + share * together) / len(pixels) for share in ends)
-                    self._splat(level, part, shared, part_of(progress, begin, end))
-                    self._compare(level, part)
-                    if not len(part.tiles):
-                        break
+        kind = light.buffer_kind
+        if kind not in buffers:
+            buffers[kind] = SharedTileBuffers(self._threads, kind=kind, device=self._device)
+        for first in range(0, len(pixels), _MOST_PIXELS):
+            part = self._part(pixels[first : first + _MOST_PIXELS])
+            together = len(part.pixels)
+            for level in cell_levels.LEVELS:
+                ends = (level - 1) / cell_levels.MOST_LEVEL, level / cell_levels.MOST_LEVEL
+                begin, end = ((first + share * together) / len(pixels) for share in ends)
+                self._splat(level, part, buffers[kind], part_of(progress, begin, end))
+                self._compare(level, part)
+                if not len(part.tiles):
+                    break
         return len(pixels)
 
     def _part(self, pixels: NDArray[np.int32]) -> _Part:

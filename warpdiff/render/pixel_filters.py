@@ -162,10 +162,9 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
     return result
 
 
-def floor_of(colours: wp.array, gains: wp.array, among: range) -> float:
+def floor_of(colours: wp.array, gains: wp.array) -> float:
     """The least luminance that errors are relative to, from how bright a part of the picture is."""
-    apart = luminance_stride(len(gains))
-    some = slice(-(-among.start // apart) * apart, among.stop, apart)
+    some = slice(None, None, luminance_stride(len(gains)))
     bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
     if not len(bright):
         return float(TINY)

@@ -7,29 +7,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.pipeline import KernelCall, begin_pipeline, launch
-from warpdiff.core import fork_safety
+from warpdiff.compute.pipeline import KernelCall, launch
 from warpdiff.kernels import bvh, ray_hits, scattering
 from warpdiff.kernels.structs import Cells, Sampling
-from warpdiff.render.direction_statistics import BLOCK
 from warpdiff.render.gbuffer import GBuffer
 from warpdiff.scene import device_mesh
-from warpdiff.scene.shadow_grid import grid_for, grid_pays, no_grid
+from warpdiff.scene.shadow_grid import grid_for, no_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from warpdiff.core.thread_pool import Work
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
 _SEED = 0
 # Of a slice: pixels whose rays are found, and faces.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# Shadow rays of the cells of a pixel that is split, about: of a snake 22 at 1e-1, 43 at 3e-2.
-_SHADOW_RAYS_OF_CELLS = 16
 
 
 class PixelRays:
@@ -37,7 +32,7 @@ class PixelRays:
 
     Attributes:
         options: The device and the number of threads of launches.
-        may_see: The pixels that may see anything.
+        seen: The G-buffer of the pixels' own rays, under the last light.
     """
 
     def __init__(
@@ -55,28 +50,21 @@ class PixelRays:
 
         They have footprints if they show ``means``, and gains of one of several ``materials``.
         """
-        self._surface, self._means, self._size = surface, means, view.width * view.height
-        self._materials = materials
+        self._surface, self._size = surface, view.width * view.height
         self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
+        # Where rays of a sample lie, if each pixel's lies elsewhere.
+        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
-        self.may_see = range(self._size)
-        self._look(view)
-
-    def _look(self, view: View) -> None:
-        self.view = view
-        self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
-        self.may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
+        coloured = surface.has_base_colour
+        self.seen = GBuffer.by(self._size, device=device, means=means, coloured=coloured, materials=materials)
+        self.set_view(view)
 
     def set_view(self, view: View) -> None:
         """Set the view, of the same size as any before."""
-        self._look(view)
-
-    @fork_safety.cached_property
-    def seen(self) -> GBuffer:
-        """The G-buffer of the pixels' own rays, under the last light."""
-        coloured, device = self._surface.has_base_colour, self.options["device"]
-        return GBuffer.by(self._size, device=device, means=self._means, coloured=coloured, materials=self._materials)
+        self.view = view
+        self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
+        self.may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
 
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel."""
@@ -84,18 +72,28 @@ class PixelRays:
 
     def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
-        return self._steps(bvh.trace_bvh, self._scene.with_hierarchy(), sampling, pixels)
+        inputs = [self._camera, self._scene.with_hierarchy(), sampling]
+        return [KernelCall(bvh.trace_bvh, inputs, [pixels.nearest], in_runs=True), *self._known(sampling, pixels)]
 
-    def _steps(self, find: Any, arrays: Any, sampling: Any, pixels: Any) -> list[KernelCall]:
+    def _known(self, sampling: Any, pixels: Any) -> list[KernelCall]:
+        """The calls that find where rays meet the faces that are known to be nearest, and shading frames there."""
+        inputs = [self._camera, self._scene.bare, sampling, pixels]
         return [
-            KernelCall(find, [self._camera, arrays, sampling, pixels], [], in_runs=True),
-            KernelCall(ray_hits.make_shading_frames, [arrays, pixels], [], in_runs=True),
+            KernelCall(ray_hits.intersect_known_faces, inputs, [], in_runs=True),
+            KernelCall(ray_hits.make_shading_frames, [self._scene.bare, pixels], [], in_runs=True),
         ]
 
     def _sampling(self, sample: int, samples: int) -> Any:
-        """Where a sample of every pixel lies."""
+        """Where a sample of every pixel lies: a single one in its centre."""
         sampling = Sampling()
-        sampling.sample, sampling.samples, sampling.seed = sample, samples, _SEED
+        if samples > 1:
+            if not len(self._offsets):
+                self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self.options["device"])
+            launch(
+                ray_hits.place_samples, self._size, [sample, samples, _SEED], [self._offsets], slice_size=RAYS_OF_SLICE,
+                in_runs=True, **self.options,
+            )  # fmt: skip
+            sampling.offsets = self._offsets
         return sampling
 
     def footprints(self, seen: GBuffer, deviation: float) -> KernelCall:
@@ -108,110 +106,47 @@ class PixelRays:
         inputs = [self._camera, self._scene.bare, seen.pixels, lights, light_index, deviation]
         return KernelCall(scattering.turn_footprints, inputs, [seen.footprints], in_runs=True)
 
-    def no_shadow_grid(self) -> Any:
+    def shadow_grid(self, _to_light: Sequence[float] | None, _rays: int, _pixels: int | None = None) -> Any:
         """What asks the hierarchy, for any light."""
         return no_grid(self._scene)
 
-    def shadow_grid(self, _to_light: Sequence[float], _samples: int) -> Any:
-        """The grid, or none, for shadow rays of the pixels' own samples."""
-        return self.no_shadow_grid()
-
-    def on_host(self, values: wp.array) -> NDArray[Any]:
-        """Values of all pixels on the host; zero for those that are not looked at."""
-        all_values, among = values.numpy(), slice(self.may_see.start, self.may_see.stop)
-        found: NDArray[Any] = np.zeros_like(all_values)
-        found[among] = all_values[among]
-        return found
-
 
 class RasterizedRays(PixelRays):
-    """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none.
-
-    ``may_see`` are whole blocks, with a row more on either side, once faces have told.
-    """
-
-    def __init__(self, surface: Surface, view: View, *, samples: int, **options: Any) -> None:
-        """Rays of a view; of one of so many samples each."""
-        super().__init__(surface, view, **options)
-        device = self.options["device"]
-        self._samples = samples
-        self.may_see = range(0)
-        self._rows = wp.empty(2, dtype=wp.int32, device=device)
-        self._nearest = wp.empty(self._size, dtype=wp.uint64, device=device)
-        # Where rays of a sample lie, if each pixel's lies elsewhere.
-        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
-        # Faces that are yet finding their pixels.
-        self._covering: Work | None = None
-
-    def set_view(self, view: View) -> None:
-        """Set the view, of the same size as any before, and let faces begin to find their pixels."""
-        covering, self._covering = self._covering, None
-        if covering is not None:
-            # Of a view that is no longer looked at.
-            covering.abandon()
-        self._look(view)
-        if self._samples == 1:
-            self._covering = self._begin_to_rasterize(self._sampling(0, 1))
+    """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none."""
 
     def cast(self, sample: int, samples: int) -> list[KernelCall]:
-        """The calls that send one ray through every pixel."""
-        sampling = self._sampling(sample, samples)
-        covering, self._covering = self._covering or self._begin_to_rasterize(sampling), None
-        with covering:
-            self.seen.pixels.nearest = self._nearest
-        # The same rows for all samples of a view: how far these lie from pixels' centres is reckoned in for each.
-        first_row, last_row = map(int, self._rows.numpy())
-        self.may_see = range(0)
-        if first_row <= last_row:
-            first = max(first_row - 1, 0) * self.view.width // BLOCK
-            end = -(-(last_row + 2) * self.view.width // BLOCK)
-            self.may_see = range(first * BLOCK, min(end * BLOCK, self._size))
+        """The calls that send one ray through every pixel, whose faces are found at once."""
+        sampling, nearest = self._sampling(sample, samples), self.seen.pixels.nearest
+        nearest.fill_(ray_hits.UNSEEN)
+        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else ray_hits.MOST_OFFSET, nearest)
         return self.steps(sampling, self.seen.pixels)
 
     def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
-        return self._steps(ray_hits.intersect_known_faces, self._scene.bare, sampling, pixels)
-
-    def _begin_to_rasterize(self, sampling: Any) -> Work:
-        """Let faces find their pixels, while there is yet to be room for what these see, and a grid for shadow rays."""
-        self._nearest.fill_(ray_hits.UNSEEN)
-        self._rows.assign([self.view.height, -1])
-        reach = 0.0 if sampling.samples == 1 else ray_hits.MOST_OFFSET
-        inputs = [self._camera, self._scene.bare, sampling, Cells(), reach]
-        rasterize = KernelCall(ray_hits.rasterize, inputs, [self._nearest, self._rows], in_runs=True)
-        return begin_pipeline([rasterize], self._scene.face_count, slice_size=_FACES_OF_SLICE, **self.options)
+        return self._known(sampling, pixels)
 
     def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
         """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""
         nearest = wp.full(pixels * cells.across**2, ray_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
-        inputs = [self._camera, self._scene.bare, self._sampling(0, 1), cells, 0.0]
-        launch(
-            ray_hits.rasterize, self._scene.face_count, inputs, [nearest, self._rows[:0]], slice_size=_FACES_OF_SLICE,
-            in_runs=True, **self.options,
-        )  # fmt: skip
+        self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
 
-    def _sampling(self, sample: int, samples: int) -> Any:
-        sampling = super()._sampling(sample, samples)
-        if samples > 1:
-            if not len(self._offsets):
-                self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self.options["device"])
-            launch(
-                ray_hits.place_samples, self._size, [sample, samples, _SEED], [self._offsets], slice_size=RAYS_OF_SLICE,
-                in_runs=True, **self.options,
-            )  # fmt: skip
-            sampling.offsets = self._offsets
-        return sampling
+    def _rasterize(self, sampling: Any, cells: Any, reach: float, nearest: wp.array) -> None:
+        """Let faces find their rays."""
+        inputs = [self._camera, self._scene.bare, sampling, cells, reach]
+        launch(
+            ray_hits.rasterize, self._scene.face_count, inputs, [nearest], slice_size=_FACES_OF_SLICE, in_runs=True,
+            **self.options,
+        )  # fmt: skip
 
-    def shadow_grid(self, to_light: Sequence[float], samples: int) -> Any:
-        """A grid of faces where it is worth it for as many rays, once the first are cast; otherwise the hierarchy."""
-        return self._grid_for(to_light, samples * int(np.count_nonzero(self.on_host(self.seen.pixels.hit))))
+    def shadow_grid(self, to_light: Sequence[float] | None, rays: int, pixels: int | None = None) -> Any:
+        """A grid of faces where it is worth it for so many rays of each pixel, once the first are cast.
 
-    def shadow_grid_of_cells(self, to_light: Sequence[float], pixels: int) -> Any:
-        """The grid, or none, for shadow rays of the cells of so many split pixels."""
-        return self._grid_for(to_light, _SHADOW_RAYS_OF_CELLS * pixels)
-
-    def _grid_for(self, to_light: Sequence[float], rays: int) -> Any:
-        if not grid_pays(self._scene.face_count, rays):
-            return no_grid(self._scene, few=True)
+        Pixels are those that meet the mesh unless their number is told. Otherwise, and for a light at a place, which
+        has no one direction, it is the hierarchy that is asked.
+        """
+        pixels = int(np.count_nonzero(self.seen.pixels.hit.numpy())) if pixels is None else pixels
+        # A face takes half as long in a grid as a ray does through the hierarchy.
+        if to_light is None or rays * pixels <= self._scene.face_count:
+            return no_grid(self._scene)
         return grid_for(self._surface, self._scene, to_light, **self.options)

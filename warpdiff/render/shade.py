@@ -14,8 +14,7 @@ from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.kernels import cell_levels
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import LitMaterial
-from warpdiff.planning import search
-from warpdiff.planning.planner import FEWEST_SEARCHED, plan_for, warn_outside
+from warpdiff.planning.planner import plan_for, warn_outside
 from warpdiff.planning.request import Request
 from warpdiff.plans.plan import AUTOMATIC, has_table
 from warpdiff.render.frame import Frame, load_kernels
@@ -126,34 +125,33 @@ def shade(
         samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device, threads=threads,
         progress=progress,
     )  # fmt: skip
-    request = wanted.request
-    load_kernels(request.device)
-    if plan is None:
-        wanted.load_likely_kernels(view)
+    device, workers = wanted.request.device, wanted.request.threads
+    load_kernels(device)
     with memory_named(view):
         surface = prepare_surface(mesh, tangents=tangents)
-        picture = wanted.frame(surface, view)
-        wanted.set_lights(picture, wanted.lights)
-        scope, count, sample = picture.measure_directions(hf, request.coherence, sampled=request.plan is None)
-        found = request.plan
-        if found is not None:
-            warn_outside(found, hf, scope)
-        else:
-            found = plan_for(request, scope, sample, count)
-        found = wanted.with_sizes(found)
-        if found.method == "direct":
-            picture.sum_directly(hf, found, progress=progress)
-        else:
-            integrator = Integrator(hf, found, scope, device=request.device, threads=request.threads)
-            picture.integrate(integrator, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
-        image = picture.image(found)
+        image = _drawn(wanted, surface, view, progress)
         if layers:
-            told = layers_of(
-                surface, view, layers, smooth=wanted.smooth, device=request.device, threads=request.threads
-            )
+            told = layers_of(surface, view, layers, smooth=wanted.smooth, device=device, threads=workers)
             image = replace(image, layers=told)
     warn_unsettled(image.plan)
     return image
+
+
+def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
+    """The picture of a mesh that is ready, by a plan for what its pixels see."""
+    request = wanted.request
+    picture = wanted.frame(surface, view)
+    wanted.set_lights(picture, wanted.lights)
+    scope, count, sample = picture.measure_directions(request.hf, request.coherence)
+    if request.plan is not None:
+        warn_outside(request.plan, request.hf, scope)
+    found = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
+    if found.method == "direct":
+        picture.sum_directly(request.hf, found, progress=progress)
+    else:
+        integrator = Integrator(request.hf, found, scope, device=request.device, threads=request.threads)
+        picture.integrate(integrator, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+    return picture.image(found)
 
 
 # What a picture takes while it is made, as measured, of any kind.
@@ -226,14 +224,12 @@ class PictureRequest:
         return cls(request, lights, pigment, shadows, smooth, samples, checks.flag(refine, "refine"))
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
-        """The arrays of a picture, whose faces begin to find their pixels."""
-        result = Frame(
+        """The arrays of a picture."""
+        return Frame(
             surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint,
             materials_of_faces=self.materials_of_faces(surface), device=self.request.device,
             threads=self.request.threads, **options,
         )  # fmt: skip
-        result.set_view(view)
-        return result
 
     def materials_of_faces(self, surface: Surface) -> NDArray[np.int32] | None:
         """Which of several materials each face is of; None where there is one."""
@@ -263,19 +259,6 @@ class PictureRequest:
             normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
             pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
-
-    def load_likely_kernels(self, view: View) -> None:
-        """Begin to load what the plan is likely to take: threads that compile would wait until rays have been cast."""
-        request = self.request
-        if request.method.partition("/")[0] not in ("auto", AUTOMATIC):
-            return
-        if not request.footprint and view.width * view.height < FEWEST_SEARCHED:
-            # What its bounds will ask for is not known.
-            return
-        # What looks halfway between light and eye has the largest |w|.
-        back = view.frame().back
-        max_w = max(float(np.linalg.norm(np.add(each.to_light, back))) for each in self.lights)
-        search.begin_to_load(request, AUTOMATIC, max_w)
 
 
 def _takes_footprints(footprint: bool | None, request: Request) -> bool:

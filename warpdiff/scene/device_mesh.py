@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import weakref
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Faces in a leaf of a hierarchy for few rays.
+# Faces in a leaf of a hierarchy on the CPU.
 _LEAF = 4
 # A hierarchy is built once, by one thread.
 _once = fork_safety.lock()
@@ -33,7 +32,7 @@ class SceneArrays:
     The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
 
     Attributes:
-        bare: The struct for kernels that take no hierarchy: faces know their pixels.
+        bare: The struct for kernels, with a hierarchy once one was asked for: faces know their pixels.
         face_count: Number of faces.
         grids: The last lights' grids for shadow rays.
     """
@@ -60,33 +59,23 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        self._built: LruCache[tuple[wp.Mesh, Any]] = LruCache()
+        self._mesh: wp.Mesh | None = None
         self.grids: LruCache[Any] = LruCache(_MOST_GRIDS)
 
-    def with_hierarchy(self, *, few: bool = False) -> Any:
-        """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it.
-
-        One for ``few`` of them is made in a third of the time on the CPU. Where faces are of uneven sizes rays through
-        it take up to 1.7 times as long. What was asked for before does not matter: each finds its own.
-        """
-        quick = few and bool(self.bare.positions.device.is_cpu)
-
-        def build() -> tuple[wp.Mesh, Any]:
-            constructor, leaf = ("cubql", _LEAF) if quick else (None, None)
-            mesh = wp.Mesh(
-                points=self.bare.positions,
-                indices=self.bare.faces.flatten(),
-                bvh_constructor=constructor,
-                bvh_leaf_size=leaf,
-            )
-            arrays = SurfaceArrays()
-            for name in SurfaceArrays.vars:
-                setattr(arrays, name, getattr(self.bare, name))
-            arrays.mesh_id = mesh.id
-            return mesh, arrays
-
+    def with_hierarchy(self) -> Any:
+        """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it."""
         with _once:
-            return self._built.get_or_make(quick, build)[1]
+            if self._mesh is None:
+                # Made in half the time there, where a moving mesh's waits for it.
+                constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
+                self._mesh = wp.Mesh(
+                    points=self.bare.positions,
+                    indices=self.bare.faces.flatten(),
+                    bvh_constructor=constructor,
+                    bvh_leaf_size=leaf,
+                )
+                self.bare.mesh_id = self._mesh.id
+        return self.bare
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
@@ -111,21 +100,6 @@ def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
     result.width = view.width
     result.height = view.height
     return result
-
-
-def pixels_within(surface: Surface, view: View) -> int:
-    """About how many pixels see a surface: half of those within its box, or all if some of that is behind the eye."""
-    frame = view.frame()
-    sides = surface.radius * np.abs(surface.vertices).max(axis=0).astype(np.float64)
-    seen = sides * list(itertools.product((-1.0, 1.0), repeat=3)) + surface.centre - frame.origin
-    depth = np.ones(len(seen)) if frame.orthographic else -(seen @ frame.back)
-    if depth.min() <= 0.0:
-        return view.width * view.height
-    shares = [
-        np.ptp(np.clip(seen @ axis / (half * depth), -1.0, 1.0)) / 2.0
-        for axis, half in ((frame.right, frame.half_width), (frame.up, frame.half_height))
-    ]
-    return int(view.width * view.height * shares[0] * shares[1] / 2.0)
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 from warpdiff.core import checks
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
-from warpdiff.core.lru_cache import LruCache
 from warpdiff.optics.colorimetry import srgb_decode
 from warpdiff.scene import mesh_files
 from warpdiff.scene.mesh_geometry import (
@@ -42,7 +41,6 @@ HOW_TO_GET_TANGENTS = (
 )
 
 
-_MOST_KEPT = 4
 # What Pillow's image holds of its own decoding.
 _DAMAGE = "warpdiff:damage"
 
@@ -123,68 +121,14 @@ def prepare_surface(
 
 
 def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surface:
-    """A surface, made or found again."""
-    told_by = [np.asarray(each) for mesh, transform, *_ in geometries for each in (transform, *_told_by(mesh))]
-    names = tuple(each.name for each in geometries)
-    told_by.append(np.asarray(names))
+    """The surface of some geometries."""
     given = None if tangents is None else checks.finite_array(tangents, "tangents")
-    if given is not None:
-        told_by.append(given)
-    found = _kept.get(_Contents(told_by))
-    if found is not None:
-        return found
     with on_one_thread():
         part = _join([_named_part(each) for each in geometries])
         if given is not None and given.shape == (3,):
             given = np.broadcast_to(given, (part.count, 3))
         _check_tangents(part, given)
-        surface = replace(_build(part, given), geometry_names=names)
-    _kept.put(_Contents([each.copy() for each in told_by]), surface)
-    return surface
-
-
-class _Contents:
-    """Arrays as a key: to compare them takes less time than to digest them."""
-
-    def __init__(self, arrays: list[NDArray[Any]]) -> None:
-        self._arrays = arrays
-
-    def __hash__(self) -> int:
-        return hash(tuple(each.shape for each in self._arrays))
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, _Contents) or len(other._arrays) != len(self._arrays):
-            return False
-        return all(map(np.array_equal, self._arrays, other._arrays))
-
-
-_kept: LruCache[Surface] = LruCache(_MOST_KEPT)
-
-
-def _told_by(mesh: Any) -> list[Any]:
-    """Arrays that a surface is made of: a mesh that moved in place is told by its values."""
-    visual = mesh.visual
-    found = [mesh.vertices, mesh.faces, _cached_normals(mesh), "face_angles" in mesh._cache, _has_facets(mesh)]
-    found += [getattr(visual, "uv", None), visual.kind]
-    if visual.kind in ("vertex", "face"):
-        found.append(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)
-    elif hasattr(visual, "material"):
-        found.append(getattr(visual, "face_materials", None) is None)
-        for name in ("baseColorFactor", "diffuse", "baseColorTexture", "image"):
-            value: Any = getattr(visual.material, name, None)
-            if not hasattr(value, "getpalette"):
-                found.append(value)
-            elif _damage(value):
-                # Said whether or not the surface is found again.
-                texture = value.info.get("file_path") or "an image"
-                warnings.warn(
-                    f"mesh: texture {texture!r} is damaged and left out: {_damage(value)}",
-                    WarpdiffWarning,
-                    stacklevel=6,
-                )
-            else:
-                found += [value, value.mode, value.getpalette()]
-    return found
+        return replace(_build(part, given), geometry_names=tuple(each.name for each in geometries))
 
 
 class _Geometry(NamedTuple):
@@ -292,7 +236,7 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
     It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
     """
-    normals = _cached_normals(mesh)
+    normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache
     if worked_out and _has_facets(mesh):
         facets = np.zeros(vertices.shape)
@@ -314,11 +258,6 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
         if not np.allclose(normals[:, at], computed[:, at], atol=1e-6):
             return normals.T
     return None
-
-
-def _cached_normals(mesh: Any) -> Any:
-    """Vertex normals that trimesh holds, or None."""
-    return mesh.vertex_normals if "vertex_normals" in mesh._cache else None
 
 
 def _has_facets(mesh: Any) -> bool:
@@ -398,7 +337,11 @@ def _material(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.flo
 
 def _image(image: Any) -> NDArray[np.float32] | None:
     """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
-    if _damage(image):
+    if damage := _damage(image):
+        texture = image.info.get("file_path") or "an image"
+        warnings.warn(
+            f"mesh: texture {texture!r} is damaged and left out: {damage}", WarpdiffWarning, stacklevel=9
+        )  # fmt: skip
         return None
     if image.mode.startswith("I"):
         # 16-bit grey; converting it to RGB would clip at 255.

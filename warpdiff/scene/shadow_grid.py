@@ -26,18 +26,10 @@ _MOST_CELLS, _MOST_LISTED = 16, 48
 _SLICE = 4096
 
 
-def grid_pays(faces: int, rays: int) -> bool:
-    """Whether a grid over so many faces is worth it: one takes half as long as a ray through the hierarchy."""
-    return faces < rays
-
-
-def no_grid(scene: SceneArrays, *, few: bool = False) -> Any:
-    """The :class:`warpdiff.kernels.shadow_grid.ShadowGrid` that has no lists and asks the hierarchy, for any light.
-
-    Or one for ``few`` rays.
-    """
+def no_grid(scene: SceneArrays) -> Any:
+    """The :class:`warpdiff.kernels.shadow_grid.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
     grid = shadow_grid.ShadowGrid()
-    grid.mesh_id = scene.with_hierarchy(few=few).mesh_id
+    grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
 
 

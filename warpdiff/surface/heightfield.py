@@ -345,6 +345,8 @@ class HeightField:
         Raises:
             ValueError: An argument is not positive.
         """
+        from scipy import ndimage
+
         threshold = checks.positive(threshold, "threshold")
         size = checks.positive(size_um, "size_um")
         self._require_memory("despiked")
@@ -361,7 +363,7 @@ class HeightField:
             if scale <= 1e-9 * max(float(np.max(np.abs(heights))), 1e-9):
                 break
             score = np.where(self.missing, 0.0, (residual - median) / scale)
-            found = _grown(score > threshold, score > 0.8 * threshold)
+            found = ndimage.binary_propagation(score > threshold, mask=score > 0.8 * threshold)
             if np.array_equal(found, spikes):
                 break
             spikes = found
@@ -617,9 +619,11 @@ class HeightField:
     @np.errstate(under="ignore")
     def _blurred(self, values: NDArray[np.float64], spread_um: float) -> NDArray[np.float64]:
         """Convolve ``values`` (ny, nx) with a Gaussian, taking zero outside of the field."""
+        from scipy import fft
+
         # Padding by four spreads keeps the convolution from wrapping around.
         padded = tuple(
-            1 if n == 1 else _fast_length(n + math.ceil(min(4.0 * spread_um / pitch, n)))
+            1 if n == 1 else fft.next_fast_len(n + math.ceil(min(4.0 * spread_um / pitch, n)), real=True)
             for n, pitch in zip(self.shape, self.pitch_um, strict=True)
         )
         factors = [
@@ -653,34 +657,6 @@ def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
     """Return polynomials of rising degree, orthonormal on equidistant samples, as columns of (samples, degrees)."""
     x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
     return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
-
-
-def _grown(seed: NDArray[np.bool_], allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return those parts of ``allowed`` that are connected (by sides) with ``seed``."""
-    mask = seed & allowed
-    size = -1
-    while (grown := int(np.count_nonzero(mask))) != size:
-        size = grown
-        before = mask.copy()
-        mask[1:] |= before[:-1]
-        mask[:-1] |= before[1:]
-        mask[:, 1:] |= before[:, :-1]
-        mask[:, :-1] |= before[:, 1:]
-        mask &= allowed
-    return mask
-
-
-def _fast_length(least: int) -> int:
-    """Return the smallest length >= ``least`` whose prime factors are 2, 3 and 5."""
-    length = least
-    while True:
-        rest = length
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return length
-        length += 1
 
 
 def _resampled_axis(heights: NDArray[np.float64], wanted: int, axis: int) -> NDArray[np.float64]:

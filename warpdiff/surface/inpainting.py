@@ -37,6 +37,8 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
     (smoothed aggregation: Vaněk, Mandel and Brezina 1996, Computing 56, 179–196), in as many steps for large gaps as
     for small ones; at least one sample must be known.
     """
+    from scipy.sparse import linalg
+
     gaps = np.isnan(heights)
     result = heights.copy()
     if not gaps.any():
@@ -46,9 +48,10 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
     mean = float(np.mean(known))
     scale = float(np.max(np.abs(known - mean))) or 1.0
     matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
-    places = np.nonzero(gaps)
     with on_one_thread():
-        found = mean + scale * _solved(matrix, target, _multigrid(matrix, places, pitch_um))
+        cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
+        solution, _ = linalg.cg(matrix, target, rtol=_SETTLED, maxiter=_MOST_STEPS, M=cycle)
+        found = mean + scale * solution
     # As harmonic functions do, but for rounding.
     result[gaps] = np.clip(found, known.min(), known.max())
     return result
@@ -134,23 +137,3 @@ def _multigrid(
         return found
 
     return cycle
-
-
-def _solved(
-    matrix: Any, target: NDArray[np.float64], precondition: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """The solution by preconditioned conjugate gradients."""
-    solution, residual = np.zeros(len(target)), target
-    direction = scaled = precondition(residual)
-    size = first = float(residual @ scaled)
-    for _ in range(_MOST_STEPS):
-        if size <= _SETTLED**2 * first:
-            break
-        image = matrix @ direction
-        step_size = size / float(direction @ image)
-        solution += step_size * direction
-        residual = residual - step_size * image
-        scaled = precondition(residual)
-        previous, size = size, float(residual @ scaled)
-        direction = scaled + (size / previous) * direction
-    return solution

@@ -147,18 +147,6 @@ def function_count(
     return int(_prepared(hf, plan, scope, lit, device=device, threads=threads)[1].functions.shape[1])
 
 
-def begin_to_load(
-    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
-) -> None:
-    """Begin to load the kernels that make a plan's table and look it up."""
-    _load_kernels(*_prepared(hf, plan, scope, lit, device=device, threads=threads), plan, device)
-
-
-def kernel_of_look_ups(functions: int, coherence: Coherence) -> Any:
-    """The kernel that looks up a table with so many functions of w."""
-    return colour_lookup.lookup(functions, coherence.kind == "source").integrate
-
-
 def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
     count = how.functions.shape[1]
     target = colour_lookup.lookup(count, source.is_lines)
@@ -168,7 +156,7 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
     else:
         needed = [source.sampler.resample, projector.project]
     if any(len(products) > 1 for products in how.octaves):
-        needed.append(projector.add_product)
+        needed.append(spectrum_sampling.adder(count))
     needed += [target.interpolate, target.integrate]
     load([*needed, target.blur] if has_mip_levels(plan) else needed, device)
 
@@ -352,7 +340,7 @@ def _filler(
             of_octave(octave, matrices_of(product), values)
             factors = wp.array(product.factors, dtype=wp.float32, device=device)
             inputs = [values, factors, index == 0]
-            launch(projector.add_product, layout.spokes[0][octave], inputs, [on_spokes], **options)
+            launch(spectrum_sampling.adder(count), layout.spokes[0][octave], inputs, [on_spokes], **options)
 
     return fill
 

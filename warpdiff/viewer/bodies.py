@@ -99,7 +99,7 @@ def local_directions(
     seen.set_view(one)
     seen.cast(0)
     pixels = seen.seen.pixels
-    if not seen.rays.may_see or not pixels.hit.numpy()[0]:
+    if not pixels.hit.numpy()[0]:
         return None
     axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)
     if isinstance(light, wd.PointLight):
