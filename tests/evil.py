@@ -217,6 +217,7 @@ _KINDS = {
     "mesh": st.sampled_from(list(hostile_meshes())),
     "plan": st.sampled_from(list(_plans())),
     "callback": st.just("bad"),
+    "callbacks": st.sampled_from([{1e-3: print}, {0.5: None}, {math.nan: print}, {HUGE: print}, {"x": print}, {}]),
     "shots": st.lists(st.sampled_from([wd.Shot((LIGHT,), VIEW), *_shots()]), max_size=3),
     "formats": st.lists(st.sampled_from([".png", ".exr", ".jpg", "png", 1, None]), max_size=3),
     "folder": st.sampled_from(["", ".", "new/one", "a.npy", "a\0b", "\ud800", "x" * 5000, "/dev/null", "/dev/full/a"]),
@@ -229,6 +230,7 @@ _KINDS = {
 KIND_OF = {
     "hf": "surface", "mesh": "mesh", "light": "light", "view": "view", "coherence": "coherence", "plan": "plan",
     "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
+    "coarser": "callbacks",
     "progress": "callback", "client": "callback", "exposure_from": "picture", "renderer": "picture", "shots": "shots",
     "formats": "formats", "folder": "folder", "animation": "path", "background": "vector", "rays_per_width": "rays",
     **dict.fromkeys(["material", "film"], "material"),

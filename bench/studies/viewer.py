@@ -73,6 +73,8 @@ def rest(page) -> None:
         "() => { const c = document.getElementById('picture').dataset;"
         " return c.last === 'true' && c.generation === c.wanted; }",
         timeout=300_000,
+        # By default it asks with every frame of a display, which the browser then draws on cores that the server takes.
+        polling=100,
     )
 
 

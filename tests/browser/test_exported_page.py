@@ -224,7 +224,10 @@ def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chr
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0
     view = wd.View((0.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=8, width=64, height=48)
-    lights = [wd.DirectionalLight((0.5, 1.0, 0.3)), wd.DirectionalLight((-0.5, 1.0, 0.2), power=0.5)]
+    lights = [
+        wd.DirectionalLight((0.5, 1.0, 0.3)),
+        wd.DirectionalLight((-0.5, 1.0, 0.2), power=0.5, angular_diameter_deg=4.0),
+    ]
     lobes = wd.bake(skin, coherence=WINDOW, tolerance=4.0, material=material)
     options = {"smooth": False, "masking": False, **reflection}
     path = wd.export_html(tmp_path / "tube.html", body, lobes, lights, view, **options)

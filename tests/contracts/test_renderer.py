@@ -110,6 +110,36 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "four rays with footprints"])
+def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_same(tube, fingers, plans, name):
+    of, count, options = CASES[name]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[of], **options)
+    for angle in (0.0, 0.4):
+        lights, camera = turned(angle)[:count], view(angle)
+        found = {}
+
+        def keep(found=found):
+            image = drawn.image()
+            found[image.plan.tolerance] = image
+
+        drawn.draw(lights, camera, coarser={0.2: keep, 0.4: keep})
+        assert list(found) == [0.4, 0.2]
+        found[plans[of].tolerance] = drawn.image()
+        for tolerance, image in found.items():
+            plan = dataclasses.replace(plans[of], tolerance=tolerance)
+            expected = wd.shade(tube, fingers, lights, camera, plan=plan, **options)
+            same(image, expected)
+            np.testing.assert_array_equal(image.error, expected.error)
+            assert image.plan == expected.plan
+
+
+def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["points"])
+    before = drawn.image()
+    drawn.draw(coarser={0.5: lambda: pytest.fail("it is none")})
+    same(drawn.image(), before)
+
+
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
     """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
@@ -308,6 +338,12 @@ def test_bad_input_is_refused(tube, fingers, plans):
         drawn.draw(view=(0.0, 0.0, 1.0))
     with pytest.raises(ValueError, match="illuminant"):
         drawn.draw(wd.DirectionalLight((0.0, 0.0, 1.0), illuminant="nothing"))
+    with pytest.raises(ValueError, match=r"coarser must be above the plan's 0\.05, got 0\.05"):
+        drawn.draw(coarser={0.05: print})
+    with pytest.raises(TypeError, match=r"coarser\[0\.5\] must be callable, got int"):
+        drawn.draw(coarser={0.5: 1})
+    with pytest.raises(TypeError, match="coarser must be"):
+        drawn.draw(coarser=[0.5])
     drawn.draw()
     same(drawn.image(), before)
 

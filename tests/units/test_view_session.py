@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import queue
 import time
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 import warpdiff as wd
+from warpdiff.compute.device import resolve_device
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.viewer import bodies
 from warpdiff.viewer.controls import checked, controls
@@ -60,16 +62,16 @@ def is_last(told):
 
 def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
     with Page(studio) as page:
-        studio.want(page.session, wanted(1))
+        studio.want(page.session, wanted(1, tolerance=0.03))
         told = page.until(lambda each: each["kind"] == "map")
         pictures = [each for each in told if each[0]["kind"] == "picture"]
-        assert [each["tolerance"] for each, _ in pictures] == [None, 0.1]
-        assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/png"]
-        assert pictures[1][0]["error"]["p99"] < 3 * 0.1
+        assert [each["tolerance"] for each, _ in pictures] == [None, 0.1, 0.03]
+        assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/jpeg", "image/png"]
+        assert pictures[2][0]["error"]["p99"] <= pictures[1][0]["error"]["p99"] < 3 * 0.1
         assert told[-1][0]["angles"]["to_light"]["theta_deg"] == pytest.approx(
-            np.degrees(np.arccos(pictures[1][0]["to_light"][2])), abs=0.5
+            np.degrees(np.arccos(pictures[2][0]["to_light"][2])), abs=0.5
         )
-        last, data = pictures[1]
+        last, data = pictures[2]
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
@@ -77,33 +79,47 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
 
 
-def test_what_is_let_go_where_it_was_seen_is_finer_at_once(studio):
+def test_what_is_let_go_is_refined_at_once(studio):
     with Page(studio) as page:
         studio.want(page.session, wanted(1, moving=True))
         page.until(lambda each: each["kind"] == "picture")
-        studio.want(page.session, wanted(2))
+        # Where it was seen, or a little beyond.
+        for generation, azimuth_deg in ((2, 20.0), (4, 31.0)):
+            studio.want(page.session, wanted(generation, azimuth_deg=azimuth_deg))
+            ((first, _), *_) = (each for each in page.until(is_last) if each[0]["kind"] == "picture")
+            assert (first["generation"], first["tolerance"]) == (generation, 0.1)
+            studio.want(page.session, wanted(generation + 1, moving=True, azimuth_deg=30.0))
+            page.until(lambda each, after=generation: each["kind"] == "picture" and each["generation"] == after + 1)
+        # What is set otherwise is seen unrefined before.
+        page.until(is_last)
+        studio.want(page.session, wanted(7, azimuth_deg=20.0))
+        page.until(is_last)
+        studio.want(page.session, wanted(8, azimuth_deg=-20.0))
         ((first, _), *_) = (each for each in page.until(is_last) if each[0]["kind"] == "picture")
-        assert (first["generation"], first["tolerance"]) in {(2, 0.1), (1, 0.1)}
-        studio.want(page.session, wanted(3, moving=True, azimuth_deg=30.0))
-        page.until(lambda each: each["kind"] == "picture" and each["generation"] == 3)
-        studio.want(page.session, wanted(4, azimuth_deg=31.0))
-        ((first, _), *_) = (
-            each for each in page.until(is_last) if each[0]["kind"] == "picture" and each[0]["generation"] == 4
-        )
         assert first["tolerance"] is None
+
+
+def test_another_place_in_a_picture_that_stands_is_told_without_drawing_it_again(studio):
+    with Page(studio) as page:
+        studio.want(page.session, wanted(1))
+        before = page.until(lambda each: each["kind"] == "map")[-1][0]
+        studio.want(page.session, dataclasses.replace(wanted(2), probe=(0.5, 0.8)))
+        ((told, _),) = page.until(lambda each: each["kind"] == "map")
+        assert told["generation"] == 2
+        assert told["at"][1] > before["at"][1] + 0.04
 
 
 def test_a_picture_that_is_out_of_date_is_abandoned(studio, monkeypatch):
     draw, begun = wd.Renderer.draw, queue.Queue()
 
-    def slow(self, light, view, *, progress):
+    def slow(self, light, view, *, progress, coarser=None):
         if self._wanted.refine and view.width == 60 and not begun.qsize():
             begun.put(view)
             give_up = time.monotonic() + WAIT_S
             while time.monotonic() < give_up:
                 progress(0.5)
                 time.sleep(0.001)
-        return draw(self, light, view, progress=progress)
+        return draw(self, light, view, progress=progress, coarser=coarser)
 
     with Page(studio) as page:
         studio.want(page.session, wanted(1))
@@ -146,13 +162,38 @@ def test_an_error_is_told_and_ends_nothing(studio):
         assert other.got.empty() or all(each["kind"] == "map" for each, _ in other.got.queue)
 
 
+def test_a_page_s_first_picture_does_not_wait_for_the_finest_of_another(studio, monkeypatch):
+    draw, begun = wd.Renderer.draw, queue.Queue()
+
+    def slow(self, light, view, *, progress, coarser=None):
+        if self._wanted.refine and not begun.qsize():
+            begun.put(view)
+            give_up = time.monotonic() + WAIT_S
+            while time.monotonic() < give_up:
+                progress(0.5)
+                time.sleep(0.001)
+        return draw(self, light, view, progress=progress, coarser=coarser)
+
+    with Page(studio) as page, Page(studio) as other:
+        monkeypatch.setattr(wd.Renderer, "draw", slow)
+        studio.want(page.session, wanted(1))
+        page.until(lambda each: each["kind"] == "picture")
+        begun.get(timeout=WAIT_S)
+        begun.put(None)
+        studio.want(other.session, wanted(1, azimuth_deg=50.0))
+        first = other.until(lambda each: each["kind"] == "picture")[-1][0]
+        assert first["tolerance"] is None
+        assert page.until(is_last)
+        assert other.until(is_last)
+
+
 def test_stages_end_with_the_tolerance():
     for tolerance in (0.5, 0.1, 0.03, 0.01):
-        stages = [each for each in stages_to(tolerance) if each is not None]
-        assert not stages[0].refined
-        assert [each.tolerance for each in stages[1:]] == sorted((each.tolerance for each in stages[1:]), reverse=True)
-        assert stages[-1].tolerance == tolerance
-        assert [each.last for each in stages] == [False] * (len(stages) - 1) + [True]
+        first, *finer = stages_to(tolerance)
+        assert first.tolerance is None
+        assert [each.tolerance for each in finer] == sorted({each.tolerance for each in finer}, reverse=True)
+        assert finer[-1] == (tolerance, True)
+        assert not any(each.last for each in (first, *finer[:-1]))
 
 
 def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):
@@ -206,6 +247,34 @@ def test_scenes_are_written_as_they_are_made():
     assert words[:4] == ["warpdiff", "render", "disc", "blazed:period_um=2.0,depth_um=0.25"]
     assert words[words.index("--ior") + 1] == "inf"
     assert {"--no-masking", "--angular-diameter-deg", "--display"} < set(words)
+
+
+def test_lights_of_a_scene_are_far_or_near_and_have_a_size():
+    view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
+    wide = Scene.of(VALUES | {"light_diameter_deg": 2.0}, NamedFiles())
+    assert wide.placed((1.0, 2.0, 3.0), 2.0) is wide
+    assert wide.light.make().angular_diameter_deg == 2.0
+    words = wide.command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--light-diameter-deg") + 1] == "2.0"
+    near = Scene.of(VALUES | {"light": "near", "distance": 3.0, "illuminant": "A"}, NamedFiles())
+    light = near.placed((1.0, 2.0, 3.0), 2.0).light.make()
+    away = np.subtract(light.position, (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(away, 6.0 * np.array(wide.light.make().to_light), atol=1e-5)
+    assert (light.power, light.illuminant) == (36.0, "A")
+    words = near.placed((1.0, 2.0, 3.0), 2.0).command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--point-light") + 1 :][:4] == [*map(str, light.position), "36.0"]
+
+
+def test_a_light_at_the_eye_is_seen_where_it_is():
+    surface = prepare_surface(wd.meshes.tube())
+    view = bodies.framed(surface, 40, 30)
+    options = {"smooth": True, "device": resolve_device(None), "threads": 1}
+    for column, row in ((14, 15), (25, 16)):
+        near = bodies.local_directions(surface, view, wd.PointLight(view.eye), column, row, **options)
+        np.testing.assert_allclose(near.to_light, near.to_view, atol=1e-5)
+        towards = np.subtract(view.eye, surface.centre)
+        far = bodies.local_directions(surface, view, wd.DirectionalLight(towards), column, row, **options)
+        assert np.linalg.norm(np.subtract(far.to_light, near.to_light)) > 1e-3
 
 
 def test_metals_of_a_scene_are_written():

@@ -271,10 +271,22 @@ class Frame:
         tolerance: float,
         refine: bool = True,
         progress: Callable[[float], None] | None = None,
+        coarser: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
-        """Add the diffraction colours of all samples and lights."""
+        """Add the diffraction colours of all samples and lights.
+
+        Where the host splits pixels, the picture of each ``coarser`` tolerance, from the largest one on, is there when
+        the function beside it is called.
+        """
         if self._means:
-            self._integrate_means(integrator, tolerance=tolerance, refine=refine, progress=progress)
+            if len(self._to_lights) > 1:
+                # Each light takes all of its cells before the next.
+                for each, reached in coarser:
+                    self._integrate_means(integrator, tolerance=each, refine=refine, progress=progress)
+                    reached()
+                    self._now = self._now[0], None
+                coarser = ()
+            self._integrate_means(integrator, tolerance=tolerance, refine=refine, progress=progress, coarser=coarser)
             return
         left_out = self._left_out_buffer(integrator)
         for light_index, share in self._passes(progress):
@@ -325,6 +337,7 @@ class Frame:
         tolerance: float,
         refine: bool,
         progress: Callable[[float], None] | None,
+        coarser: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
         """Add means over pixels, which are split where one ray does not tell them."""
         if not self._errors:
@@ -352,7 +365,10 @@ class Frame:
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._scheduled(light)
-            self._schedule.split(light, rest)
+            if isinstance(self._schedule, HostSchedule):
+                self._schedule.split(light, rest, coarser)
+            else:
+                self._schedule.split(light, rest)
             if rest is not None:
                 rest(1.0)
             if several:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from warpdiff.render.adaptive_sampling import SLICE
 from warpdiff.render.gbuffer import SharedTileBuffers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,10 +42,29 @@ class HostSchedule:
         # To make them takes as long as to look up thousands of pixels.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
 
-    def split(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
-        """Split pixels until none is left that is to be."""
-        count = _Splitting(light, self._rays).run(self._buffers, progress)
-        self.count = count if light.light_index == 0 else max(self.count, count)
+    def split(
+        self,
+        light: LightRefinement,
+        progress: Callable[[float], None] | None,
+        coarser: Sequence[tuple[float, Callable[[], None]]] = (),
+    ) -> None:
+        """Split pixels until none is left that is to be.
+
+        First for tolerances that are ``coarser``, each with what is called then. The picture is the same to the bit:
+        each begins anew from pixels of one ray, but finds the cells again that there are.
+        """
+        kept = _KeptCells() if coarser else None
+        before = 0 if light.light_index == 0 else self.count
+        changing = light.colours, *light.others
+        of_one_ray = [each.numpy().copy() for each in changing] if coarser else []
+        for index, tolerance in enumerate([*(each for each, _ in coarser), light.tolerance]):
+            part = part_of(progress, index / (len(coarser) + 1), (index + 1) / (len(coarser) + 1))
+            splitting = _Splitting(replace(light, tolerance=tolerance), self._rays, kept)
+            self.count = max(before, splitting.run(self._buffers, part))
+            if index < len(coarser):
+                coarser[index][1]()
+                for array, values in zip(changing, of_one_ray, strict=True):
+                    array.numpy()[:] = values
 
 
 @dataclass
@@ -66,12 +85,45 @@ class _Part:
     ranks: NDArray[np.int32]
     chosen: NDArray[np.uint8]
 
+    @property
+    def found(self) -> list[NDArray[Any]]:
+        """What each of the tiles in ``given`` gives."""
+        names = "shares", "means", "changes", "levels", "dark", "crossed"
+        return [getattr(self.given, name).numpy() for name in names]
+
+
+class _KeptCells:
+    """What cells gave for a coarser tolerance: for a finer one the same tiles would give it again."""
+
+    def __init__(self) -> None:
+        # By level: tiles, at which levels each took shadow rays, and what it gave.
+        self._by_level: dict[int, tuple[NDArray[np.int32], NDArray[np.uint8], list[NDArray[Any]]]] = {}
+
+    def give(self, level: int, part: _Part, shadowed: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Give tiles of a part what they gave before with as many shadow rays, and say of which there is none."""
+        if level not in self._by_level:
+            return np.ones(len(part.tiles), dtype=np.bool_)
+        tiles, shadowed_before, found = self._by_level[level]
+        rows = np.full(part.chosen.shape, -1, dtype=np.int32)
+        rows[tiles] = np.arange(len(tiles), dtype=np.int32)
+        row = rows[part.tiles]
+        is_there: NDArray[np.bool_] = (row >= 0) & (shadowed_before[row] == shadowed)
+        ranks, row = part.ranks[part.tiles[is_there]], row[is_there]
+        for given, before in zip(part.found, found, strict=True):
+            given[ranks] = before[row]
+        return ~is_there
+
+    def keep(self, level: int, part: _Part, shadowed: NDArray[np.uint8]) -> None:
+        """Keep what the tiles of a part gave."""
+        ranks = part.ranks[part.tiles]
+        self._by_level[level] = part.tiles, shadowed, [given[ranks] for given in part.found]
+
 
 class _Splitting:
     """A picture's pixels under one light while they are split."""
 
-    def __init__(self, light: LightRefinement, rays: RasterizedRays) -> None:
-        self._light, self._rays, self._device = light, rays, rays.options["device"]
+    def __init__(self, light: LightRefinement, rays: RasterizedRays, kept: _KeptCells | None) -> None:
+        self._light, self._rays, self._kept, self._device = light, rays, kept, rays.options["device"]
         self._width, self._height = rays.view.width, rays.view.height
         size = self._width * self._height
         floor = pixel_filters.floor_of(light.colours, rays.seen.gains)
@@ -80,6 +132,8 @@ class _Splitting:
         self._wanted_out = self._array(self._wanted, wp.uint8)
         # Of pixels, the quadrants in which the light is hidden from any cell.
         self._dark = np.zeros(size, dtype=np.uint8)
+        # A bit for each level at whose cells shadow rays were sent.
+        self._shadowed = np.zeros(size, dtype=np.uint8)
         self._threads = min(rays.options["threads"], pixel_filters.most_threads(size))
 
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
@@ -96,6 +150,9 @@ class _Splitting:
         if not light.splits or not len(pixels):
             return 0
         light.frame.expect_cells(light.light_index, len(pixels))
+        if len(pixels) > _MOST_PIXELS:
+            # Tiles between parts see what the part before has changed.
+            self._kept = None
         kind = light.buffer_kind
         if kind not in buffers:
             buffers[kind] = SharedTileBuffers(self._threads, kind=kind, device=self._device)
@@ -132,8 +189,14 @@ class _Splitting:
             self._dark[part.tiles] |= part.given.dark.numpy()[part.ranks[part.tiles]]
             beside_dark = pixel_filters.beside_quadrants(self._dark, self._width, self._height).ravel()
         is_beside = beside_dark[part.tiles]
-        part.tiles = np.concatenate([part.tiles[~is_beside], part.tiles[is_beside]])
-        parts = list(pixel_filters.parts(part.tiles, level))
+        # Tiles change from what they were at the level before, too.
+        self._shadowed[part.tiles] |= is_beside.astype(np.uint8) << level
+        shadowed = self._shadowed[part.tiles]
+        is_new = np.ones(len(part.tiles), dtype=np.bool_)
+        if self._kept is not None:
+            is_new = self._kept.give(level, part, shadowed)
+        new = np.concatenate([part.tiles[is_new & ~is_beside], part.tiles[is_new & is_beside]])
+        parts = list(pixel_filters.parts(new, level))
         for index, met in enumerate(parts):
             in_light = int(np.count_nonzero(~beside_dark[met]))
             pipelines = [
@@ -146,6 +209,8 @@ class _Splitting:
                 level, met, pipelines, self._rays.rasterize_cells(cells, len(met)), threads=self._threads,
                 progress=part_of(progress, index / len(parts), (index + 1) / len(parts)),
             )  # fmt: skip
+        if self._kept is not None:
+            self._kept.keep(level, part, shadowed)
 
     def _compare(self, level: int, part: _Part) -> None:
         """Set the pixels of a part, and leave those of its tiles that are split again."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import threading
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.integrator import Integrator
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -168,6 +169,7 @@ class Renderer:
         view: View | None = None,
         *,
         progress: Callable[[float], None] | None = None,
+        coarser: Mapping[float, Callable[[], object]] | None = None,
     ) -> wp.array:
         """Draw the next picture.
 
@@ -176,6 +178,9 @@ class Renderer:
             view: Its view from now on, with as many pixels; None leaves it as it is.
             progress: As in :func:`warpdiff.shade`, on the CPU; on a GPU it is called once all is launched. What it
                 raises ends the picture, as for a view that nobody waits for any more; the next one begins anew.
+            coarser: By tolerances above the plan's, what is called on the way to it once the picture keeps each:
+                :meth:`image` is then that picture. What was computed for it serves the next, and the last one is the
+                same to the bit. On the CPU, where pixels are split; elsewhere nothing is on the way.
 
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
@@ -183,6 +188,7 @@ class Renderer:
         """
         checks.callback(progress, "progress")
         mine = self._mine
+        on_the_way = self._on_the_way(mine, coarser)
         lights = mine.lights if light is None else lobes_for(light, self._wanted.request)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
@@ -204,8 +210,8 @@ class Renderer:
                 if progress is not None:
                     progress(1.0)
             else:
-                self._launch(mine, progress)
-            mine.drawn = True
+                self._launch(mine, progress, on_the_way)
+            mine.drawn, mine.tolerance = True, self.plan.tolerance
         return mine.frame.xyz
 
     def image(self) -> Image:
@@ -213,17 +219,43 @@ class Renderer:
         if not self._mine.drawn:
             self.draw()
         with self._turn:
-            image = self._mine.frame.image(self.plan)
+            image = self._mine.frame.image(replace(self.plan, tolerance=self._mine.tolerance))
         warn_unsettled(image.plan)
         if not self._wanted.request.device.is_cpu:
             return image
         return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
 
-    def _launch(self, mine: _Picture, progress: Callable[[float], None] | None = None) -> None:
+    def _on_the_way(self, mine: _Picture, coarser: Any) -> list[tuple[float, Callable[[], None]]]:
+        """Checked tolerances, the largest first, with what is called at each."""
+        checks.instance(coarser, Mapping, "coarser", optional=True)
+
+        def tell(tolerance: float) -> None:
+            mine.drawn, mine.tolerance = True, tolerance
+            coarser[tolerance]()
+            mine.drawn = False
+
+        for tolerance, reached in (coarser or {}).items():
+            if not checks.number(tolerance, "coarser", most=0.5) > self.plan.tolerance:
+                raise ValueError(
+                    f"coarser must be above the plan's {self.plan.tolerance:g}, got {tolerance!r}: omit it"
+                )
+            if not callable(reached):
+                raise TypeError(f"coarser[{tolerance!r}] must be callable, got {type(reached).__name__}")
+        if not self._wanted.refine:
+            return []
+        return [(each, functools.partial(tell, each)) for each in sorted(coarser or {}, reverse=True)]
+
+    def _launch(
+        self,
+        mine: _Picture,
+        progress: Callable[[float], None] | None = None,
+        on_the_way: Sequence[tuple[float, Callable[[], None]]] = (),
+    ) -> None:
         """Launch what a picture takes."""
         mine.frame.integrate(
-            self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress
-        )
+            self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress,
+            coarser=on_the_way,
+        )  # fmt: skip
 
     def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
@@ -260,12 +292,13 @@ class _Picture(threading.local):
         lights: The last.
         view: The last.
         drawn: Whether it was drawn.
+        tolerance: For which.
         graph: Its launches as they were recorded.
         graph_is_for: What these depend on.
     """
 
     def __init__(self, make: Callable[[], Frame], lights: list[Lobe], view: View) -> None:
-        self.frame, self.lights, self.view, self.drawn = make(), lights, view, False
+        self.frame, self.lights, self.view, self.drawn, self.tolerance = make(), lights, view, False, 0.0
         self.graph: Any = None
         self.graph_is_for: tuple[Any, ...] = ()
 

@@ -77,7 +77,7 @@ class LocalDirections(NamedTuple):
 def local_directions(
     surface: Surface,
     view: wd.View,
-    to_light: tuple[float, float, float],
+    light: wd.DirectionalLight | wd.PointLight,
     column: int,
     row: int,
     *,
@@ -102,7 +102,14 @@ def local_directions(
     if not pixels.hit.numpy()[0]:
         return None
     axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)
-    return LocalDirections(_local(axes, np.array(to_light)), _local(axes, pixels.to_view.numpy()[0]))
+    if isinstance(light, wd.PointLight):
+        first, second = pixels.place.numpy()[0].tolist()
+        corners = surface.vertices[surface.faces[int(pixels.face.numpy()[0])]].astype(np.float64)
+        point = surface.centre + surface.radius * (np.array([first, second, 1.0 - first - second]) @ corners)
+        to_light = np.array(light.position) - point
+    else:
+        to_light = np.array(light.to_light)
+    return LocalDirections(_local(axes, to_light), _local(axes, pixels.to_view.numpy()[0]))
 
 
 def _local(axes: NDArray[np.float64], direction: NDArray[Any]) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""Pictures of the viewer as bytes: JPEG while something moves, PNG at rest, PNG and EXR files to be kept."""
+"""Pictures of the viewer as bytes: JPEG on the way, PNG for the finest, PNG and EXR files to be kept."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import warpdiff as wd
 
 # JPEG shows colours of narrow orders wrongly where it subsamples them.
-_JPEG = {"quality": 85, "subsampling": 0}
+_JPEG = {"quality": 92, "subsampling": 0}
 KINDS = ("png", "exr")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import warpdiff as wd
 from warpdiff.viewer.controls import AXES, LONG_BODIES, METALS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 # Digits of a direction in lines: beyond them no picture changes.
 _DIGITS = 7
@@ -51,6 +51,10 @@ class Call:
         """The line of Python."""
         taken = [*map(_said, self.operands), *(f"{name}={_said(each)}" for name, each in self.options)]
         return f"{'wd' if self.on is None else self.on}.{self.function}({', '.join(taken)})"
+
+
+def _rounded(vector: Iterable[float]) -> tuple[float, ...]:
+    return tuple(round(float(each), _DIGITS) for each in vector)
 
 
 def _made(value: Any) -> Any:
@@ -92,6 +96,8 @@ class Scene:
         mesh: A call of ``meshes``, or a file.
         hf: The height field.
         light: The light.
+        to_light: The direction from the body's centre to it, world frame.
+        distance: Its distance from there, in the body's radii; 0 is far away.
         options: Of ``Renderer`` and ``shade``, those that are not the default.
         tolerance: Of the finest picture.
     """
@@ -99,12 +105,14 @@ class Scene:
     mesh: Call | Path
     hf: Call
     light: Call
+    to_light: tuple[float, float, float]
+    distance: float
     options: tuple[tuple[str, Any], ...]
     tolerance: float
 
     @classmethod
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
-        """The scene of checked settings."""
+        """The scene of checked settings; a light beside the body is at its place once :meth:`placed`."""
         mesh, tangents = _mesh(values, files)
         azimuth, elevation = math.radians(values["azimuth_deg"]), math.radians(values["elevation_deg"])
         # From the front, +z, to the right, +x; y is up.
@@ -112,10 +120,13 @@ class Scene:
             math.cos(elevation) * math.sin(azimuth), math.sin(elevation), math.cos(elevation) * math.cos(azimuth),
         )  # fmt: skip
         illuminant = {} if values["illuminant"] == "D65" else {"illuminant": values["illuminant"]}
-        light = Call.of("DirectionalLight", tuple(round(each, _DIGITS) for each in to_light), **illuminant)
+        is_near, coherence = values["light"] == "near", _coherence(values)
+        has_size = values["light_diameter_deg"] > 0.0 and not is_near and values["coherence"] == "averaged"
+        size = {"angular_diameter_deg": values["light_diameter_deg"]} if has_size else {}
+        light = Call.of("DirectionalLight", _rounded(to_light), **illuminant, **size)
         options = {
             "method": values["method"],
-            "coherence": _coherence(values),
+            "coherence": coherence,
             "ior": {"dielectric": values["ior"], "mirror": math.inf}.get(values["material"], 1.5),
             "material": Call.of("Material.metal", values["material"]) if values["material"] in METALS else None,
             "masking": values["masking"],
@@ -129,7 +140,17 @@ class Scene:
             "shadows": True, "smooth": True, "tangents": None,
         }  # fmt: skip
         changed = tuple((name, value) for name, value in options.items() if value != usual[name])
-        return cls(mesh, _height_field(values, files), light, changed, values["tolerance"])
+        distance = values["distance"] if is_near else 0.0
+        return cls(mesh, _height_field(values, files), light, to_light, distance, changed, values["tolerance"])
+
+    def placed(self, centre: Sequence[float], radius: float) -> Scene:
+        """The scene with its light beside a body of this centre and radius, as bright there as one far away."""
+        if not self.distance:
+            return self
+        away = self.distance * radius
+        position = _rounded(middle + away * along for middle, along in zip(centre, self.to_light, strict=True))
+        options = dict(self.light.options) | {"power": float(f"{away * away:.{_DIGITS}g}")}
+        return replace(self, light=Call.of("PointLight", position, **options))
 
     @property
     def shading(self) -> dict[str, Any]:
@@ -164,7 +185,9 @@ class Scene:
             words += _flags(dict(files.loading), {"pitch_um": "--pixel-um"})
             for each in reversed(cleaning):
                 words += [_CLEANING[each.function], *(value for _, value in each.options)]
-        words += ["--light", *self.light.operands[0], *_flags(dict(self.light.options))]
+        (at,), lit = self.light.operands, dict(self.light.options)
+        words += ["--point-light", *at, lit.pop("power")] if self.distance else ["--light", *at]
+        words += _flags(lit, {"angular_diameter_deg": "--light-diameter-deg"})
         words += ["--eye", *view.eye, "--target", *view.target, "--up", *view.up]
         words += _flags({"fov_y_deg": view.fov_y_deg, "width": view.width, "height": view.height})
         words += _flags({"tolerance": tolerance})

@@ -74,27 +74,15 @@ class Wanted:
 
 
 class Stage(NamedTuple):
-    """One of the pictures of a generation: by one look-up a pixel, or refined to a tolerance."""
+    """One of the pictures of a generation: refined to a tolerance, or by one look-up a pixel where that is None."""
 
-    tolerance: float
-    refined: bool
+    tolerance: float | None
     last: bool = False
 
 
-# Between pictures, what there is to say of a place in them.
-ANGLES = None
-
-
-def stages_to(tolerance: float) -> list[Stage | None]:
-    """Pictures on the way to one of a tolerance; after the first at rest comes ``ANGLES``, which takes little."""
-    finer = [Stage(each, refined=True) for each in TOLERANCES if each > tolerance]
-    first, *rest = [*finer, Stage(tolerance, refined=True, last=True)]
-    return [_unrefined(tolerance), first, ANGLES, *rest]
-
-
-def _unrefined(tolerance: float) -> Stage:
-    """The first picture, by the table of the one after it."""
-    return Stage(max(TOLERANCES[0], tolerance), refined=False)
+def stages_to(tolerance: float) -> list[Stage]:
+    """Pictures on the way to one of a tolerance; after them comes what there is to say of a place in the last."""
+    return [Stage(None), *(Stage(each) for each in TOLERANCES if each > tolerance), Stage(tolerance, last=True)]
 
 
 @dataclass(eq=False)
@@ -109,7 +97,7 @@ class Session:
         begun: The generation whose stages are gone through.
         stage: The next of them.
         drawn_at: When the first of them was drawn.
-        seen: What the last picture was drawn for, moving or not.
+        seen: What the last picture was drawn for.
         factor: The automatic exposure of the last picture at rest, or of the first one.
         shown: The last picture, and how it is saved.
     """
@@ -200,12 +188,8 @@ class Studio:
     def _prepare(self) -> None:
         """Make what first pictures take, whatever their size."""
         scene = Scene.of(self._likely, self.files)
-        stage = _unrefined(scene.tolerance)
         view = bodies.framed(self._surface(scene), 16, 12)
-        nobody = Session(lambda *_: None)
-        image = self._renderer(
-            scene, view, stage, nobody, Wanted(0, self._likely, None, 1.0, False, (0.5, 0.5))
-        ).image()
+        image = self._renderer(scene, view, refine=False, say=lambda: None).image()
         encoding.encoded(encoding.shown(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
@@ -232,7 +216,7 @@ class Studio:
                 if not expected:
                     traceback.print_exc()
                 session.send({"kind": "error", "generation": wanted.generation, "text": text}, None)
-                session.stage = len(stages_to(wanted.values["tolerance"]))
+                session.stage = len(stages_to(wanted.values["tolerance"])) + 1
 
     def _next(self) -> tuple[Session, Wanted, int]:
         """Wait for the next picture: first ones before finer ones, pages in turns."""
@@ -244,13 +228,15 @@ class Studio:
                     wanted = session.wanted
                     if wanted is None or session.in_flight >= _MOST_IN_FLIGHT:
                         continue
-                    stages = len(stages_to(wanted.values["tolerance"]))
+                    pictures = len(stages_to(wanted.values["tolerance"]))
                     if session.begun != wanted.generation:
-                        # Let go where it was seen last, it is finer next, or as fine once more.
-                        is_let_go = not wanted.moving and session.seen == _at_any_time(wanted)
                         session.begun = wanted.generation
-                        session.stage = min(max(session.stage, 1), stages - 1) if is_let_go else 0
-                    if session.stage >= stages:
+                        # Where only another place is asked for, pictures go on; after the last, they stand.
+                        is_seen = not wanted.moving and session.seen is not None and _alike(session.seen, wanted)
+                        session.stage = min(session.stage, pictures) if is_seen else 0
+                    if session.stage == 0 and _is_let_go(session, wanted):
+                        session.stage = 1
+                    if session.stage > pictures:
                         continue
                     left = session.drawn_at + _REST_S - time.monotonic() if wanted.moving and session.stage else 0.0
                     if left > 0.0:
@@ -264,71 +250,100 @@ class Studio:
                     return session, wanted, session.stage
                 self._changed.wait(min(waits, default=None))
 
+    def _goes_on(self, session: Session, wanted: Wanted, index: int) -> bool:
+        """Whether a page still waits for a stage, and no other page for its first picture."""
+        newest = session.wanted
+        if not session.open or newest is None:
+            return False
+        if index == 0:
+            # What moves is drawn to the end, or nothing would be seen of it.
+            return not _is_let_go(session, newest)
+        others = (each for each in tuple(self._sessions) if each is not session and each.in_flight < _MOST_IN_FLIGHT)
+        return newest.generation == wanted.generation and not any(
+            each.wanted is not None and each.begun != each.wanted.generation for each in others
+        )
+
     def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
-        """Draw a picture and send it, or what there is to say of the last one."""
+        """Draw pictures from a stage on and send them, or what there is to say of the last one."""
 
         def watch(_share: float) -> None:
-            newest = session.wanted
-            # What moves is drawn to the end, or nothing would be seen of it.
-            if not session.open or (index and newest is not None and newest.generation != wanted.generation):
+            if not self._goes_on(session, wanted, index):
                 raise _AbandonedError
 
         scene = Scene.of(wanted.values, self.files)
         stages = stages_to(scene.tolerance)
-        rows = wanted.values["height"]
-        width = max(round(wanted.aspect * rows), 1)
         body = self._surface(scene)
-        full = _view(wanted, body, width, rows)
-        stage = stages[index]
-        if stage is ANGLES:
+        scene = scene.placed(body.centre.tolist(), body.radius)
+        full = _view(wanted, body)
+        if index == len(stages):
             self._send_angles_and_map(session, wanted, scene, full, watch)
             session.stage = index + 1
             return
-        scale = self._scale(width * rows) if wanted.moving and not stage.refined else 1.0
-        view = dataclasses.replace(full, width=max(round(scale * width), 1), height=max(round(scale * rows), 1))
         begin = time.perf_counter()
-        renderer = self._renderer(scene, view, stage, session, wanted)
+        scale = 1.0 if index else self._scale(full.width * full.height)
+        width, height = (max(round(scale * each), 1) for each in (full.width, full.height))
+        view = dataclasses.replace(full, width=width, height=height)
+
+        def say() -> None:
+            session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": scene.tolerance}, None)
+
+        renderer = self._renderer(scene, view, refine=index > 0, say=say)
         light = scene.light.make()
         built = time.perf_counter()
-        renderer.draw(light, view, progress=watch)
-        image = renderer.image()
-        drawn = time.perf_counter()
-        how = self._exposed(session, wanted, image, moving=wanted.moving and not stage.refined)
-        pixels = encoding.shown(image, exact=stage.last, **how)
-        displayed = time.perf_counter()
-        data = encoding.encoded(pixels, lossless=stage.refined)
-        session.seen = _at_any_time(wanted)
-        if not stage.refined:
-            self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
-        lit = image.error[image.lit]
         description = {
             "kind": "picture",
             "generation": wanted.generation,
-            "stage": index,
-            "tolerance": stage.tolerance if stage.refined else None,
-            "last": stage.last,
-            "type": "image/png" if stage.refined else "image/jpeg",
             "width": view.width,
             "height": view.height,
-            "error": {"median": float(np.median(lit)), "p99": float(np.percentile(lit, 99.0))} if lit.size else None,
             "camera": {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg},
             "body": {"centre": body.centre.tolist(), "radius": body.radius},
-            "to_light": light.to_light,
-            "seconds": {
-                "prepare": built - begin, "draw": drawn - built, "display": displayed - drawn,
-                "encode": time.perf_counter() - displayed,
-            },
-        }  # fmt: skip
-        if stage.refined:
-            description["plan"] = str(image.plan)
-            description["python"] = scene.python(view, stage.tolerance, how)
-            description["command"] = scene.command(view, stage.tolerance, how, self.files)
-        session.shown = image, how
-        with self._changed:
-            session.in_flight += 1
-            session.drawn_at = time.monotonic()
-        session.stage = index + 1
-        session.send(description, data)
+            "to_light": scene.to_light,
+        }
+
+        def send() -> None:
+            """Send the picture of the next stage as it is drawn."""
+            stage = stages[session.stage]
+            image = renderer.image()
+            drawn = time.perf_counter()
+            how = self._exposed(session, wanted, image, moving=wanted.moving and stage.tolerance is None)
+            pixels = encoding.shown(image, exact=stage.last, **how)
+            displayed = time.perf_counter()
+            data = encoding.encoded(pixels, lossless=stage.last)
+            encoded = time.perf_counter()
+            if stage.tolerance is None:
+                self._pixel_s = (encoded - built) / (view.width * view.height)
+            errors = image.error[image.lit]
+            told: dict[str, Any] = {
+                "stage": session.stage,
+                "tolerance": stage.tolerance,
+                "last": stage.last,
+                "type": "image/png" if stage.last else "image/jpeg",
+                "error": dict(zip(("median", "p99"), np.percentile(errors, (50.0, 99.0)).tolist(), strict=True))
+                if errors.size else None,
+                "seconds": {
+                    "prepare": built - begin, "draw": drawn - built, "display": displayed - drawn,
+                    "encode": encoded - displayed,
+                },
+            }  # fmt: skip
+            if stage.tolerance is not None:
+                told["plan"] = str(image.plan)
+                told["python"] = scene.python(view, scene.tolerance, how)
+                told["command"] = scene.command(view, scene.tolerance, how, self.files)
+            session.seen, session.shown = wanted, (image, how)
+            with self._changed:
+                session.in_flight += 1
+                session.drawn_at = time.monotonic()
+            session.stage += 1
+            session.send(description | told, data)
+
+        # What is refined goes on from one tolerance to the next.
+        on_the_way = (
+            {each.tolerance: send for each in stages[index:-1] if each.tolerance is not None} if index else None
+        )
+        renderer.draw(light, view, progress=watch, coarser=on_the_way)
+        # Where nothing is to be split, there is nothing on the way.
+        session.stage = len(stages) - 1 if index else 0
+        send()
 
     def _scale(self, pixels: int) -> float:
         """The largest scale at which a picture is drawn in time."""
@@ -357,22 +372,18 @@ class Studio:
         made: Callable[[], wd.HeightField] = scene.hf.make
         return self._made.height_fields.get_or_make(str(scene.hf), made)
 
-    def _renderer(self, scene: Scene, view: wd.View, stage: Stage, session: Session, wanted: Wanted) -> wd.Renderer:
-        """A renderer of pictures of a size."""
+    def _renderer(self, scene: Scene, view: wd.View, *, refine: bool, say: Callable[[], None]) -> wd.Renderer:
+        """A renderer of pictures of a size; ``say`` is called where that takes long."""
         light = scene.light.make()
-        of = str(scene.mesh), str(scene.hf), str(scene.options), light.illuminant, stage.tolerance
-        key = *of, stage.refined, view.width, view.height
+        of = str(scene.mesh), str(scene.hf), str(scene.options), light.illuminant, scene.tolerance
 
         def make() -> wd.Renderer:
-            def say() -> None:
-                session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": stage.tolerance}, None)
+            base = self._made.bases.get_or_make(of, lambda: self._base(scene, light, scene.tolerance, say))
+            return base.resized(view, refine=refine)
 
-            base = self._made.bases.get_or_make(of, lambda: self._base(scene, light, stage.tolerance, say))
-            return base.resized(view, refine=stage.refined)
+        return self._made.renderers.get_or_make((*of, refine, view.width, view.height), make)
 
-        return self._made.renderers.get_or_make(key, make)
-
-    def _base(self, scene: Scene, light: wd.DirectionalLight, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
+    def _base(self, scene: Scene, light: Any, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
         """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
         say()
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
@@ -404,7 +415,7 @@ class Studio:
             place = _nearest(whole & image.lit, wanted.probe) or _nearest(whole, wanted.probe)
         light = scene.light.make()
         local = place and bodies.local_directions(
-            self._surface(scene), view, light.to_light, *place, smooth=wanted.values["smooth"], device=self._device,
+            self._surface(scene), view, light, *place, smooth=wanted.values["smooth"], device=self._device,
             threads=self._threads,
         )  # fmt: skip
         found: dict[str, Any] = {"kind": "map", "generation": wanted.generation, "angles": None}
@@ -428,12 +439,22 @@ class Studio:
         session.send(found | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))
 
 
-def _at_any_time(wanted: Wanted) -> Wanted:
-    return dataclasses.replace(wanted, generation=0, moving=False)
+def _alike(one: Wanted, other: Wanted) -> bool:
+    """Whether two have the same picture."""
+    return dataclasses.replace(one, generation=0, moving=False, probe=other.probe) == dataclasses.replace(
+        other, generation=0, moving=False
+    )
 
 
-def _view(wanted: Wanted, body: Surface, width: int, height: int) -> wd.View:
-    """The view of a page."""
+def _is_let_go(session: Session, wanted: Wanted) -> bool:
+    """Whether what moved in the last picture moves no more: it is refined at once, as it is all but there."""
+    return session.seen is not None and session.seen.moving and not wanted.moving
+
+
+def _view(wanted: Wanted, body: Surface) -> wd.View:
+    """The view of a page at rest."""
+    height = wanted.values["height"]
+    width = max(round(wanted.aspect * height), 1)
     if wanted.camera is None:
         return bodies.framed(body, width, height)
     eye, target, up, fov = wanted.camera

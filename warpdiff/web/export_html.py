@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import json
+import math
 import re
 from importlib import metadata, resources
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,7 @@ _SIZE, _FRAMES = 1024, 1024
 _WAVELENGTHS = 10
 # Of what the mean plane reflects at each of them.
 _ENTRIES_OF_W = 512
-_MOST_LIGHTS = 8
+_MOST_LIGHTS, _WIDEST_DEG = 8, 5.0
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
     "RESAMPLE": "resample.frag", "SHARPEN": "sharpen.frag", "SURFACE_VERT": "surface.vert",
@@ -71,7 +72,7 @@ def export_html(
         path: Where to; it ends in ``.html`` or ``.htm``.
         mesh: As in :func:`warpdiff.shade`.
         lobes: What :func:`warpdiff.bake` made.
-        light: One light, or several, under the illuminant of ``lobes``.
+        light: One light, or several, under the illuminant of ``lobes``, up to 5° wide where these are averaged.
         view: The first view, a perspective one; its size is that of the reader's window.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror, None is 1.5, or what the material of the lobes
             says.
@@ -115,7 +116,12 @@ def export_html(
         pigmented = pigment > 0.0 and surface.has_base_colour and not lobes.has_material
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
-            "lights": [{"to_light": each.to_light, "power": each.power} for each in lights],
+            "lights": [
+                # A quarter of a disc's diameter is the deviation of its directions along either axis.
+                {"to_light": each.to_light, "power": each.power,
+                 "deviation": math.radians(each.angular_diameter_deg / 4.0)}
+                for each in lights
+            ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
             "normal_reflectance": normal, "rgb_to_xyz": colorimetry.RGB_TO_XYZ.tolist(),
@@ -136,10 +142,12 @@ def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight]:
         )
     for index, each in enumerate(lights):
         checks.instance(each, DirectionalLight, f"light[{index}]")
-        if each.angular_diameter_deg > 0.0:
+        most = _WIDEST_DEG if lobes.coherence.kind == "averaged" else 0.0
+        if each.angular_diameter_deg > most:
             raise ValueError(
-                f"light[{index}].angular_diameter_deg must be 0 on a page, got {each.angular_diameter_deg:g}: bake "
-                "lobes of a source"
+                f"light[{index}].angular_diameter_deg must be at most {most:g} on a page of lobes of kind "
+                f"{lobes.coherence.kind!r}, got {each.angular_diameter_deg:g}: give several lights, or bake lobes of a "
+                "source"
             )
         if each.illuminant != lobes.illuminant:
             raise ValueError(

@@ -177,6 +177,8 @@ async function map(told, data) {
   byId("angles").textContent = [...lines, told.text ?? "reflectance for this light, over all views"].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = told.generation;
+  // It comes after the last picture, which may be of a generation before and stand.
+  canvas.dataset.generation = told.generation;
   if (told.at) probed = told.at;
   place();
 }
@@ -305,8 +307,15 @@ function toLight() {
   return [Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation), Math.cos(elevation) * Math.cos(azimuth)];
 }
 
-// The light's handle lies on a sphere about the target that fills most of the picture.
+// The light's handle lies on a sphere about the target that fills most of the picture, or where the light is.
 const HANDLE = 0.75;
+
+function sphere(view) {
+  if (state.values.light === "near" && body) {
+    return { centre: body.centre, radius: state.values.distance * body.radius };
+  }
+  return { centre: view.target, radius: HANDLE * view.half * view.distance };
+}
 
 function projected(point, view) {
   const seen = add(point, view.eye, -1);
@@ -317,9 +326,9 @@ function projected(point, view) {
 
 function place() {
   if (!state.camera) return;
-  const view = frame(), light = toLight(), radius = HANDLE * view.half * view.distance;
-  const [x, y] = projected(add(view.target, light, radius), view);
-  const [x0, y0] = projected(view.target, view);
+  const view = frame(), light = toLight(), { centre, radius } = sphere(view);
+  const [x, y] = projected(add(centre, light, radius), view);
+  const [x0, y0] = projected(centre, view);
   const handle = byId("light");
   handle.setAttribute("cx", x);
   handle.setAttribute("cy", y);
@@ -368,13 +377,13 @@ function drag(event) {
   const y = (stage.clientHeight / 2 - (event.clientY - box.top)) * size;
   const ray = unit(add(add(scaled(view.right, x), view.top, y), view.back, -1));
   // Where the ray enters or leaves the sphere; beside it, the nearest point of its outline.
-  const radius = HANDLE * view.half * view.distance, near = -dot(view.offset, ray);
-  const inside = near * near - view.distance ** 2 + radius ** 2;
+  const { centre, radius } = sphere(view), offset = add(view.eye, centre, -1), near = -dot(offset, ray);
+  const inside = near * near - dot(offset, offset) + radius ** 2;
   const wasOutside = handle.outside;
   handle.outside = inside < 0;
   if (wasOutside && !handle.outside) handle.front = !handle.front;
   const t = inside < 0 ? near : near + (handle.front ? -1 : 1) * Math.sqrt(inside);
-  const light = unit(add(view.offset, ray, t));
+  const light = unit(add(offset, ray, t));
   state.values.azimuth_deg = Number(((Math.atan2(light[0], light[2]) * 180) / Math.PI).toFixed(2));
   state.values.elevation_deg = Number(((Math.asin(clamp(light[1], -1, 1)) * 180) / Math.PI).toFixed(2));
   update();

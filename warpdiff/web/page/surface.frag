@@ -11,7 +11,7 @@ in vec4 vColour;
 out vec4 xyzAndCoverage;
 
 uniform vec3 eye, toLight;
-uniform float power, coverage, deviation, textureBias;
+uniform float power, lightDeviation, coverage, deviation, textureBias;
 uniform bool smoothNormals, masking, hasShadows;
 uniform float normalReflectance;
 uniform mat4 lightProjection;
@@ -145,6 +145,9 @@ void main() {
     if (factor <= 0.0) return;
     vec3 covariance = vec3(right.x * right.x + down.x * down.x, right.x * right.y + down.x * down.y,
         right.y * right.y + down.y * down.y);
+    // A light of a size spreads over two directions at right angles to it.
+    covariance += lightDeviation * lightDeviation
+        * vec3(1.0 - lightLocal.x * lightLocal.x, -lightLocal.x * lightLocal.y, 1.0 - lightLocal.y * lightLocal.y);
     vec3 xyz = factor * (others(uv, sum.z, covariance) + zeroth(uv, sum.z, covariance));
     if (hasBaseColour) {
         vec3 own = vColour.a > 0.5 ? vColour.rgb : base.rgb;
