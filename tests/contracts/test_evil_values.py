@@ -233,7 +233,7 @@ def test_evil_values_are_refused_by_name_or_served(name, tries):
     values = {each: strategy(each) for each in names} | {each: legal_kind(OWNERS[PUBLIC[name][1]][0]) for each in own}
     one_or_two = st.lists(st.sampled_from(list(values)), min_size=1, max_size=2, unique=True)
 
-    @examples(*((3, 50) if name in SLOW else (43, 500)))
+    @examples(*((3, 50) if name in SLOW else (24, 500)))
     @given(st.data())
     def attempt(data):
         # What Hypothesis does for each example takes longer than most calls.
