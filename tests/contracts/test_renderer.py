@@ -11,10 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import soaking
 import trimesh
 import warp as wp
 from conftest import slow
-from soaking import count
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
@@ -28,7 +28,7 @@ SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
 WIDTH, HEIGHT = 40, 30
 # Pictures that each of two threads draws at once.
-TURNS = count(40, 150)
+TURNS = soaking.count(40, 150)
 
 
 def view(angle=0.0, size=(WIDTH, HEIGHT)):
