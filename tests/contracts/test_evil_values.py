@@ -54,7 +54,7 @@ PATHS = {
     "Image.save": "a.png", "export_html": "a.html", "BakedLobes.save": "a.npz", "BakedSpectrum.save": "a.npz",
 }  # fmt: skip
 # What takes seconds by its nature.
-SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian"}
+SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
 # Beyond that a call hangs; kernels may be compiled in it.
 MOST_S = 60
 # More than a small call takes, so that what asks for too much fails wherever the tests run.
