@@ -160,16 +160,16 @@ def test_a_plan_reads_as_a_paragraph(rough):
         f"Some {plan.multiply_adds:.2g} multiply-adds a direction, {plan.microseconds:.2g} µs of a core",
     ):
         assert part in text
-    table = wd.plan(rough, at_angle(20.0), tolerance=1e-1)
+    table = wd.plan(rough, at_angle(20.0), tolerance=1e-1, coherence=wd.Coherence(sigma_um=3.0))
     assert f"{table.nodes} nodes an octave" in str(table)
     assert f"after {table.table_seconds:.2g} s for the table" in str(table)
     assert "what bounds leave as a rule" in str(wd.plan(rough, UP, UP))
     assert "Direct sum" in str(wd.plan(rough, method="direct"))
     assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
-    source = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("source")))
+    source = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("source")))
     assert "source of 0.53° in diameter" in source
     assert "equally spaced in log λ" in source
-    copies = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("replicas", copies=(1, 200))))
+    copies = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("replicas", copies=(1, 200))))
     assert "1 × 200 copies in step" in copies
     assert "for the copies' factor" in copies
     assert "neighbours" not in copies
