@@ -19,8 +19,9 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-PLAN = wd.plan(HF)
-CENTRED_PLAN = wd.plan(HF, coherence=wd.Coherence("centred"))
+# For one direction, which nothing is searched for: each worker imports this file.
+PLAN = wd.plan(HF, UP, UP)
+CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
     xyz=np.ones((3, 4, 3), np.float32),
     mask=np.ones((3, 4), bool),

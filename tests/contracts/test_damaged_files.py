@@ -19,9 +19,9 @@ HERE = Path(__file__).parent
 @pytest.mark.parametrize(
     ("kind", "number"),
     [
-        pytest.param("scans", count(3000, 50_000), marks=pytest.mark.permanent("damaged scans", shares=20)),
+        pytest.param("scans", count(1500, 50_000), marks=pytest.mark.permanent("damaged scans", shares=20)),
         pytest.param(
-            "meshes", count(3000, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20)
+            "meshes", count(1500, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20)
         ),
     ],
 )

@@ -54,7 +54,7 @@ PATHS = {
     "Image.save": "a.png", "export_html": "a.html", "BakedLobes.save": "a.npz", "BakedSpectrum.save": "a.npz",
 }  # fmt: skip
 # What takes seconds by its nature.
-SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian"}
+SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
 # Beyond that a call hangs; kernels may be compiled in it.
 MOST_S = 60
 # More than a small call takes, so that what asks for too much fails wherever the tests run.
@@ -233,7 +233,7 @@ def test_evil_values_are_refused_by_name_or_served(name, tries):
     values = {each: strategy(each) for each in names} | {each: legal_kind(OWNERS[PUBLIC[name][1]][0]) for each in own}
     one_or_two = st.lists(st.sampled_from(list(values)), min_size=1, max_size=2, unique=True)
 
-    @examples(*((3, 50) if name in SLOW else (43, 500)))
+    @examples(*((3, 50) if name in SLOW else (24, 500)))
     @given(st.data())
     def attempt(data):
         # What Hypothesis does for each example takes longer than most calls.

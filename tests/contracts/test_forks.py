@@ -103,11 +103,12 @@ def test_a_child_may_be_the_first_to_draw():
     subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
-def test_pools_of_any_method_draw_the_same(method):
+# Of those that begin from nothing, one process shows it.
+@pytest.mark.parametrize(("method", "processes"), [("fork", 2), ("spawn", 1), ("forkserver", 1)])
+def test_pools_of_any_method_draw_the_same(method, processes):
     angles = (0.0, 0.3)
     expected = [picture(angle) for angle in angles]
-    with multiprocessing.get_context(method).Pool(2) as pool:
+    with multiprocessing.get_context(method).Pool(processes) as pool:
         found = pool.map_async(picture, angles).get(timeout=_MOST_S)
     np.testing.assert_array_equal(found, expected)
 

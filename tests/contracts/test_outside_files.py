@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 
 import pytest
 from gltf_files import BUFFER, gltf
 from PIL import Image
 
 # In a process of its own, for an audit hook cannot be taken off. Modules are read before it is set.
-CHILD = """
+READER = """
 import pathlib, socket, sys, warnings
 import numpy, PIL.Image, trimesh
 from warpdiff.scene.mesh_import import prepare_surface
 
 PIL.Image.init()
-folder, watched = pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve()
+folder = watched = pathlib.Path("/nowhere")
 def watch(event, arguments):
     if event.startswith("socket.") or event.startswith("urllib."):
         print("net", event)
@@ -28,12 +29,15 @@ def watch(event, arguments):
             print("inside", path.name)
 sys.addaudithook(watch)
 warnings.simplefilter("ignore")
-try:
-    surface = prepare_surface(next(folder.glob("mesh.*")))
-except ValueError as error:
-    print("refused", error)
-else:
-    print("base colour", surface.has_base_colour)
+for line in sys.stdin:
+    folder, watched = (pathlib.Path(each).resolve() for each in line.rstrip().split("|"))
+    try:
+        surface = prepare_surface(next(folder.glob("mesh.*")))
+    except ValueError as error:
+        print("refused", error)
+    else:
+        print("base colour", surface.has_base_colour)
+    print("end", flush=True)
 """
 OBJ = """mtllib {library}
 usemtl paint
@@ -65,20 +69,29 @@ def folders(tmp_path):
     return folder, tmp_path
 
 
-def load(folder, watched):
-    """What a process says that reads the mesh in a folder."""
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(folder), str(watched)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    told = done.stdout.splitlines()
-    # The hook is at work: it saw the mesh itself.
-    assert any(line.startswith("inside mesh.") for line in told)
-    return told
+@pytest.fixture(scope="module")
+def load():
+    """What a process says that reads the mesh in a folder; one process for all of them."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        subprocess.Popen([sys.executable, "-c", READER], stderr=errors, **pipes) as reader,
+    ):
+
+        def read(folder, watched):
+            print(folder, watched, sep="|", file=reader.stdin, flush=True)
+            told = list(iter(lambda: reader.stdout.readline().rstrip("\n") or "end", "end"))
+            errors.seek(0)
+            assert reader.poll() is None, errors.read()
+            # The hook is at work: it saw the mesh itself.
+            assert any(line.startswith("inside mesh.") for line in told)
+            return told
+
+        yield read
 
 
 @pytest.mark.parametrize("kind", ["obj", "gltf"])
-def test_what_lies_beside_the_mesh_is_read(folders, kind):
+def test_what_lies_beside_the_mesh_is_read(folders, load, kind):
     folder, watched = folders
     Image.new("RGB", (2, 3), (200, 30, 30)).save(folder / "paint.png")
     (folder / "paint.mtl").write_text(material("paint.png"))
@@ -112,7 +125,7 @@ def test_what_lies_beside_the_mesh_is_read(folders, kind):
         *("image-above", "image-absolute", "image-file", "image-url", "buffer-above", "buffer-file", "buffer-url"),
     ],
 )
-def test_nothing_outside_of_the_meshs_folder_is_opened(folders, files):
+def test_nothing_outside_of_the_meshs_folder_is_opened(folders, load, files):
     folder, watched = folders
     for name, text in files.items():
         (folder / name).write_text(text.replace("{watched}", str(watched)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import os
 import re
@@ -54,12 +55,10 @@ assert Path(wd.__file__).with_name("py.typed").is_file()
 assert Path(reference.__file__).parents[1].joinpath("suite", "rigorous.json").is_file()
 xyz = wd.reflectance(wd.HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1])
 assert abs(xyz[1] - 1.0) < 1e-2, xyz
-print("as", wd.__version__)
-"""
-VERSION = f"""{PRELUDE}
+print("as", wd.__version__, flush=True)
 import runpy
 sys.argv = ["warpdiff", "--version"]
-runpy.run_module("warpdiff", run_name="__main__")
+runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 """
 
 
@@ -103,8 +102,7 @@ def check_installed(target: Path, source: Path, outside: Path) -> None:
     dependencies = [path for path in sys.path if Path(path).is_dir() and Path(path).resolve() != ROOT]
     arguments = [str(target), str(source), "|".join(dependencies)]
     found = run([sys.executable, "-S", "-c", CHECK, *arguments], outside)
-    assert found.split() == ["as", PROJECT["version"]]
-    assert PROJECT["version"] in run([sys.executable, "-S", "-c", VERSION, *arguments], outside)
+    assert found.split() == ["as", PROJECT["version"], "warpdiff", PROJECT["version"]]
     assert not list(outside.iterdir())
 
 
@@ -149,10 +147,13 @@ def test_sdist_and_its_wheel(tree, tmp_path):
 
 
 def test_editable(tree, tmp_path):
-    wheel = build("editable", tree, tmp_path / "dist")
-    check_installed(install(wheel, tmp_path / "target"), tree, tmp_path / "outside")
+    # Without scripts, to install a wheel is to unpack it.
+    with zipfile.ZipFile(build("editable", tree, tmp_path / "dist")) as wheel:
+        wheel.extractall(tmp_path / "target")
+    check_installed(tmp_path / "target", tree, tmp_path / "outside")
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Top-level names that a file imports, wherever in it."""
     found = set()

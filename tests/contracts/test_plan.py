@@ -160,16 +160,16 @@ def test_a_plan_reads_as_a_paragraph(rough):
         f"Some {plan.multiply_adds:.2g} multiply-adds a direction, {plan.microseconds:.2g} µs of a core",
     ):
         assert part in text
-    table = wd.plan(rough, at_angle(20.0), tolerance=1e-1)
+    table = wd.plan(rough, at_angle(20.0), tolerance=1e-1, coherence=wd.Coherence(sigma_um=3.0))
     assert f"{table.nodes} nodes an octave" in str(table)
     assert f"after {table.table_seconds:.2g} s for the table" in str(table)
     assert "what bounds leave as a rule" in str(wd.plan(rough, UP, UP))
     assert "Direct sum" in str(wd.plan(rough, method="direct"))
     assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
-    source = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("source")))
+    source = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("source")))
     assert "source of 0.53° in diameter" in source
     assert "equally spaced in log λ" in source
-    copies = str(wd.plan(rough, at_angle(20.0), coherence=wd.Coherence("replicas", copies=(1, 200))))
+    copies = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("replicas", copies=(1, 200))))
     assert "1 × 200 copies in step" in copies
     assert "for the copies' factor" in copies
     assert "neighbours" not in copies
@@ -250,15 +250,24 @@ def test_plans_are_values(rough):
 
 # Taken with strict=False, so deep a surface has scalar theory warned of as well, by the plan alone.
 @pytest.mark.filterwarnings("ignore:scalar diffraction")
-def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_the_same():
+@pytest.mark.parametrize(
+    ("directions", "how"),
+    # For the whole hemisphere a plan is searched for, with kernels of every number of terms.
+    [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
+    ids=["few", "all"],
+)
+def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_the_same(directions, how):
     views = hemisphere(np.random.default_rng(2), 20)
     for height, method in ((3.0, "taylor"), (8.0, "auto")):
         hf = deep(height)
-        for call in (wd.plan, lambda *a, **o: wd.reflectance(a[0], UP, views, **o)):
-            with pytest.raises(ValueError, match=rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"):
-                call(hf, method=method)
+        for call, given in ((wd.plan, directions), (wd.reflectance, (UP, views))):
+            with pytest.raises(
+                ValueError, match=rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"
+            ) as refused:
+                call(hf, *given, method=method)
+            assert call is wd.reflectance or how in str(refused.value)
             with pytest.warns(wd.WarpdiffWarning, match="cannot reach tolerance=0.01"):
-                result = call(hf, method=method, strict=False)
+                result = call(hf, *given, method=method, strict=False)
         assert np.all(np.isfinite(result))
         assert result.min() >= 0.0
     # The direct sum has no series.

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import soaking
 import trimesh
 import warp as wp
 from conftest import slow
@@ -25,7 +26,9 @@ from warpdiff.render import device_schedule, renderer
 
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
-WIDTH, HEIGHT = 80, 60
+WIDTH, HEIGHT = 40, 30
+# Pictures that each of two threads draws at once.
+TURNS = soaking.count(40, 150)
 
 
 def view(angle=0.0, size=(WIDTH, HEIGHT)):
@@ -229,9 +232,11 @@ def test_means_stay_where_no_table_takes_them(tube):
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(), plan=plans[name], threads=1, **options)
-    for angle in (0.4, 0.0, -0.3):
-        lights, camera = turned(angle)[:count], view(angle)
+    # Large enough for shares of its pixels.
+    size = 2 * WIDTH, 2 * HEIGHT
+    drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
+    for angle in (0.4, -0.3):
+        lights, camera = turned(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
         found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
         # How bright a picture is, by which pixels are told that are to be split, is known to 1 in 128; and rays through
@@ -275,7 +280,7 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
         return drawn.image()
 
     whole = picture()
-    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 900)
+    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 300)
     parts = picture()
     same(parts, whole)
     assert parts.plan.split == whole.plan.split
@@ -332,8 +337,8 @@ def test_bad_input_is_refused(tube, fingers, plans):
         wd.Renderer(tube, fingers, [], view(), plan=plans["points"])
     drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["points"])
     before = drawn.image()
-    with pytest.raises(ValueError, match="80 × 60 pixels as before, got 40 × 30"):
-        drawn.draw(view=view(size=(40, 30)))
+    with pytest.raises(ValueError, match="40 × 30 pixels as before, got 80 × 60"):
+        drawn.draw(view=view(size=(80, 60)))
     with pytest.raises(TypeError, match="view"):
         drawn.draw(view=(0.0, 0.0, 1.0))
     with pytest.raises(ValueError, match="illuminant"):
@@ -360,7 +365,7 @@ def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries)
         same(drawn.image(), first)
         together.wait(60.0)
         wrong = 0
-        for k in range(150):
+        for k in range(TURNS):
             xyz = drawn.draw(view=views[index][k % 3])
             wrong += not np.array_equal(drawn.image().xyz, expected[index][k % 3])
             wrong += not np.array_equal(xyz.numpy(), expected[index][k % 3])
@@ -368,6 +373,6 @@ def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries)
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(draw, range(2))) == [0, 0]
-    tries.number = 300
+    tries.number = 2 * TURNS
     # Nor did they change this thread's.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from conftest import at_angle, hemisphere
+from conftest import at_angle, hemisphere, slow
 
 import warpdiff as wd
 from warpdiff.kernels import scattering
@@ -193,7 +193,7 @@ def mirror_power(sigma_um, theta_deg, ior):
     return values @ measure
 
 
-@pytest.mark.parametrize("period_um", [0.7, 1.0, 2.0])
+@pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_excess_energy_of_a_shallow_sine(period_um):
     """The scalar theory's own: (2πa/λ)² (1 − c)²/(2c), c the cosine of order one at normal incidence.
 

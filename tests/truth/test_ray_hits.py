@@ -15,7 +15,7 @@ from trimesh.visual.material import SimpleMaterial
 
 from warpdiff import meshes
 from warpdiff.bench.truth.brute_force import intersect, pixel_rays, shading_frame
-from warpdiff.kernels import bvh, cell_levels, ray_hits
+from warpdiff.kernels import bvh, cell_levels, compile_options, ray_hits
 from warpdiff.kernels.structs import Cells, Pixels, Sampling
 from warpdiff.render import pixel_filters
 from warpdiff.scene.camera import View
@@ -429,6 +429,10 @@ def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
     mesh.visual.uv = mesh.visual.uv + np.array([-3.25, 6.75])
     got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
+
+
+# As the package's, whose options Warp's headers are compiled for already.
+wp.set_module_options(compile_options.options())
 
 
 @wp.kernel

@@ -22,7 +22,7 @@ from warpdiff.bench.truth import reference
 from warpdiff.scene.mesh_import import prepare_surface
 
 # More are judged by bench/studies/picture_error.py.
-PIXELS = 400
+PIXELS = 240
 SNAKE_LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
@@ -412,7 +412,7 @@ def test_no_seam_along_the_belly(fingers):
 
 def test_an_explicit_plan_is_honoured(snake, fingers):
     view = snake_view(32, 24)
-    fine = wd.shade(snake, fingers, SNAKE_LIGHT, view, coherence=SHORT, tolerance=1e-3, refine=False)
+    fine = wd.shade(snake, fingers, SNAKE_LIGHT, view, coherence=SHORT, tolerance=1e-2, refine=False)
     coarse_plan = dataclasses.replace(fine.plan, terms=3, wavelengths=9)
     coarse = wd.shade(snake, fingers, SNAKE_LIGHT, view, plan=coarse_plan, refine=False)
     assert dataclasses.replace(coarse.plan, errors=coarse_plan.errors) == coarse_plan
@@ -425,7 +425,7 @@ def test_an_explicit_plan_is_honoured(snake, fingers):
 
 @pytest.mark.parametrize("options", [{}, {"threads": 3, "samples_per_pixel": 2}, {"method": "direct"}])
 def test_progress_grows_to_one(options, snake, fingers):
-    size = (6, 4) if "method" in options else (96, 72)
+    size = (4, 3) if "method" in options else (96, 72)
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=size[0], height=size[1])
     seen = []
     lights = [SNAKE_LIGHT, wd.DirectionalLight((-0.5, 1.0, 0.4))]

@@ -49,7 +49,7 @@ def picture_errors(found, exact):
 )
 def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
     coherence = wd.Coherence(kind, 9.0)
-    lights, views = hemisphere(rng, 400), hemisphere(rng, 400)
+    lights, views = hemisphere(rng, 240), hemisphere(rng, 240)
     plan = wd.plan(fingers, lights, views, tolerance=tolerance, coherence=coherence, method="low-rank/table")
     assert plan.nodes > 0
     assert plan.error <= tolerance
@@ -62,7 +62,7 @@ def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
 @pytest.mark.parametrize("kind", ["averaged", slow("centred")])
 def test_more_nodes_and_rays_err_less(fingers, kind, rng):
     coherence = wd.Coherence(kind, 9.0)
-    lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
+    lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     exact = truth(fingers, lights, views, coherence)
     plan = wd.plan(fingers, lights, views, coherence=coherence, method="low-rank", tolerance=1e-3)
     errors = []
