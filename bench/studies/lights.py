@@ -117,7 +117,7 @@ def sizes(points: int) -> None:
 
 def skies(cases: list[str], counts: list[int], most: int) -> None:
     """Print errors of environments against those of the most directions; a case is sky,body,surface."""
-    print("| sky | body, surface | lobes | against | median | P90 | P99 |\n| --- | --- | --- | --- | --- | --- | --- |")
+    print("| sky | body, surface | directions | against | median | P90 | P99 |\n" + "| --- " * 7 + "|")
     for case in cases:
         named, name, surface = case.split(",")
         radiance = SKIES[named]()
@@ -198,11 +198,11 @@ def against_mitsuba(counts: list[int]) -> None:
     texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
     corners = [[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]]
     plate = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
-    print("| lobes | pixels | error of XYZ, median / P90 / P99 | ΔE2000, median / P99 |\n| --- | --- | --- | --- |")
+    print("| directions | pixels | error of XYZ, median / P90 / P99 | ΔE2000, median / P99 |\n" + "| --- " * 4 + "|")
     for count in counts:
-        sky_of_lobes = wd.Environment(grey, directions=count)
+        environment = wd.Environment(grey, directions=count)
         image = wd.shade(
-            plate, wd.HeightField(np.zeros((32, 32)), 0.09), sky_of_lobes, view, material=gold, masking=False,
+            plate, wd.HeightField(np.zeros((32, 32)), 0.09), environment, view, material=gold, masking=False,
             shadows=False, refine=False,
         )  # fmt: skip
         seen = image.mask
@@ -221,10 +221,10 @@ def _listed(values: Any) -> str:
 
 
 def times(repeats: int) -> None:
-    """Print the time of a frame against the number of lobes."""
-    print("| lobes | frame, not refined | refined | a lobe |\n| --- | --- | --- | --- |")
+    """Print the time of a frame against the number of directions."""
+    print("| directions | frame, not refined | refined | a direction |\n| --- | --- | --- | --- |")
     hf, body, view = SURFACES["fingers"](), wd.meshes.tube(), wd.View((0, 2, 4), (0, 0, 0), width=640, height=480)
-    for count in (16, 64, 256):
+    for count in (256, 1024, 4096, 16384):
         environment = wd.Environment(sky(), directions=count)
         took = []
         for refine in (False, True):
@@ -240,7 +240,7 @@ def times(repeats: int) -> None:
                 renderer.image()
                 seconds.append(time.perf_counter() - begin)
             took.append(float(np.median(seconds)))
-        print(f"| {count} | {took[0]:.2f} s | {took[1]:.2f} s | {1e3 * took[0] / count:.0f} ms |", flush=True)
+        print(f"| {count} | {took[0]:.2f} s | {took[1]:.2f} s | {1e3 * took[0] / count:.2f} ms |", flush=True)
 
 
 def main() -> int:
@@ -250,12 +250,12 @@ def main() -> int:
     parser.add_argument("--skies", action="store_true", help="environments against many more directions")
     parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
     parser.add_argument("--mitsuba", action="store_true", help="flat gold under a sky against Mitsuba")
-    parser.add_argument("--times", action="store_true", help="time a frame by the number of lobes")
+    parser.add_argument("--times", action="store_true", help="time a frame by the number of directions")
     parser.add_argument("--points", type=int, default=400, help="of discs (400)")
     parser.add_argument(
-        "--directions", type=int, nargs="+", default=[256, 512, 1024], help="that are judged (256 512 1024)"
+        "--directions", type=int, nargs="+", default=[1024, 4096, 16384], help="that are judged (1024 4096 16384)"
     )
-    parser.add_argument("--most", type=int, default=8192, help="directions that judge them (8192)")
+    parser.add_argument("--most", type=int, default=32768, help="directions that judge them (32768)")
     parser.add_argument("--cases", nargs="+", default=CASES, help="sky,body,surface of --skies (seven)")
     parser.add_argument("--repeats", type=int, default=3, help="frames of each kind (3)")
     options = parser.parse_args()
@@ -265,9 +265,9 @@ def main() -> int:
     if options.skies or every:
         skies(options.cases, options.directions, options.most)
     if options.albedo or every:
-        albedo(1024)
+        albedo(4096)
     if options.mitsuba or every:
-        against_mitsuba([256, 1024])
+        against_mitsuba([256, 4096])
     if options.times or every:
         times(options.repeats)
     return 0

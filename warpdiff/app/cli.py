@@ -253,7 +253,7 @@ def _add_surroundings(render: argparse.ArgumentParser) -> None:
     group.add_argument("--environment-scale", type=float, default=1.0, help="factor on its radiance (default: 1)")
     group.add_argument(
         "--environment-directions", type=int, metavar="COUNT",
-        help="most directions that stand for it, each a light's time (default: by --tolerance)",
+        help="most directions that a pixel sums (default: by --tolerance)",
     )  # fmt: skip
     group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
 

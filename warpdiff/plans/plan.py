@@ -263,7 +263,7 @@ class Plan:
             spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
             parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
         if self.lit_by > 1:
-            parts.append(f"{self.lit_by} lobes stand for the lights")
+            parts.append(f"{self.lit_by} directions stand for the lights")
         if self.split:
             parts.append(f"{100.0 * self.split:.3g} % of the pixels were split into cells")
             if self.unsettled:

@@ -13,7 +13,7 @@ from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.core.thread_pool import part_of
 from warpdiff.evaluate.directions import direct_colour
 from warpdiff.image.image import EDGES_PER_TOLERANCE, Image, relative_errors, share_beyond
-from warpdiff.kernels import adaptive, ray_hits, scattering
+from warpdiff.kernels import adaptive, ray_hits, scattering, sky_light
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Sampling
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.lights import Lobe
     from warpdiff.scene.mesh_import import Surface
+    from warpdiff.scene.sky_map import SkyLight
     from warpdiff.surface.heightfield import HeightField
     from warpdiff.tables.integrator import Integrator
 
@@ -109,7 +110,9 @@ class Frame:
         self._left_out = wp.empty(0, dtype=wp.float32, device=device)
         self._schedule: HostSchedule | DeviceSchedule | None = None
         self._lights: Any = None
-        self._lit: list[tuple[LitMaterial, ...]] = []
+        self._lit: list[tuple[tuple[LitMaterial, ...], ...]] = []
+        self._skies: list[SkyLight | None] = []
+        self._sky_maps: dict[SkyLight, Any] = {}
         self._transmittances: wp.array | None = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._have_sizes: list[bool] = []
@@ -194,7 +197,16 @@ class Frame:
         deviations = [np.zeros((2, 3)) if each.deviations is None else each.deviations for each in lights]
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
         self._to_lights = [each.to_light for each in lights]
-        self._lit = [tuple(LitMaterial(each.illuminant, material) for material in materials) for each in lights]
+        self._lit = [
+            tuple(tuple(LitMaterial(name, material) for name in each.illuminants) for material in materials)
+            for each in lights
+        ]
+        self._skies = [each.sky for each in lights]
+        # Those of before stay, where a recorded picture finds them.
+        kept = self._sky_maps
+        self._sky_maps = {
+            sky: kept.get(sky) or self._sky_map(sky, solid_angle) for sky in self._skies if sky is not None
+        }
         self._shadows = shadows
         self._grids = {}
         self._reflection = scattering.Reflection()
@@ -210,6 +222,18 @@ class Frame:
         self._reflection.materials = self._of_faces
         self._now = self._now[0], None
 
+    def _sky_map(self, sky: SkyLight, solid_angle: NDArray[np.float64]) -> Any:
+        """The struct ``SkyMap`` of a light."""
+        result = sky_light.SkyMap()
+        result.texels = wp.array(sky.texels, dtype=wp.vec3f, device=self._device)
+        result.sides = wp.array(sky.sides, dtype=wp.int32, device=self._device)
+        starts = np.cumsum([0, *((side + 2) ** 2 for side in sky.sides[:-1])])
+        result.firsts = wp.array(starts, dtype=wp.int32, device=self._device)
+        result.variance = sky.blur**2
+        whites = [colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(each)) for each in sky.spectra]
+        result.whites = wp.mat33f(*np.ravel(whites))
+        return result
+
     def _place_of(self, light: Lobe) -> tuple[float, ...]:
         """Where a light is, in homogeneous coordinates and the surface's units."""
         if light.position is None:
@@ -219,8 +243,8 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
-        sizes, places = tuple(self._have_sizes), tuple(self._at_places)
-        return sizes, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
+        sizes, places, skies = tuple(self._have_sizes), tuple(self._at_places), tuple(self._skies)
+        return skies, sizes, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(self, hf: HeightField, window: Coherence) -> tuple[DirectionRange, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them.
@@ -312,11 +336,21 @@ class Frame:
         colours: wp.array,
         footprints: wp.array | None,
         left_out: wp.array,
+        *,
+        shadows: bool = True,
     ) -> list[KernelCall]:
         """The calls that add the colours of what rays see under a light, one material after the other."""
         deflections, to_lights, gains = seen.directions
+        if (sky := self._skies[light_index]) is not None:
+            hidden = self.hidden_of(seen, shadows=shadows)
+            inputs = [
+                self._sky_maps[sky], integrator.sky_table(self._lit[light_index], sky.directions), seen.pixels,
+                gains, footprints, self._lights, light_index, self._reflection,
+                self._grid_of(light_index).mesh_id if len(hidden) else 0,
+            ]  # fmt: skip
+            return [KernelCall(sky_light.add_sky, inputs, [hidden, colours], in_runs=True)]
         steps: list[KernelCall] = []
-        for index, lit in enumerate(self._lit[light_index]):
+        for index, (lit,) in enumerate(self._lit[light_index]):
             if self.has_materials:
                 inputs = [seen.gains, seen.pixels.face, self._of_faces, index]
                 gains = seen.gains_of_one
@@ -411,7 +445,9 @@ class Frame:
         if means:
             steps += self._footprints(light_index, seen, level)
         footprints = seen.footprints if means else None
-        steps += self._colour_steps(integrator, light_index, seen, buffers.colours, footprints, buffers.left_out)
+        steps += self._colour_steps(
+            integrator, light_index, seen, buffers.colours, footprints, buffers.left_out, shadows=shadows
+        )
         return steps
 
     def sum_directly(self, hf: HeightField, plan: Plan, *, progress: Callable[[float], None] | None) -> None:
@@ -421,7 +457,7 @@ class Frame:
             if self.has_materials:
                 of_pixels = self._of_faces.numpy()[np.maximum(self.seen.pixels.face.numpy(), 0)]
             of_light = self._lit[light_index]
-            for index, lit in enumerate(of_light):
+            for index, (lit,) in enumerate(of_light):
                 part = part_of(share, index / len(of_light), (index + 1) / len(of_light))
                 of_one = np.where(of_pixels == index, gains, 0.0) if self.has_materials else gains
                 added = direct_colour(hf, deflections, to_lights, of_one, plan, lit, progress=part)
@@ -458,7 +494,8 @@ class Frame:
             self._make_grid(light_index, _SHADOW_RAYS_OF_CELLS, pixels)
 
     def _make_grid(self, light_index: int, rays: int, pixels: int | None = None) -> None:
-        to_light = None if self._at_places[light_index] else self._to_lights[light_index]
+        has_none = self._at_places[light_index] or self._skies[light_index] is not None
+        to_light = None if has_none else self._to_lights[light_index]
         self._grids[light_index] = self.rays.shadow_grid(to_light, rays, pixels)
 
     def deflect(self, sample: int, light_index: int, *, samples: int | None = None) -> None:
@@ -490,6 +527,9 @@ class Frame:
         counted, begins = weight if light_index == 0 else 0.0, light_index == 0 and sample == 0
         # Of means each light's colours are found by themselves.
         resets = begins or self._means
+        if self._skies[light_index] is not None:
+            inputs = [seen.pixels, counted, begins, resets]
+            return [KernelCall(sky_light.mirror_directions, inputs, [*seen.directions, *sums], in_runs=True)]
         inputs = [seen.pixels, self._lights, light_index, self._reflection, weight, counted, begins, resets, hidden]
         steps = [KernelCall(scattering.scattering_vectors, inputs, [*seen.directions, *sums], in_runs=True)]
         if shadows:
@@ -535,6 +575,7 @@ class Frame:
         edges = self._edges.numpy() if self._refined else np.zeros(len(lit), dtype=np.bool_)
         bounds = ((lit & ~edges, plan.tolerance), (lit & edges, EDGES_PER_TOLERANCE * plan.tolerance))
         unsettled = [share_beyond(error[each], bound) if self._refined else 0.0 for each, bound in bounds]
+        lit_by = sum(1 if each is None else each.directions for each in self._skies)
         return Image(
             xyz=xyz.reshape(*shape, 3),
             mask=coverage > 0.0,
@@ -543,7 +584,7 @@ class Frame:
             error=error.reshape(shape),
             plan=replace(
                 plan,
-                lit_by=len(self._to_lights),
+                lit_by=lit_by,
                 split=split,
                 unsettled=unsettled[0],
                 unsettled_edges=unsettled[1],

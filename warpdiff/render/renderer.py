@@ -259,7 +259,7 @@ class Renderer:
 
     def _replay(self, mine: _Picture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
-        needed = (*mine.frame.launches_depend_on, *(each.illuminant for each in mine.lights))
+        needed = (*mine.frame.launches_depend_on, *(name for each in mine.lights for name in each.illuminants))
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
             return

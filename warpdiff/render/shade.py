@@ -14,13 +14,13 @@ from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.kernels import cell_levels
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import LitMaterial
-from warpdiff.planning.planner import plan_for, warn_outside
+from warpdiff.planning.planner import directions_of, plan_for, warn_outside
 from warpdiff.planning.request import Request
 from warpdiff.plans.plan import AUTOMATIC, has_table
 from warpdiff.render.frame import Frame, load_kernels
 from warpdiff.render.layers import check_layers, layers_of
 from warpdiff.scene.camera import View
-from warpdiff.scene.environment import Environment, Light, lobes_of_environment
+from warpdiff.scene.environment import Environment, Light, sky_of
 from warpdiff.scene.lights import DirectionalLight, PointLight, lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import polar_layout
@@ -142,7 +142,11 @@ def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Calla
     request = wanted.request
     picture = wanted.frame(surface, view)
     wanted.set_lights(picture, wanted.lights)
-    scope, count, sample = picture.measure_directions(request.hf, request.coherence)
+    if any(each.sky is not None for each in wanted.lights):
+        # From anywhere.
+        scope, sample, count = directions_of(request)
+    else:
+        scope, count, sample = picture.measure_directions(request.hf, request.coherence)
     if request.plan is not None:
         warn_outside(request.plan, request.hf, scope)
     found = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
@@ -219,7 +223,7 @@ class PictureRequest:
             )
         check_light_sizes(lights, request.coherence, means=blurred)
         plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
-        lit = LitMaterial.of([each.illuminant for each in lights], request.materials.values())
+        lit = LitMaterial.of([name for each in lights for name in each.illuminants], request.materials.values())
         request = replace(request, plan=plan, footprint=blurred, lit=lit)
         return cls(request, lights, pigment, shadows, smooth, samples, checks.flag(refine, "refine"))
 
@@ -245,7 +249,7 @@ class PictureRequest:
 
     def with_sizes(self, plan: Plan) -> Plan:
         """A plan whose table serves lights of a size: what no table keeps for single directions, it does for these."""
-        if plan.blurs or all(each.deviations is None for each in self.lights):
+        if plan.blurs or not any(each.has_size for each in self.lights):
             return plan
         method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
         nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
@@ -303,7 +307,7 @@ def warn_unsettled(plan: Plan) -> None:
 
 def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool) -> None:
     """Refuse lights of a size where it is the coherence's, or where pixels show no means over directions."""
-    if all(each.deviations is None for each in lights):
+    if not any(each.has_size for each in lights):
         return
     if window.kind == "source":
         raise ValueError(
@@ -335,7 +339,7 @@ def lobes_for(light: Any, request: Request) -> list[Lobe]:
                 raise ValueError(
                     f"light[{index}]: an Environment takes coherence of kind='averaged', got kind={window.kind!r}"
                 )
-            result += lobes_of_environment(each, window.sigma_um, tolerance)
+            result.append(sky_of(each, window.sigma_um, tolerance))
             continue
         if not isinstance(each, PointLight):
             checks.instance(each, DirectionalLight, f"light[{index}]")

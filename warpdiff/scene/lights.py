@@ -14,6 +14,8 @@ from warpdiff.optics.spectra import Spectrum
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from warpdiff.scene.sky_map import SkyLight
+
 # Squares of colours are float32.
 MOST_POWER = 1e12
 # Softboxes: beyond, a light is an environment.
@@ -95,6 +97,7 @@ class Lobe:
             None is a single direction.
         position: Where it is, world frame, from where its power falls off by the square of the distance; None is
             infinitely far away. ``to_light`` is then of no account.
+        sky: Light from all directions, in place of all of these; the power is 1.
     """
 
     to_light: tuple[float, float, float]
@@ -102,6 +105,17 @@ class Lobe:
     power: float
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
+    sky: SkyLight | None = None
+
+    @property
+    def illuminants(self) -> tuple[str | Spectrum, ...]:
+        """What the light consists of."""
+        return (self.illuminant,) if self.sky is None else self.sky.spectra
+
+    @property
+    def has_size(self) -> bool:
+        """Whether it is more than one direction."""
+        return self.deviations is not None or self.sky is not None
 
 
 def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:

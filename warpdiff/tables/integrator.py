@@ -9,8 +9,9 @@ import warp as wp
 from warpdiff.compute.pipeline import ELEMENTS_OF_SLICE, KernelCall, launch_pipeline
 from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
-from warpdiff.tables import coefficient_table, colour_table
+from warpdiff.tables import coefficient_table, colour_table, polar_layout
 from warpdiff.tables.footprint_taps import footprint_taps
+from warpdiff.tables.sky_table import sky_table
 
 if TYPE_CHECKING:
     from warpdiff.optics.materials import LitMaterial
@@ -40,6 +41,7 @@ class Integrator:
         self._scope, self._zeroth_order = scope, zeroth_order
         self._colours: dict[LitMaterial, Any] = {}
         self._quadratures: dict[LitMaterial, Any] = {}
+        self._sky_tables: dict[Any, Any] = {}
         self._table: coefficient_table.Table | None = None
         if plan.nodes:
             self._taps = footprint_taps(device.alias, is_lines=plan.coherence.kind == "source")
@@ -76,6 +78,19 @@ class Integrator:
         launch_pipeline(
             steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
         )
+
+    def sky_table(self, lit: tuple[tuple[LitMaterial, ...], ...], directions: int) -> Any:
+        """The struct ``SkyTable`` for so many directions, of spectra by material, made or found again."""
+        key = lit, directions
+        if key not in self._sky_tables:
+            without = Integrator(
+                self._hf, self._plan, self._scope, zeroth_order=False, device=self._device, threads=self._threads
+            )
+            lobe_uv = polar_layout.blur(self._plan.coherence) * polar_layout.MIDDLE_UM
+            self._sky_tables[key] = sky_table(
+                (self, without), lit, directions, self._hf.height_range_um, lobe_uv, device=self._device
+            )
+        return self._sky_tables[key]
 
     @property
     def slice_size(self) -> int:

@@ -1,0 +1,259 @@
+"""Colours under a sky: a sum over cells of (u, v), of each what the surface sends there times the sky that it shows.
+
+A table holds what a surface's colours are on average over a cell, by w. A cell's light comes from a direction that each
+pixel has for itself, and the sky there is taken from maps that are blurred as much as the cell and the pixel's
+footprint are wide.
+"""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, limits
+from warpdiff.kernels.bvh import FAR, occluded
+from warpdiff.kernels.scattering import Lights, Reflection, transmittance
+from warpdiff.kernels.structs import Footprint, Pixels
+
+wp.set_module_options(compile_options.options())
+
+# Whether light comes is asked in the directions of an octahedral map of so many texels a side, a bit each, and is
+# linear between them.
+_SIDE = 16
+_WORDS = _SIDE * _SIDE // 32
+open_t = wp.types.vector(length=_WORDS, dtype=wp.uint32)
+
+
+@wp.struct
+class SkyMap:
+    """Light from all directions, on octahedral maps that are blurred more and more, with a texel more on each side."""
+
+    texels: wp.array(dtype=wp.vec3f)  # by spectrum; level after level, row after row
+    firsts: wp.array(dtype=wp.int32)  # where each level begins
+    sides: wp.array(dtype=wp.int32)  # texels along a side of each level, without those beyond it
+    variance: wp.float32  # that the first level is blurred by [rad²]; the next ones by four times as much each
+    whites: wp.mat33f  # of what the pigment sends back under each spectrum, linear RGB in rows
+
+
+@wp.struct
+class SkyTable:
+    """What a surface sends from cells of (u, v), as Gaussians, by material, cell and w."""
+
+    cells: wp.array(dtype=wp.vec4f)  # u, v, deviation, area; the first one is the zeroth order
+    rows: wp.array(dtype=wp.mat33f)  # XYZ in rows, by spectrum
+    entries: wp.int32  # of w, from 0 to 2
+
+
+@wp.func
+def on_octahedron(along: wp.vec3f) -> wp.vec2f:
+    """Where a direction lies on the map, from 0 to 1 both ways; +y is in the middle."""
+    per_size = 1.0 / (wp.abs(along[0]) + wp.abs(along[1]) + wp.abs(along[2]))
+    x = along[0] * per_size
+    z = along[2] * per_size
+    if along[1] < 0.0:
+        folded = (1.0 - wp.abs(z)) * wp.sign(x)
+        z = (1.0 - wp.abs(x)) * wp.sign(z)
+        x = folded
+    return wp.vec2f(0.5 * x + 0.5, 0.5 * z + 0.5)
+
+
+@wp.func
+def direction_at(x: wp.float32, z: wp.float32) -> wp.vec3f:
+    """The unit vector that lies there."""
+    p = 2.0 * x - 1.0
+    q = 2.0 * z - 1.0
+    up = 1.0 - wp.abs(p) - wp.abs(q)
+    if up < 0.0:
+        folded = (1.0 - wp.abs(q)) * wp.sign(p)
+        q = (1.0 - wp.abs(p)) * wp.sign(q)
+        p = folded
+    return wp.normalize(wp.vec3f(p, up, q))
+
+
+@wp.func
+def on_level(sky: SkyMap, level: wp.int32, place: wp.vec2f) -> wp.vec3f:
+    """Radiance on one level, linear between texels."""
+    side = sky.sides[level]
+    x = place[0] * wp.float32(side) + 0.5
+    z = place[1] * wp.float32(side) + 0.5
+    column = wp.clamp(wp.int32(x), 0, side)
+    row = wp.clamp(wp.int32(z), 0, side)
+    s = x - wp.float32(column)
+    t = z - wp.float32(row)
+    at = sky.firsts[level] + row * (side + 2) + column
+    below = at + side + 2
+    upper = (1.0 - s) * sky.texels[at] + s * sky.texels[at + 1]
+    return (1.0 - t) * upper + t * ((1.0 - s) * sky.texels[below] + s * sky.texels[below + 1])
+
+
+@wp.func
+def radiance_at(sky: SkyMap, place: wp.vec2f, variance: wp.float32) -> wp.vec3f:
+    """Radiance, blurred by a variance."""
+    last = sky.sides.shape[0] - 1
+    level = wp.clamp(0.5 * wp.log2(wp.max(variance, 1.0e-12) / sky.variance), 0.0, wp.float32(last))
+    first = wp.min(wp.int32(level), last - 1)
+    t = level - wp.float32(first)
+    return (1.0 - t) * on_level(sky, first, place) + t * on_level(sky, first + 1, place)
+
+
+@wp.func
+def is_open(seen: open_t, column: wp.int32, row: wp.int32) -> wp.float32:
+    """1 where light comes from a texel, which may lie one beyond the map: it is folded back there."""
+    x = column
+    z = row
+    if x < 0 or x >= wp.static(_SIDE):
+        x = wp.clamp(x, 0, wp.static(_SIDE - 1))
+        z = wp.static(_SIDE - 1) - z
+    if z < 0 or z >= wp.static(_SIDE):
+        z = wp.clamp(z, 0, wp.static(_SIDE - 1))
+        x = wp.static(_SIDE - 1) - x
+    texel = z * wp.static(_SIDE) + x
+    bit = (seen[texel // 32] >> wp.uint32(texel % 32)) & wp.uint32(1)
+    return wp.float32(bit)
+
+
+@wp.func
+def share_open(seen: open_t, place: wp.vec2f) -> wp.float32:
+    """The share of light that comes from there."""
+    x = place[0] * wp.static(float(_SIDE)) - 0.5
+    z = place[1] * wp.static(float(_SIDE)) - 0.5
+    column = wp.int32(wp.floor(x))
+    row = wp.int32(wp.floor(z))
+    s = x - wp.float32(column)
+    t = z - wp.float32(row)
+    upper = (1.0 - s) * is_open(seen, column, row) + s * is_open(seen, column + 1, row)
+    lower = (1.0 - s) * is_open(seen, column, row + 1) + s * is_open(seen, column + 1, row + 1)
+    return (1.0 - t) * upper + t * lower
+
+
+@wp.kernel
+def mirror_directions(
+    # In:
+    pixels: Pixels,
+    counted: wp.float64,
+    begins: wp.bool,
+    resets: wp.bool,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    deflections_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+    xyz_out: wp.array(dtype=wp.vec3f),
+    coverage_out: wp.array(dtype=wp.float64),
+    lit_out: wp.array(dtype=wp.bool),
+):
+    """What ``scattering_vectors`` finds of pixels, for light that comes by way of a mirror, and gains of 1."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        deflection = wp.vec3d()
+        to_light = wp.vec3f()
+        gain = wp.float32(0.0)
+        if pixels.hit[i] != 0:
+            view = pixels.to_view[i]
+            cosine = wp.dot(pixels.normal[i], view)
+            deflection[2] = -wp.float64(2.0) * wp.float64(cosine)
+            to_light = wp.vec3f(-wp.dot(pixels.tangent[i], view), -wp.dot(pixels.bitangent[i], view), cosine)
+            gain = wp.float32(1.0)
+        deflections_out[i] = deflection
+        to_lights_out[i] = to_light
+        gains_out[i] = gain
+        if coverage_out.shape[0] > 0:
+            if resets:
+                xyz_out[i] = wp.vec3f()
+            if begins:
+                coverage_out[i] = wp.float64(0.0)
+                lit_out[i] = False
+            coverage_out[i] = coverage_out[i] + wp.where(gain > 0.0, counted, wp.float64(0.0))
+            lit_out[i] = lit_out[i] or gain > 0.0
+
+
+@wp.kernel
+def add_sky(
+    # In:
+    sky: SkyMap,
+    table: SkyTable,
+    pixels: Pixels,
+    gains: wp.array(dtype=wp.float32),
+    footprints: wp.array(dtype=Footprint),
+    lights: Lights,
+    light_index: wp.int32,
+    reflection: Reflection,
+    mesh_id: wp.uint64,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    hidden_out: wp.array(dtype=wp.bool),
+    xyz_out: wp.array(dtype=wp.vec3f),
+):
+    """Add the sky's colours to those of pixels whose gain is not 0.
+
+    ``hidden_out`` is set where the mesh hides any part of the sky; empty is that it hides none.
+    """
+    thread, _ = wp.tid()
+    cells = table.cells.shape[0]
+    shadows = hidden_out.shape[0] > 0
+    beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
+    pigment = wp.float32(lights.strengths[light_index][1])
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if shadows:
+            hidden_out[i] = False
+        if gains[i] == 0.0:
+            continue
+        tangent = pixels.tangent[i]
+        bitangent = pixels.bitangent[i]
+        normal = pixels.normal[i]
+        to_view = pixels.to_view[i]
+        view = wp.normalize(wp.vec3f(wp.dot(tangent, to_view), wp.dot(bitangent, to_view), wp.dot(normal, to_view)))
+        given = footprints[i]
+        footprint = 0.5 * wp.dot(given, given)
+        material = wp.int32(0)
+        if reflection.materials.shape[0] > 0:
+            material = reflection.materials[pixels.face[i]]
+        seen = open_t()
+        if shadows:
+            for texel in range(wp.static(_SIDE * _SIDE)):
+                along = direction_at(
+                    (wp.float32(texel % wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
+                    (wp.float32(texel // wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
+                )
+                # Below the horizon, where no light comes from, texels are beside others that count.
+                if wp.dot(along, normal) > 0.0 and occluded(mesh_id, pixels.shadow_origin[i], along, FAR):
+                    hidden_out[i] = True
+                else:
+                    seen[texel // 32] = seen[texel // 32] | (wp.uint32(1) << wp.uint32(texel % 32))
+        colour = wp.vec3f()
+        below = wp.mat33f()
+        for cell in range(cells):
+            place = table.cells[cell]
+            x = -(place[0] + view[0])
+            y = -(place[1] + view[1])
+            z2 = 1.0 - x * x - y * y
+            if z2 < wp.static(float(limits.HORIZON) + 1.0e-6):
+                continue
+            z = wp.sqrt(z2)
+            w = z + view[2]
+            towards = on_octahedron(x * tangent + y * bitangent + z * normal)
+            light = place[3] * radiance_at(sky, towards, (place[2] * place[2] + footprint) / wp.max(z, 0.1))
+            if shadows:
+                light = light * share_open(seen, towards)
+            # The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv.
+            overlap = 0.5 * (place[0] * place[0] + place[1] * place[1] + w * w)
+            cosine = wp.sqrt(0.5 * overlap)
+            gain = overlap * overlap / (w * w * view[2] * z)
+            if reflection.masking:
+                gain *= wp.min(wp.min(z, view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
+            rest = 1.0 - wp.min(cosine, 1.0)
+            gain *= 1.0 + beyond_normal * rest * rest * rest * rest * rest
+            entry = 0.5 * w * wp.float32(table.entries - 1)
+            before = wp.min(wp.int32(entry), table.entries - 2)
+            t = entry - wp.float32(before)
+            at = (material * cells + cell) * table.entries + before
+            colour += ((gain * (1.0 - t)) * table.rows[at] + (gain * t) * table.rows[at + 1]) * light
+            if pigment > 0.0 and cell > 0:
+                below += wp.outer(light, transmittance(reflection, material, z))
+        if pigment > 0.0:
+            base = wp.cw_mul(pixels.base_colour[i], transmittance(reflection, material, view[2]))
+            rgb = wp.vec3f()
+            for spectrum in range(3):
+                for channel in range(3):
+                    rgb[channel] = rgb[channel] + below[spectrum, channel] * sky.whites[spectrum, channel]
+            colour += wp.vec3f(lights.rgb_to_xyz * wp.vec3d(pigment * wp.cw_mul(base, rgb)))
+        xyz_out[i] = xyz_out[i] + colour

@@ -1,0 +1,140 @@
+"""Skies as kernels take them: octahedral maps, blurred more and more, in three spectra that add up to any RGB."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.spectra import Spectrum
+
+# Rows of the grid of directions that is blurred: 0.7°. The first level is blurred by so much [rad], each next one by
+# twice as much; grids of a level have steps of half its blur at most, and maps texels as wide as it, but for the last.
+_ROWS, _FIRST_BLUR, _LEVELS = 256, 0.0125, 7
+_STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 288, 12
+_TURNS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class SkyLight:
+    """A sky as a light.
+
+    Attributes:
+        spectra: Three illuminants, of which any colour is a sum.
+        texels: Power per solid angle by spectrum, (n, 3), level after level: those of a map, with a texel more on each
+            side of it, row by row.
+        sides: Texels along a side of each level's map, without these.
+        blur: What the first level is blurred by [rad]; each next one by twice as much.
+        directions: From how many a pixel's colour is summed.
+    """
+
+    spectra: tuple[Spectrum, Spectrum, Spectrum]
+    texels: NDArray[np.float32]
+    sides: tuple[int, ...]
+    blur: float
+    directions: int
+
+
+def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Values of a grid over latitude and longitude in directions, linear between its points."""
+    height, width = grid.shape[:2]
+    polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
+    row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
+    column = ((np.arctan2(along[..., 0], -along[..., 2]) + turn) / (2.0 * math.pi) + 0.5) * width - 0.5
+    top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    left, beside = left % width, (left + 1) % width
+    upper = (1.0 - right) * grid[top, left] + right * grid[top, beside]
+    lower = (1.0 - right) * grid[top + 1, left] + right * grid[top + 1, beside]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def blurred_maps(radiance: NDArray[np.float32], turn: float) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
+    """Texels, sides and the first blur of a :class:`SkyLight`, of RGB over latitude and longitude."""
+    grid, before = _on_grid(radiance), 0.0
+    texels, sides = [], []
+    for level in range(_LEVELS):
+        blur = _FIRST_BLUR * 2.0**level
+        while grid.shape[0] * blur >= 2.0 * _STEPS_A_BLUR * math.pi:
+            grid = _halved(grid)
+        grid = _blurred(grid, math.sqrt(blur**2 - before**2))
+        before = blur
+        side = max(_LARGEST_SIDE >> level, _SMALLEST_SIDE)
+        texels.append(linear(grid, _directions(side), turn).reshape(-1, 3))
+        sides.append(side)
+    return np.concatenate(texels).astype(np.float32), tuple(sides), _FIRST_BLUR
+
+
+def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Means of the radiance over the cells of a grid of the same directions, (_ROWS, 2 _ROWS, 3)."""
+    result = radiance.astype(np.float64)
+    for axis, count in enumerate((_ROWS, 2 * _ROWS)):
+        given = np.linspace(0.0, 1.0, result.shape[axis] + 1)
+        wanted = np.linspace(0.0, 1.0, count + 1)
+        if axis == 0:
+            # By solid angle.
+            given, wanted = (0.5 - 0.5 * np.cos(math.pi * each) for each in (given, wanted))
+        result = np.moveaxis(result, axis, 0)
+        sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(given)[:, None, None], 0)])
+        place = np.interp(wanted, given, np.arange(len(given)))
+        first = np.minimum(place.astype(int), len(given) - 2)
+        sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
+        result = np.moveaxis(np.diff(sums, axis=0) / np.diff(wanted)[:, None, None], 0, axis)
+    return result
+
+
+def _halved(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A grid of half as many rows and columns, by solid angle."""
+    solid = -np.diff(np.cos(np.arange(len(grid) + 1) / len(grid) * math.pi))[:, None, None]
+    rows = (grid * solid)[::2] + (grid * solid)[1::2]
+    rows /= solid[::2] + solid[1::2]
+    return np.asarray(0.5 * (rows[:, ::2] + rows[:, 1::2]))
+
+
+def _blurred(grid: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+    """A grid blurred on the sphere: along circles of latitude, then along meridians, across the poles.
+
+    Weights along meridians are scaled from both sides (Sinkhorn), so that the blur keeps means and the whole power.
+    """
+    height, width = grid.shape[:2]
+    polar = (np.arange(height) + 0.5) / height * math.pi
+    level = np.sin(polar)
+    order = np.arange(width // 2 + 1)
+    waves = np.fft.rfft(grid, axis=1)
+    waves *= np.exp(-0.5 * (order * blur / level[:, None]) ** 2)[:, :, None]
+
+    def gaussian(away: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.exp(-0.5 * (away / blur) ** 2)
+
+    near = gaussian(polar[:, None] - polar) * level
+    over = (gaussian(polar[:, None] + polar) + gaussian(2.0 * math.pi - polar[:, None] - polar)) * level
+    scale = np.ones(height)
+    for _ in range(_TURNS):
+        scale = np.sqrt(scale / ((near + over) @ scale))
+    result = np.empty_like(waves)
+    for odd in (0, 1):
+        # What has gone over a pole is half a turn further.
+        weights = scale[:, None] * (near + (-1.0) ** odd * over) * scale
+        some = np.ascontiguousarray(waves[:, odd::2]).reshape(height, -1)
+        result[:, odd::2] = (weights @ some.real + 1j * (weights @ some.imag)).reshape(height, -1, 3)
+    return np.asarray(np.fft.irfft(result, width, axis=1))
+
+
+def _directions(side: int) -> NDArray[np.float64]:
+    """Unit vectors to the texels of an octahedral map and to those beyond its sides, (side + 2, side + 2, 3)."""
+    place = (2.0 * np.arange(-1, side + 1) + 1.0) / side - 1.0
+    q, p = np.meshgrid(place, place, indexing="ij")
+    # Beyond a side the map goes on at the same side, the other way round.
+    for _ in range(2):
+        beyond = np.abs(p) > 1.0
+        p, q = np.where(beyond, np.sign(p) * 2.0 - p, p), np.where(beyond, -q, q)
+        p, q = q, p
+    up = 1.0 - np.abs(p) - np.abs(q)
+    folded = (1.0 - np.abs(q)) * np.sign(p), (1.0 - np.abs(p)) * np.sign(q)
+    along = np.stack([np.where(up < 0.0, folded[0], p), up, np.where(up < 0.0, folded[1], q)], axis=-1)
+    return np.asarray(along / np.linalg.norm(along, axis=-1, keepdims=True))

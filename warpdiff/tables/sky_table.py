@@ -1,0 +1,156 @@
+"""Tables of what a surface sends from cells of (u, v): means over Gaussians that together are even, by w."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from scipy.special import ive
+
+from warpdiff.core import free_memory
+from warpdiff.kernels import sky_light
+from warpdiff.kernels.structs import Footprint
+from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.materials import LitMaterial
+    from warpdiff.tables.integrator import Integrator
+
+# Distances of cells: near the mirror direction such a share of what they are per |(u, v)| further out; deviations of
+# their Gaussians over their distance, which leave ripples of 1.4 %; how far out they lie.
+_NEAR, _WIDTH, _FARTHEST = 0.1, 0.5, 2.05
+# Squares of phases from entry to entry of w: a chord errs by an eighth of that. Entries of w, at least and at most.
+_MOST_PHASE2, _FEWEST_ENTRIES, _MOST_ENTRIES = 0.025, 24, 256
+_LEAST_W = 1e-3
+# Deviation of a footprint that holds all of the zeroth order's lobe.
+_WIDE = 0.5
+_BYTES_A_ROW = 180.0
+
+
+def sky_table(
+    integrators: tuple[Integrator, Integrator],
+    lit: Sequence[Sequence[LitMaterial]],
+    directions: int,
+    height_range_um: float,
+    lobe_uv: float,
+    *,
+    device: wp.Device,
+) -> Any:
+    """The struct ``SkyTable`` of a surface.
+
+    Each row is a look-up over a footprint that is the cell.
+
+    Args:
+        integrators: With and without the zeroth order, which has a cell of its own, the first one: its lobe is narrower
+            than others.
+        lit: Spectra by material.
+        directions: So many cells at most.
+        height_range_um: Of the height field [µm].
+        lobe_uv: The deviation of the zeroth order's lobe.
+        device: Where.
+    """
+    places, footprints = cells(directions)
+    phase = 2.0 * math.pi * height_range_um * 2e3 / LAMBDA_MIN_NM
+    entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
+    count = len(places) + 1
+    free_memory.require(
+        _BYTES_A_ROW * count * entries * len(lit), f"light: an Environment of {directions} directions",
+        "give {share} of them",
+    )  # fmt: skip
+    look_up = functools.partial(_looked_up, lit=lit, entries=entries, device=device)
+    wide = np.zeros((1, 4), dtype=np.float32), np.diag([_WIDE, _WIDE]).reshape(1, 4)
+    with_all, without = (look_up(each, *wide) for each in integrators)
+    mirror = 2.0 * math.pi * _WIDE**2 * (with_all - without)
+    rows = np.concatenate([mirror, look_up(integrators[1], places, footprints)], axis=1)
+    result = sky_light.SkyTable()
+    of_all = np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], places])
+    result.cells = wp.array(of_all, dtype=wp.vec4f, device=device)
+    result.rows = wp.array(rows.reshape(-1, 3, 3), dtype=wp.mat33f, device=device)
+    result.entries = entries
+    return result
+
+
+def _looked_up(
+    integrator: Integrator,
+    places: NDArray[np.float32],
+    footprints: NDArray[Any],
+    *,
+    lit: Sequence[Sequence[LitMaterial]],
+    entries: int,
+    device: wp.Device,
+) -> NDArray[np.float32]:
+    """Mean XYZ over cells at all entries of w, (materials, cells, entries, 3, spectra)."""
+    deflections = np.empty((len(places), entries, 3))
+    deflections[:, :, :2] = places[:, None, :2]
+    deflections[:, :, 2] = -np.maximum(np.linspace(0.0, 2.0, entries), _LEAST_W)
+    count = len(places) * entries
+    seen = wp.array(np.repeat(footprints, entries, axis=0), dtype=Footprint, device=device)
+    asked = wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device=device)
+    to_lights = wp.zeros(count, dtype=wp.vec3f, device=device)
+    gains = wp.full(count, 1.0, dtype=wp.float32, device=device)
+    result = np.empty((len(lit), len(places), entries, 3, len(lit[0])), dtype=np.float32)
+    for material, spectra in enumerate(lit):
+        for spectrum, each in enumerate(spectra):
+            colours = wp.zeros(count, dtype=wp.vec3f, device=device)
+            integrator.add(asked, to_lights, gains, each, colours, footprints=seen)
+            result[material, ..., spectrum] = colours.numpy().reshape(len(places), entries, 3)
+    return result
+
+
+@functools.lru_cache(maxsize=16)
+def cells(most: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """At most so many cells, (u, v), deviation and area, (n, 4), and their footprints, (n, 4).
+
+    They lie on rings, as far apart as these: the same near the mirror direction, and further out in proportion to
+    |(u, v)|, as orders are. Areas are such that the Gaussians are even together (least squares).
+    """
+    spread, low, high = 0.0, math.log(0.01), math.log(3.0)
+    for _ in range(30):
+        spread = 0.5 * (low + high)
+        fits = sum(_rings(math.exp(spread))[1]) <= most
+        low, high = (low, spread) if fits else (spread, high)
+    radii, counts, distances = (np.array(each) for each in _rings(math.exp(high)))
+    deviations = _WIDTH * distances
+    nominal = 2.0 * math.pi * radii * distances / counts
+    nominal[0] = math.pi * distances[0] ** 2 / 4.0
+    # Means over azimuth of the Gaussians of each ring.
+    at = np.concatenate([np.linspace(0.0, radii[3], 60), np.geomspace(radii[3], radii[-2], 12 * len(radii))])[:, None]
+    means = ive(0, at * radii / deviations**2) * np.exp(-0.5 * ((at - radii) / deviations) ** 2)
+    means *= counts * nominal / (2.0 * math.pi * deviations**2)
+    held = 1e-2 * np.eye(len(radii))
+    wanted = np.concatenate([np.ones(len(at)), held.sum(axis=1)])
+    areas = nominal * np.linalg.lstsq(np.concatenate([means, held]), wanted, rcond=None)[0]
+    places, footprints = [], []
+    for ring, (radius, number, deviation) in enumerate(zip(radii, counts, deviations, strict=True)):
+        angle = (np.arange(number) + 0.5 * (ring % 2)) * 2.0 * math.pi / number
+        cosine, sine = np.cos(angle), np.sin(angle)
+        alike = np.ones(number)
+        places.append(np.stack([radius * cosine, radius * sine, deviation * alike, areas[ring] * alike], axis=-1))
+        footprints.append(deviation * np.stack([cosine, sine, -sine, cosine], axis=-1))
+    result = np.concatenate(places).astype(np.float32), np.concatenate(footprints).astype(np.float32)
+    for each in result:
+        each.setflags(write=False)
+    return result
+
+
+def _rings(spread: float) -> tuple[list[float], list[int], list[float]]:
+    """Radii of rings, how many cells lie on each, and how far apart."""
+    radii, counts, distances = [0.0], [1], [_NEAR * spread]
+
+    def distance(radius: float) -> float:
+        return spread * math.hypot(_NEAR, radius)
+
+    while radii[-1] < _FARTHEST:
+        last = radii[-1]
+        radius = last + distance(last + 0.5 * distance(last))
+        radii.append(radius)
+        distances.append(distance(radius))
+        counts.append(max(round(2.0 * math.pi * radius / distances[-1]), 1))
+    return radii, counts, distances
