@@ -223,6 +223,19 @@ def rank_of(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
     return result
 
 
+@wp.func
+def levels_around(given: Shares, row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2i:
+    """The least and the largest level of a pixel's nine parts, its own and those of the pixels around."""
+    least = wp.int32(cell_levels.MOST_LEVEL)
+    most = wp.int32(0)
+    for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
+        for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
+            level = wp.int32(given.levels[rank_of(given.ranks, (row + line - 1) * width + column + side - 1)])
+            least = wp.min(least, level)
+            most = wp.max(most, level)
+    return wp.vec2i(least, most)
+
+
 @wp.kernel
 def resolve_pixels(
     # In:
@@ -279,14 +292,8 @@ def resolve_pixels(
         column = pixel % width
         # Pixels that are split unequally leave edges between them as they are if each counts for what the filter has
         # there; alike, they are the filter together, and closer to it by themselves.
-        least = wp.int32(cell_levels.MOST_LEVEL)
-        most = wp.int32(0)
-        for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
-            for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
-                there = rank_of(given.ranks, (row + line - 1) * width + column + side - 1)
-                least = wp.min(least, wp.int32(given.levels[there]))
-                most = wp.max(most, wp.int32(given.levels[there]))
-        if most < level:
+        levels = levels_around(given, row, column, width, height)
+        if levels[1] < level:
             # None of its parts still changes by much.
             wanted_out[pixel] = SETTLED
             continue
@@ -304,7 +311,7 @@ def resolve_pixels(
                 square += change * change
                 if of_level < level:
                     rest += change
-                if least == most:
+                if levels[0] == levels[1]:
                     weight += share / per_weight
                     total += given.shares[there, 3 * line + side]
                 else:

@@ -45,6 +45,7 @@ KERNELS = {
         "turn_footprints",
         "widen_footprints",
     },
+    "sky_light": {"add_sky", "mirror_directions"},
     "adaptive": {"accumulate", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
     "spectral_sum": {"integrate", "sample"},
     "work_queues": {"count_up", "find_floor", "go_on", "keep_larger", "list_up", "mark_around", "take", "tally"},

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from scipy.special import ive
 
 from warpdiff.core import free_memory
 from warpdiff.kernels import sky_light
@@ -111,6 +110,8 @@ def cells(most: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     They lie on rings, as far apart as these: the same near the mirror direction, and further out in proportion to
     |(u, v)|, as orders are. Areas are such that the Gaussians are even together (least squares).
     """
+    from scipy.special import ive
+
     spread, low, high = 0.0, math.log(0.01), math.log(3.0)
     for _ in range(30):
         spread = 0.5 * (low + high)
