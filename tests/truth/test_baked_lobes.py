@@ -245,3 +245,5 @@ def test_what_cannot_be_baked_is_refused():
         wd.bake_spectrum(sine, coherence=wd.Coherence("source"))
     with pytest.raises(ValueError, match=r"tolerance must be a finite number >= 0\.2"):
         wd.bake(sine, tolerance=0.01)
+    with pytest.raises(ValueError, match=r"coherence takes [0-9,]+ wavelengths a colour, .* σ = 1000 µm: take one"):
+        wd.bake(sine, coherence=wd.Coherence(sigma_um=1000.0))

@@ -41,8 +41,8 @@ _BLUE_UM = 0.43
 # Of the tolerance, what functions of w may leave out, and, in relative errors of XYZ for one of ΔE2000, what the table
 # of colours may that is sampled.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# So many colours are sampled as a rule.
-_LOOK_UPS = 3e6
+# So many colours are sampled as a rule, for as long as this at most [s of a core].
+_LOOK_UPS, _MOST_S = 3e6, 60.0
 # Below, both light and view graze, and colours go on as w².
 _SMALLEST_W = 0.06
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
@@ -125,6 +125,12 @@ class _Bakery:
         self._request, self._illuminant, self._tolerance = request, illuminant, tolerance
         scope, sample, _ = directions_of(request)
         plan = plan_for(request, scope, sample, _LOOK_UPS)
+        seconds = 1e-6 * plan.microseconds * _LOOK_UPS
+        if seconds > _MOST_S:
+            raise ValueError(
+                f"coherence takes {plan.wavelengths:,} wavelengths a colour, some {seconds:,.0f} s of a core in all, "
+                f"with the {request.coherence}: take one over shorter distances"
+            )
         self._integrator = Integrator(
             request.hf, plan, scope, zeroth_order=False, device=request.device, threads=request.threads
         )
