@@ -109,11 +109,12 @@ def test_another_place_in_a_picture_that_stands_is_told_without_drawing_it_again
         assert told["at"][1] > before["at"][1] + 0.04
 
 
-def test_a_picture_that_is_out_of_date_is_abandoned(studio, monkeypatch):
+def held_up(held):
+    """A way to draw that is held up in the first refined picture until it is abandoned, and where it says so."""
     draw, begun = wd.Renderer.draw, queue.Queue()
 
     def slow(self, light, view, *, progress, coarser=None):
-        if self._wanted.refine and view.width == 60 and not begun.qsize():
+        if self._wanted.refine and held(view) and not begun.qsize():
             begun.put(view)
             give_up = time.monotonic() + WAIT_S
             while time.monotonic() < give_up:
@@ -121,6 +122,11 @@ def test_a_picture_that_is_out_of_date_is_abandoned(studio, monkeypatch):
                 time.sleep(0.001)
         return draw(self, light, view, progress=progress, coarser=coarser)
 
+    return slow, begun
+
+
+def test_a_picture_that_is_out_of_date_is_abandoned(studio, monkeypatch):
+    slow, begun = held_up(lambda view: view.width == 60)
     with Page(studio) as page:
         studio.want(page.session, wanted(1))
         page.until(is_last)
@@ -163,17 +169,7 @@ def test_an_error_is_told_and_ends_nothing(studio):
 
 
 def test_a_page_s_first_picture_does_not_wait_for_the_finest_of_another(studio, monkeypatch):
-    draw, begun = wd.Renderer.draw, queue.Queue()
-
-    def slow(self, light, view, *, progress, coarser=None):
-        if self._wanted.refine and not begun.qsize():
-            begun.put(view)
-            give_up = time.monotonic() + WAIT_S
-            while time.monotonic() < give_up:
-                progress(0.5)
-                time.sleep(0.001)
-        return draw(self, light, view, progress=progress, coarser=coarser)
-
+    slow, begun = held_up(lambda _: True)
     with Page(studio) as page, Page(studio) as other:
         monkeypatch.setattr(wd.Renderer, "draw", slow)
         studio.want(page.session, wanted(1))

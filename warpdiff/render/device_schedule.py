@@ -56,8 +56,13 @@ class DeviceSchedule:
     def _launch_step(self, step: KernelCall) -> None:
         launch_pipeline([step], self._pixels, **self._options)
 
-    def split(self, light: LightRefinement, _progress: Callable[[float], None] | None) -> None:
-        """Launch what splits pixels until none is left."""
+    def split(
+        self,
+        light: LightRefinement,
+        _progress: Callable[[float], None] | None,
+        _coarser: Sequence[tuple[float, Callable[[], None]]],
+    ) -> None:
+        """Launch what splits pixels until none is left; nobody is told of what is on the way."""
         self._find_floor(light.colours, light.frame.seen.gains)
         self._found.zero_()
         self._launch_step(light.estimate_errors(self._floor, self._wanted))

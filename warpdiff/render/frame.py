@@ -399,10 +399,7 @@ class Frame:
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._scheduled(light)
-            if isinstance(self._schedule, HostSchedule):
-                self._schedule.split(light, rest, coarser)
-            else:
-                self._schedule.split(light, rest)
+            self._schedule.split(light, rest, coarser)
             if rest is not None:
                 rest(1.0)
             if several:
@@ -572,9 +569,11 @@ class Frame:
         found = 0 if self._schedule is None else self._schedule.count
         # Where only cells may meet the mesh, pixels are split that do not.
         split = min(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
-        edges = self._edges.numpy() if self._refined else np.zeros(len(lit), dtype=np.bool_)
-        bounds = ((lit & ~edges, plan.tolerance), (lit & edges, EDGES_PER_TOLERANCE * plan.tolerance))
-        unsettled = [share_beyond(error[each], bound) if self._refined else 0.0 for each, bound in bounds]
+        inside, at_edges = 0.0, 0.0
+        if self._refined:
+            edges = self._edges.numpy()
+            inside = share_beyond(error[lit & ~edges], plan.tolerance)
+            at_edges = share_beyond(error[lit & edges], EDGES_PER_TOLERANCE * plan.tolerance)
         lit_by = sum(1 if each is None else each.directions for each in self._skies)
         return Image(
             xyz=xyz.reshape(*shape, 3),
@@ -586,8 +585,8 @@ class Frame:
                 plan,
                 lit_by=lit_by,
                 split=split,
-                unsettled=unsettled[0],
-                unsettled_edges=unsettled[1],
+                unsettled=inside,
+                unsettled_edges=at_edges,
                 errors=(told[0], told[1]),
             ),
         )

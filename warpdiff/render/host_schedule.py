@@ -46,7 +46,7 @@ class HostSchedule:
         self,
         light: LightRefinement,
         progress: Callable[[float], None] | None,
-        coarser: Sequence[tuple[float, Callable[[], None]]] = (),
+        coarser: Sequence[tuple[float, Callable[[], None]]],
     ) -> None:
         """Split pixels until none is left that is to be.
 

@@ -22,7 +22,7 @@ MOST_POWER = 1e12
 _WIDEST_DEG = 60.0
 # A light up to this wide is one Gaussian; of a wider one there are lobes of so much of it each, up to so many, and each
 # is as wide as is even between them: a deviation of so many radii of its part.
-_ONE_LOBE_DEG, _LOBE_DEG, _MOST_LOBES, _LOBE_WIDTH = 5.0, 2.5, 128, 0.9
+ONE_LOBE_DEG, _LOBE_DEG, _MOST_LOBES, _LOBE_WIDTH = 5.0, 2.5, 128, 0.9
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -129,7 +129,7 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     radius = math.radians(light.angular_diameter_deg / 2.0)
     if radius == 0.0:
         return [Lobe(light.to_light, light.illuminant, light.power)]
-    if light.angular_diameter_deg <= _ONE_LOBE_DEG:
+    if light.angular_diameter_deg <= ONE_LOBE_DEG:
         return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0 * _aside(np.asarray(light.to_light)))]
     count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
     spread = _LOBE_WIDTH * radius / math.sqrt(count)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, KINDS
 from warpdiff.plans.plan import METHODS
+from warpdiff.scene.lights import ONE_LOBE_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -138,7 +139,7 @@ def controls(meshes: Sequence[str] = (), heights: Sequence[str] = ()) -> dict[st
         _number("distance", "distance from the body's centre", light, 2.0, 1.1, 20.0, 0.01, "its radii", ratio=True,
                 shown=(("light", ("near",)),)),
         # Wider ones are several lights.
-        _number("light_diameter_deg", "diameter", light, 0.0, 0.0, 5.0, 0.01, "°",
+        _number("light_diameter_deg", "diameter", light, 0.0, 0.0, ONE_LOBE_DEG, 0.01, "°",
                 shown=(("light", ("far",)), ("coherence", ("averaged",)))),
         _choice("illuminant", "illuminant", light, ILLUMINANTS),
         Control("shadows", "shadows", light, default=True),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import io
 import json
-import math
 import re
 from importlib import metadata, resources
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from warpdiff.core import allocations, checks, file_writing
 from warpdiff.image import display_transform
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import DirectionalLight
+from warpdiff.scene.lights import ONE_LOBE_DEG, DirectionalLight, lobes_of
 from warpdiff.scene.mesh_geometry import is_closed
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.web.packing import Arrays, octahedral, quantised
@@ -37,7 +36,7 @@ _SIZE, _FRAMES = 1024, 1024
 _WAVELENGTHS = 10
 # Of what the mean plane reflects at each of them.
 _ENTRIES_OF_W = 512
-_MOST_LIGHTS, _WIDEST_DEG = 8, 5.0
+_MOST_LIGHTS = 8
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
     "RESAMPLE": "resample.frag", "SHARPEN": "sharpen.frag", "SURFACE_VERT": "surface.vert",
@@ -117,10 +116,9 @@ def export_html(
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
             "lights": [
-                # A quarter of a disc's diameter is the deviation of its directions along either axis.
                 {"to_light": each.to_light, "power": each.power,
-                 "deviation": math.radians(each.angular_diameter_deg / 4.0)}
-                for each in lights
+                 "deviation": 0.0 if each.deviations is None else float(np.linalg.norm(each.deviations[0]))}
+                for given in lights for each in lobes_of(given)
             ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
@@ -142,7 +140,7 @@ def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight]:
         )
     for index, each in enumerate(lights):
         checks.instance(each, DirectionalLight, f"light[{index}]")
-        most = _WIDEST_DEG if lobes.coherence.kind == "averaged" else 0.0
+        most = ONE_LOBE_DEG if lobes.coherence.kind == "averaged" else 0.0
         if each.angular_diameter_deg > most:
             raise ValueError(
                 f"light[{index}].angular_diameter_deg must be at most {most:g} on a page of lobes of kind "

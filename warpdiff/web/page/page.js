@@ -423,7 +423,7 @@ function addFrame(moving) {
         gl.uniform3fv(uniforms.eye, seen.eye);
         gl.uniform3fv(uniforms.toLight, unit(light.to_light));
         gl.uniform1f(uniforms.power, light.power);
-        gl.uniform1f(uniforms.lightDeviation, light.deviation ?? 0);
+        gl.uniform1f(uniforms.lightDeviation, light.deviation);
         gl.uniform1f(uniforms.coverage, index === 0 ? 1 : 0);
         gl.uniform1f(uniforms.deviation, (moving ? 1 : OWN_SHARE) * DEVIATION);
         // Frames at rest see points of the texture.
