@@ -1,6 +1,7 @@
-"""Lights of a size and environments: pictures against many more directions, albedos, time a direction.
+"""Lights of a size and environments: pictures against sums over directions, albedos, time a direction.
 
-``--sizes`` compares lights of a size with discs of points, ``--skies`` environments with many more directions,
+``--sizes`` compares lights of a size with discs of points, ``--skies`` environments that are drawn by ``--seed`` with
+sums over at least 16 times as many directions, which share no code with them (``bench/truth/sky_sums.py``),
 ``--albedo`` an even sky with the reflectance summed over directions, ``--mitsuba`` flat gold under a sky with Mitsuba's
 path tracer (``pip install 'warpdiff[bench]'``), and ``--times`` tells frames by the number of directions.
 """
@@ -11,21 +12,22 @@ import argparse
 import math
 import sys
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
 
 import warpdiff as wd
+from warpdiff.bench import inputs
+from warpdiff.bench.studies import crops
+from warpdiff.bench.truth.sky_sums import SkySums
 from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEW = wd.View((0, 2, 4), (0, 0, 0), width=128, height=96)
-# Filled by the bodies, so that a percentile is of many pixels.
-SMALL = {
-    "tube": wd.View((0, 2, 4), (0, 0, 0), fov_y_deg=8, width=96, height=24),
-    "disc": wd.View((0, 2, 4), (0, 0, 0), fov_y_deg=25, width=56, height=32),
-}
 TOWARDS = (0.2, 0.5, 1.0)
 SURFACES = {
     "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08),
@@ -35,48 +37,70 @@ SURFACES = {
 BODIES = {"tube": wd.meshes.tube, "disc": wd.meshes.disc}
 
 
-def sky(sun: float = 0.0, height: int = 64) -> np.ndarray:
+def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth_deg: float = 1.0) -> np.ndarray:
     """A clear sky that grows whiter and brighter towards the horizon, over dark ground, with a sun of so much power."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     up = np.maximum(np.cos(polar), 0.0)[:, None, None]
     colour = np.array([0.25, 0.45, 1.0]) + (np.array([0.9, 0.95, 1.0]) - [0.25, 0.45, 1.0]) * (1.0 - up) ** 3
     radiance = np.where(np.cos(polar)[:, None, None] > 0.0, colour, [0.12, 0.1, 0.08]) * np.ones((1, 2 * height, 1))
-    solid = math.sin(polar[height // 5]) * (math.pi / height) ** 2
-    radiance[height // 5, height] += sun / solid * np.array([1.0, 0.9, 0.75])
+    row = int((90.0 - elevation_deg) / 180.0 * height)
+    solid = math.sin(polar[row]) * (math.pi / height) ** 2
+    radiance[row, int((azimuth_deg / 180.0 + 1.0) * height)] += sun / solid * np.array([1.0, 0.9, 0.75])
     return radiance
 
 
-def window(height: int = 64) -> np.ndarray:
-    """A bright window in a dark room with a paler floor."""
-    polar = (np.arange(height)[:, None] + 0.5) / height
-    azimuth = (np.arange(2 * height) + 0.5) / height
-    radiance = np.where((polar + 0.0 * azimuth > 0.8)[..., None], [0.08, 0.07, 0.05], [0.03, 0.03, 0.03])
-    is_window = (np.abs(polar - 0.42) < 0.1) & (np.abs(azimuth - 1.3) < 0.12)
-    return np.where(is_window[..., None], [2.4, 2.8, 3.2], radiance)
+def drawn_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """A grey sky by its kind: with a low or a high sun, a room with a window, overcast with a gradient."""
+    height = 128
+    azimuth_deg = rng.uniform(-180.0, 180.0)
+    if kind in ("low sun", "high sun"):
+        elevation_deg = rng.uniform(5.0, 25.0) if kind == "low sun" else rng.uniform(35.0, 75.0)
+        return sky(rng.uniform(1.0, 8.0), height, elevation_deg, azimuth_deg).mean(axis=2)
+    elevation = 90.0 - (np.arange(height)[:, None] + 0.5) * 180.0 / height
+    around = (np.arange(2 * height) + 0.5) * 180.0 / height
+    away = (around - azimuth_deg) % 360.0 - 180.0
+    if kind == "window":
+        size, middle = rng.uniform(6.0, 25.0, 2), rng.uniform(-5.0, 45.0)
+        inside = (np.abs(elevation - middle) < size[0]) & (np.abs(away) < size[1])
+        return np.where(inside, rng.uniform(1.0, 4.0), np.where(elevation < -50.0, 0.07, 0.03))
+    bright = (1.0 + 2.0 * np.sin(np.radians(np.maximum(elevation, 0.0)))) / 3.0
+    bright = bright * (1.0 + rng.uniform(0.3, 0.8) * np.cos(np.radians(away)))
+    return np.where(elevation > 0.0, bright, rng.uniform(0.05, 0.3))
 
 
-def overcast(height: int = 64) -> np.ndarray:
-    """The overcast sky of the CIE, three times as bright at the zenith, over a dark field, with one bright cloud."""
-    polar = ((np.arange(height) + 0.5) / height * math.pi)[:, None]
-    azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
-    up, level = np.cos(polar), np.sin(polar)
-    from_cloud = 1.0 - (0.5 * level * np.sin(azimuth) + 0.6 * up + 0.62 * level * np.cos(azimuth))
-    bright = np.where(up > 0.0, (1.0 + 2.0 * up) / 3.0 + 3.0 * np.exp(-from_cloud / 0.02), 0.15)
-    return np.asarray(bright[..., None] * np.array([0.95, 1.0, 1.05]))
-
-
-SKIES = {
-    "clear": sky,
-    "sun": lambda: sky(sun=6.0),
-    "window": window,
-    "overcast": overcast,
-    "even": lambda: np.ones((4, 8, 3)),
-}
-
-CASES = [
-    *("clear,tube,fingers", "window,disc,fingers", "overcast,disc,cd", "window,tube,cd", "even,tube,blazed"),
-    *("clear,tube,blazed", "sun,tube,fingers"),
-]
+def drawn_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
+    """Name, sky, body, surface, view and the deviation of the window [µm] of cases."""
+    rng = np.random.default_rng(seed)
+    scan = inputs.scan()
+    bodies: dict[str, Callable[[], Any]] = {
+        "disc": wd.meshes.disc,
+        "tube": wd.meshes.tube,
+        "low-poly snake": lambda: wd.meshes.snake(scale_rows=5, ventrals=8, segments=2),
+        "lumps": lambda: crops.lumpy(4),
+    }
+    if (bottle := inputs.folder() / "fuze.obj").is_file():
+        bodies["bottle"] = lambda: trimesh.load(bottle, force="mesh")
+    surfaces: dict[str, Callable[[], wd.HeightField]] = {
+        "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=int(rng.integers(1 << 30))),
+        "blazed": lambda: wd.gratings.blazed(rng.uniform(1.2, 4.0), rng.uniform(0.1, 0.4)),
+        "pits": lambda: wd.gratings.disc(
+            "DVD", tracks=16, length_um=12.8, pitch_um=0.06, seed=int(rng.integers(1 << 30))
+        ),
+    }
+    if scan is not None:
+        surfaces["scan"] = lambda: scan.levelled(order=2)
+    kinds = ["window", "low sun", "overcast", "window", "high sun"] * 2
+    names = [rng.permutation(list(each)) for each in (bodies, surfaces)]
+    for index, kind in enumerate(kinds):
+        body, surface = (each[index % len(each)] for each in names)
+        mesh = bodies[body]()
+        middle, radius = mesh.bounds.mean(axis=0), 0.5 * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0)))
+        towards = rng.normal(size=3)
+        towards[1], towards[2] = abs(towards[1]), abs(towards[2]) + 0.3
+        eye = middle + 5.0 * radius * towards / np.linalg.norm(towards)
+        view = wd.View(tuple(eye), tuple(middle), fov_y_deg=16.0, width=96, height=72)
+        name = f"{kind} | {body}, {surface}"
+        yield name, drawn_sky(kind, rng), mesh, surfaces[surface](), view, 16.25 if surface == "scan" else 8.0
 
 
 def disc_of_points(light: wd.DirectionalLight, count: int) -> list[wd.DirectionalLight]:
@@ -92,12 +116,10 @@ def disc_of_points(light: wd.DirectionalLight, count: int) -> list[wd.Directiona
     return [wd.DirectionalLight(tuple(each), power=1.0 / count) for each in found]
 
 
-def errors(found: wd.Image, exact: wd.Image) -> str:
-    """Median, percentiles 90 and 99 of the pixels' errors, as ``tolerance`` has them."""
-    seen = exact.lit & found.lit
-    truth = np.linalg.norm(exact.xyz[seen], axis=1)
-    floor = 1e-3 * np.percentile(exact.xyz[seen][:, 1], 99.0)
-    away = np.linalg.norm(found.xyz[seen] - exact.xyz[seen], axis=1) / np.maximum(truth, floor)
+def errors(found: np.ndarray, exact: np.ndarray) -> str:
+    """Median, percentiles 90 and 99 of the errors of colours (n, 3), as ``tolerance`` has them."""
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    away = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
     return " | ".join(f"{100.0 * value:.1f} %" for value in np.percentile(away, [50.0, 90.0, 99.0]))
 
 
@@ -112,26 +134,31 @@ def sizes(points: int) -> None:
                 hf = grating()
                 exact = wd.shade(make(), hf, disc_of_points(light, points), VIEW, coherence=WINDOW, **options)
                 found = wd.shade(make(), hf, light, VIEW, plan=exact.plan, **options)
-                print(f"| {degrees:g}° | {name}, {surface} | {errors(found, exact)} |", flush=True)
+                seen = exact.lit & found.lit
+                print(f"| {degrees:g}° | {name}, {surface} | {errors(found.xyz[seen], exact.xyz[seen])} |", flush=True)
 
 
-def skies(cases: list[str], counts: list[int], most: int) -> None:
-    """Print errors of environments against those of the most directions; a case is sky,body,surface."""
-    print("| sky | body, surface | directions | against | median | P90 | P99 |\n" + "| --- " * 7 + "|")
-    for case in cases:
-        named, name, surface = case.split(",")
-        radiance = SKIES[named]()
-        many = wd.Environment(radiance, directions=most)
-        renderer = wd.Renderer(
-            BODIES[name](), SURFACES[surface](), many, SMALL[name], tolerance=3e-2, pigment=0.0, refine=False,
-            coherence=WINDOW,
-        )  # fmt: skip
-        exact = renderer.image()
-        for count in counts:
-            renderer.draw(wd.Environment(radiance, directions=count))
-            found = renderer.image()
-            told = f"{found.plan.lit_by} | {exact.plan.lit_by} | {errors(found, exact)}"
-            print(f"| {named} | {name}, {surface} | {told} |", flush=True)
+def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
+    """Print errors of environments against sums over directions, of ``across``² rays a pixel, for so many pixels."""
+    rng = np.random.default_rng(seed + 1)
+    print("| sky | body, surface | pixels | by | median | P90 | P99 |\n" + "| --- " * 7 + "|")
+    for name, grey, mesh, hf, view, sigma_um in drawn_cases(seed):
+        window = wd.Coherence(sigma_um=sigma_um)
+        sums = SkySums(mesh, hf, view, window)
+        chosen = sums.interior()
+        chosen = rng.permutation(chosen)[:pixels]
+        exact, again = (sums.colours(chosen, grey, across, each) for each in (seed, seed + 1))
+        directions = 2 * sums.directions(across)
+        exact = 0.5 * (exact + again)
+        print(f"| {name} | {len(chosen)} | {directions:,} against half | {errors(again, exact)} |", flush=True)
+        environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
+        for tolerance in tolerances:
+            image = wd.shade(
+                mesh, hf, environment, view, tolerance=tolerance, pigment=0.0, shadows=False, coherence=window
+            )
+            found = image.xyz[chosen[:, 0], chosen[:, 1]]
+            told = f"{tolerance:g}, {image.plan.lit_by:,}"
+            print(f"| {name} | {len(chosen)} | {told} | {errors(found, exact)} |", flush=True)
 
 
 def albedo(directions: int) -> None:
@@ -247,23 +274,22 @@ def main() -> int:
     """Print the tables that are asked for, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", action="store_true", help="lights of a size against discs of points")
-    parser.add_argument("--skies", action="store_true", help="environments against many more directions")
+    parser.add_argument("--skies", action="store_true", help="drawn environments against sums")
     parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
     parser.add_argument("--mitsuba", action="store_true", help="flat gold under a sky against Mitsuba")
     parser.add_argument("--times", action="store_true", help="time a frame by the number of directions")
     parser.add_argument("--points", type=int, default=400, help="of discs (400)")
-    parser.add_argument(
-        "--directions", type=int, nargs="+", default=[1024, 4096, 16384], help="that are judged (1024 4096 16384)"
-    )
-    parser.add_argument("--most", type=int, default=32768, help="directions that judge them (32768)")
-    parser.add_argument("--cases", nargs="+", default=CASES, help="sky,body,surface of --skies (seven)")
+    parser.add_argument("--seed", type=int, default=0, help="of the cases of --skies (0)")
+    parser.add_argument("--pixels", type=int, default=150, help="that are judged of each case of --skies (150)")
+    parser.add_argument("--across", type=int, default=3, help="rays along a side of these (3)")
+    parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of environments (0.1 0.03)")
     parser.add_argument("--repeats", type=int, default=3, help="frames of each kind (3)")
     options = parser.parse_args()
     every = not (options.sizes or options.skies or options.albedo or options.mitsuba or options.times)
     if options.sizes or every:
         sizes(options.points)
     if options.skies or every:
-        skies(options.cases, options.directions, options.most)
+        skies(options.seed, options.pixels, options.across, options.tolerances)
     if options.albedo or every:
         albedo(4096)
     if options.mitsuba or every:

@@ -1,0 +1,104 @@
+"""Colours of pixels under a grey sky, by sums of the reflectance over directions: nothing of an Environment is used.
+
+A pixel's rays are spread over its filter (a Gaussian of 0.5 pixel, cut at 1.5). Each has directions of its own on a
+grid of (x, y) in its shading frame, the grids of a pixel shifted so that together they are finer. dω cos θ is dx dy,
+and what comes from there is ρ L dω 4πσ²/λ² of light of the spectrum of D65.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+import warpdiff as wd
+from warpdiff.compute.device import resolve_device
+from warpdiff.optics import colorimetry
+from warpdiff.optics.spectra import colour_science
+from warpdiff.render.frame import Frame
+from warpdiff.scene.mesh_import import prepare_surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Rays along a side of a pixel, that ray casts are rounded to.
+_ACROSS = 16
+# Distance of a ray's directions, in deviations of the lobes.
+_STEP = 1.2
+
+
+class SkySums:
+    """Pixels of a mesh that are seen from somewhere, and a surface."""
+
+    def __init__(self, mesh: Any, hf: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
+        """Cast the rays."""
+        fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
+        frame = Frame(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
+        frame.cast(0)
+        pixels, shape = frame.seen.pixels, (fine.height, fine.width)
+        self._hit = pixels.hit.numpy().reshape(shape) != 0
+        axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
+        self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)
+        self._hf, self._coherence = hf, coherence
+        self._plan = wd.plan(hf, tolerance=3e-3, coherence=coherence)
+        nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
+        d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
+        self._light = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
+        bright = colorimetry.colour_products("D65")[:, 1]
+        sigma = coherence.sigma_um or 0.0
+        self._scale = 4.0 * math.pi * sigma**2 * (bright / (1e-3 * nm) ** 2).sum() / bright.sum()
+        self._step = _STEP * 0.5 / (2.0 * math.pi * sigma)
+
+    def interior(self) -> NDArray[np.int64]:
+        """Which pixels all rays of the filter meet the mesh from, by row and column, (n, 2)."""
+        margin = 2 * _ACROSS
+        edges = np.pad(~self._hit, margin, constant_values=True).cumsum(axis=0).cumsum(axis=1)
+        edges = np.pad(edges, ((1, 0), (1, 0)))
+        width = _ACROSS + 2 * margin
+        windows = edges[width:, width:] - edges[:-width, width:] - edges[width:, :-width] + edges[:-width, :-width]
+        return np.argwhere(windows[::_ACROSS, ::_ACROSS] == 0)
+
+    def colours(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
+        """XYZ of pixels under a sky (height, width), by ``across``² rays each, (n, 3)."""
+        rng = np.random.default_rng(seed)
+        grid = np.arange(-1.0 - self._step, 1.0 + self._step, self._step)
+        cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
+        result = np.empty((len(pixels), 3))
+        for index, pixel in enumerate(pixels):
+            share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
+            at = ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(int)
+            axes = self._axes[at[:, 0], at[:, 1]].astype(np.float64)
+            # Whichever ray it is, all shifts of the grid are there.
+            shift = (rng.permutation(cells) + rng.random(cells.shape)) / across * self._step
+            x = (grid + shift[:, :1])[:, :, None] + 0.0 * grid
+            y = (grid + shift[:, 1:])[:, None, :] + 0.0 * grid[:, None]
+            inside = x**2 + y**2 < 1.0 - 1e-6
+            ray = np.nonzero(inside)[0]
+            lights = np.stack([x[inside], y[inside], np.sqrt(1.0 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
+            along = np.einsum("nk,nkc->nc", lights, axes[ray, :3])
+            views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])[ray]
+            rho = wd.reflectance(
+                self._hf, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
+            )
+            result[index] = (radiance(sky, along) / lights[:, 2]) @ rho / len(cells)
+        return result * self._step**2 * self._scale
+
+    def directions(self, across: int) -> int:
+        """Of how many a pixel's colour is summed."""
+        return round(across**2 * math.pi / self._step**2)
+
+
+def radiance(sky: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A sky's radiance in directions (n, 3): the middle column at −z, row 0 at +y, linear between pixels' centres."""
+    height, width = sky.shape
+    row = np.clip(np.arccos(np.clip(along[:, 1], -1.0, 1.0)) / math.pi * height - 0.5, 0.0, height - 1.000001)
+    column = (np.arctan2(along[:, 0], -along[:, 2]) / (2.0 * math.pi) + 0.5) * width - 0.5
+    top, left = row.astype(int), np.floor(column).astype(int)
+    down, right = row - top, column - left
+    left, beside = left % width, (left + 1) % width
+    upper = (1.0 - right) * sky[top, left] + right * sky[top, beside]
+    lower = (1.0 - right) * sky[top + 1, left] + right * sky[top + 1, beside]
+    return np.asarray((1.0 - down) * upper + down * lower)
