@@ -22,6 +22,11 @@ _SIDE = 16
 _WORDS = _SIDE * _SIDE // 32
 # Deviations from the horizon within which it cuts cells.
 REACH = wp.constant(2.5)
+# Places along a footprint: how far they reach, in deviations, how many for each time that it is longer than what the
+# sky is blurred by, and at most.
+SPAN = wp.constant(2.0)
+TAPS_A_RATIO = wp.constant(2.0)
+MOST_TAPS = wp.constant(6)
 open_t = wp.types.vector(length=_WORDS, dtype=wp.uint32)
 
 
@@ -225,7 +230,14 @@ def add_sky(
         to_view = pixels.to_view[i]
         view = wp.normalize(wp.vec3f(wp.dot(tangent, to_view), wp.dot(bitangent, to_view), wp.dot(normal, to_view)))
         given = footprints[i]
-        footprint = 0.5 * wp.dot(given, given)
+        xx = given[0] * given[0] + given[2] * given[2]
+        xy = given[0] * given[1] + given[2] * given[3]
+        yy = given[1] * given[1] + given[3] * given[3]
+        half = wp.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+        major = 0.5 * (xx + yy) + half
+        minor = wp.max(0.5 * (xx + yy) - half, 0.0)
+        angle = 0.5 * wp.atan2(2.0 * xy, xx - yy)
+        streak = wp.sqrt(major) * wp.vec2f(wp.cos(angle), wp.sin(angle))
         material = wp.int32(0)
         if reflection.materials.shape[0] > 0:
             material = reflection.materials[pixels.face[i]]
@@ -247,18 +259,38 @@ def add_sky(
             place = table.cells[cell]
             x = -(place[0] + view[0])
             y = -(place[1] + view[1])
-            variance = place[2] * place[2] + footprint
-            above = share_above(wp.sqrt(x * x + y * y), wp.sqrt(variance))
+            # A footprint is that of light by way of a mirror: where the normal turns, it grows as w.
+            turned = 0.5 + 0.5 * wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) / view[2]
+            turned = wp.min(turned, 2.0)
+            long = turned * turned * major
+            narrow = place[2] * place[2] + turned * turned * minor
+            # Along its longer axis the sky is taken at several places, unless it is blurred as much anyway. They are
+            # ``apart`` deviations from each other, and blurred by half of that.
+            taps = wp.min(wp.int32(TAPS_A_RATIO * wp.sqrt(long / wp.max(narrow, sky.variance))) + 1, MOST_TAPS)
+            taps = wp.where(taps == 2, 3, taps)
+            apart = 2.0 * SPAN / wp.float32(taps)
+            variance = narrow + long * wp.where(taps > 1, 0.25 * apart * apart, 0.5)
+            above = share_above(wp.sqrt(x * x + y * y), wp.sqrt(narrow + 0.5 * long))
             if above[0] == 0.0:
                 continue
             x *= above[1]
             y *= above[1]
             z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(limits.HORIZON) + 1.0e-6)))
             w = z + view[2]
-            towards = on_octahedron(x * tangent + y * bitangent + z * normal)
-            light = above[0] * place[3] * radiance_at(sky, towards, variance / wp.max(z, 0.1))
-            if shadows:
-                light = light * share_open(seen, towards)
+            total = wp.float32(0.0)
+            light = wp.vec3f()
+            for tap in range(taps):
+                off = (wp.float32(tap) + 0.5) * apart - SPAN
+                share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
+                total += share
+                p = x + off * turned * streak[0]
+                q = y + off * turned * streak[1]
+                up = wp.sqrt(wp.max(1.0 - p * p - q * q, wp.static(float(limits.HORIZON) + 1.0e-6)))
+                towards = on_octahedron(p * tangent + q * bitangent + up * normal)
+                if shadows:
+                    share *= share_open(seen, towards)
+                light += share * radiance_at(sky, towards, variance / wp.max(up, 0.1))
+            light *= above[0] * place[3] / total
             # The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv.
             overlap = 0.5 * (place[0] * place[0] + place[1] * place[1] + w * w)
             cosine = wp.sqrt(0.5 * overlap)

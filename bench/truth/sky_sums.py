@@ -54,7 +54,7 @@ class SkySums:
 
     def interior(self) -> NDArray[np.int64]:
         """Which pixels all rays of the filter meet the mesh from, by row and column, (n, 2)."""
-        margin = 2 * _ACROSS
+        margin = 3 * _ACROSS // 2
         edges = np.pad(~self._hit, margin, constant_values=True).cumsum(axis=0).cumsum(axis=1)
         edges = np.pad(edges, ((1, 0), (1, 0)))
         width = _ACROSS + 2 * margin
