@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 import warpdiff as wd
+from warpdiff.bench.truth.sky_sums import SkySums
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
 from warpdiff.scene.sky_map import blurred_maps
@@ -255,3 +256,21 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     # Lamps are hidden or not, and 11° apart; what hides the sky is known in steps of as much.
     assert np.median(away) < 0.05
     assert np.percentile(away, 90.0) < 0.12
+
+
+def test_a_window_on_a_tube_is_that_of_sums_over_directions():
+    # Footprints are streaks here, and the horizon cuts orders.
+    view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
+    hf, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
+    along = middles(64)[0]
+    grey = np.where((np.abs(along[..., 1] - 0.3) < 0.25) & (along[..., 0] > 0.4), 2.5, 0.03)
+    sums = SkySums(wd.meshes.tube(), hf, view, window)
+    pixels = sums.interior()[::3]
+    assert len(pixels) > 15
+    exact = sums.colours(pixels, grey, 4, 1)
+    sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
+    found = wd.shade(wd.meshes.tube(), hf, sky, view, **UNDER | {"coherence": window, "ior": None, "shadows": False})
+    colours = found.xyz[pixels[:, 0], pixels[:, 1]]
+    away = np.linalg.norm(colours - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    assert np.median(away) < 0.1
+    assert np.percentile(away, 90.0) < 0.3
