@@ -269,7 +269,7 @@ def add_sky(
             taps = wp.min(wp.int32(TAPS_A_RATIO * wp.sqrt(long / wp.max(narrow, sky.variance))) + 1, MOST_TAPS)
             taps = wp.where(taps == 2, 3, taps)
             apart = 2.0 * SPAN / wp.float32(taps)
-            variance = narrow + long * wp.where(taps > 1, 0.25 * apart * apart, 0.5)
+            variance = narrow + wp.where(taps > 1, 0.25 * apart * apart * long, 0.5 * (long - turned * turned * minor))
             above = share_above(wp.sqrt(x * x + y * y), wp.sqrt(narrow + 0.5 * long))
             if above[0] == 0.0:
                 continue
