@@ -90,6 +90,8 @@ def recorded(monkeypatch):
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
+    # Launches are as large as what may be found at most: a GPU's threads that find nothing end at once, in parallel.
+    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 1 << 15)
     monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
     return begun
 
@@ -279,6 +281,7 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
         drawn.draw(turned(0.2)[0])
         return drawn.image()
 
+    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 1 << 20)
     whole = picture()
     monkeypatch.setattr(device_schedule, "_MOST_RAYS", 300)
     parts = picture()
