@@ -56,7 +56,7 @@ def lumpy(subdivisions=3):
 BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "lumpy": lumpy}
 
 
-def by_points(mesh, hf, light, camera, plan, points=48):
+def by_points(mesh, hf, light, camera, plan, points=36):
     """A picture of points as many times as fine, under the filter, and which pixels are inside the lit surface."""
     fine = dataclasses.replace(camera, width=points * camera.width, height=points * camera.height)
     image = wd.shade(mesh, hf, light, fine, plan=dataclasses.replace(plan, footprint=False))
