@@ -40,7 +40,6 @@ def lobes() -> wd.BakedLobes:
     return wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
 
 
-
 # No parameter takes all of these, and most take none.
 ANYTHING = [
     *(None, ..., "", "bad", "a\0b", "\ud800", b"bytes", True, False, object(), object, len),

@@ -25,7 +25,7 @@ import warpdiff as wd
 
 resource = pytest.importorskip("resource", reason="limits of memory are POSIX")
 
-WAVY = wd.HeightField(0.05 * np.sin(np.arange(300.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
+WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # What results are made of is for the library to give; a warning takes any words.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
 # What stands for ``self`` where it is not evil, by a call, and the kind of what is.
@@ -233,7 +233,9 @@ def check(name, arguments):
 @pytest.mark.parametrize("name", [name for name in PUBLIC if sum(map(len, parameters_of(name)))])
 def test_evil_values_are_refused_by_name_or_served(name, tries):
     own, names = parameters_of(name)
-    values = {each: strategy(each) for each in names} | {each: legal_kind(KIND_OF_OWNER[PUBLIC[name][1]]) for each in own}
+    values = {each: strategy(each) for each in names} | {
+        each: legal_kind(KIND_OF_OWNER[PUBLIC[name][1]]) for each in own
+    }
     one_or_two = st.lists(st.sampled_from(list(values)), min_size=1, max_size=2, unique=True)
 
     @examples(*((3, 50) if name in SLOW else (24, 500)))
