@@ -173,7 +173,7 @@ def test_where_no_table_takes_means_points_do(fingers):
     """By whatever method, under any coherence: a mean is never left out without a word."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
-    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=16)
+    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
     found = wd.shade(
         mesh, fingers, LIGHT, view("lumpy"), plan=dataclasses.replace(plan, tolerance=5e-2), footprint=True
     )
