@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import queue
+import shlex
 import time
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 import warpdiff as wd
+from warpdiff.app import cli
 from warpdiff.compute.device import resolve_device
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.viewer import bodies
@@ -68,7 +70,7 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         assert [each["tolerance"] for each, _ in pictures] == [None, 0.1, 0.03]
         assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/jpeg", "image/png"]
         assert pictures[2][0]["error"]["p99"] <= pictures[1][0]["error"]["p99"] < 3 * 0.1
-        assert told[-1][0]["angles"]["to_light"]["theta_deg"] == pytest.approx(
+        assert told[-1][0]["angles"]["light"]["theta_deg"] == pytest.approx(
             np.degrees(np.arccos(pictures[2][0]["to_light"][2])), abs=0.5
         )
         last, data = pictures[2]
@@ -77,6 +79,64 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
         found = np.asarray(Image.open(io.BytesIO(data)))
         assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+
+
+@pytest.fixture(scope="module")
+def sky(tmp_path_factory):
+    radiance = np.full((8, 16, 3), 0.2, dtype=np.float32)
+    radiance[1, 3] = 20.0, 10.0, 5.0
+    path = tmp_path_factory.mktemp("sky") / "a sky.exr"
+    oiio = pytest.importorskip("OpenImageIO")
+    out = oiio.ImageOutput.create(str(path))
+    out.open(str(path), oiio.ImageSpec(16, 8, 3, "float"))
+    out.write_image(radiance)
+    out.close()
+    return path
+
+
+@pytest.mark.parametrize("light", ["none", "far"])
+def test_environments_light_a_body_and_stand_behind_it(sky, light, monkeypatch, tmp_path):
+    monkeypatch.setattr("warpdiff.viewer.session._TOLD_S", 0.0)
+    files = NamedFiles(environments=(sky,))
+    known = controls([], [], ["a sky.exr"])
+    values = checked(
+        known, {name: VALUES[name] for name in VALUES} | {"environment_directions": 256, "shadows": False, "light": light}
+    )
+    studio = Studio(files, values, threads=1)
+    with Page(studio) as page:
+        turned = values | {"environment_rotation_deg": 90.0, "environment_scale": 2.0}
+        studio.want(page.session, Wanted(1, turned, None, 0.25, False, (0.5, 0.5)))
+        told = page.until(lambda each: each["kind"] == "map")
+        (first, _), (last, data) = (each for each in told if each[0]["kind"] == "picture")
+        assert (first["tolerance"], last["tolerance"]) == (None, 0.1)
+        assert [each["share"] for each, _ in told if each["kind"] == "progress"]
+        assert set(told[-1][0]["angles"]) == ({"view"} if light == "none" else {"light", "view"})
+        made = {}
+        lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
+        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
+        found = np.asarray(Image.open(io.BytesIO(data))).astype(int)
+        assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+        assert made["environment"].rotation_deg == 90.0
+        # The file is the same, and so is the command's but for its plan.
+        saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
+        assert np.abs(np.asarray(saved)[..., :3].astype(int) - found).max() <= 1
+        monkeypatch.chdir(tmp_path)
+        command = shlex.split(last["command"])
+        assert ("--light" in command) == (light == "far")
+        if light == "none":
+            assert cli.main(command[1:]) == 0
+            assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - found), 99.0) <= 8
+        # It is seen where nothing is before it.
+        studio.want(page.session, Wanted(2, turned | {"environment_behind": False}, None, 0.25, False, (0.5, 0.5)))
+        (*_, (_, plain)) = page.until(is_last)
+        corner = np.asarray(Image.open(io.BytesIO(plain)))[0, 0].astype(int)
+        assert np.ptp(corner) == 0
+        assert not np.array_equal(corner, found[0, 0])
+
+
+def test_a_scene_takes_a_light_or_an_environment():
+    with pytest.raises(ValueError, match="there is no light"):
+        Scene.of(VALUES | {"light": "none"}, NamedFiles())
 
 
 def test_what_is_let_go_is_refined_at_once(studio):

@@ -314,6 +314,10 @@ def _add_view(commands: Any, common: argparse.ArgumentParser, surface: argparse.
         "--height", nargs="+", action="extend", default=[], metavar="FILE",
         help="scans that the page offers, beside the synthetic gratings",
     )  # fmt: skip
+    view.add_argument(
+        "--environment", nargs="+", action="extend", default=[], metavar="FILE",
+        help="skies or rooms that the page offers as lights, EXR or HDR in latitude and longitude, linear sRGB",
+    )  # fmt: skip
     view.add_argument("--port", type=int, default=0, help="(default: a free one)")
     view.add_argument(
         "--host", default="127.0.0.1", help="address to listen on; beyond this machine the page has a token (default: "
@@ -670,16 +674,19 @@ def _view(options: argparse.Namespace) -> None:
 
     if not 0 <= options.port <= _MOST_PORT:
         raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
-    for name, paths in (("MESH", options.mesh), ("--height", options.height)):
+    named = ("MESH", options.mesh), ("--height", options.height), ("--environment", options.environment)
+    for name, paths in named:
         for each in paths:
             if not checks.path(each, name).is_file():
                 raise FileNotFoundError(f"{name}: there is no file {each!r}")
     # What cannot be loaded is told here, rather than on the page.
     for path in options.height:
         _scan(path, options)
+    for path in options.environment:
+        _loaded_environment(path)
     loading, cleaning = _loading(options), _cleaning(options)
     files = NamedFiles(
-        tuple(map(Path, options.mesh)), tuple(map(Path, options.height)), tuple(loading.items()), tuple(cleaning)
+        *(tuple(map(Path, paths)) for _, paths in named), loading=tuple(loading.items()), cleaning=tuple(cleaning)
     )
     run(
         files, host=options.host, port=options.port, opens_browser=not options.no_browser, device=options.device,
@@ -718,11 +725,15 @@ def _environment(options: argparse.Namespace) -> wd.Environment | None:
         raise ValueError("--environment-behind and --background are both behind the picture: give one of them")
     if options.environment_behind and Path(options.output).suffix.lower() != ".png":
         raise ValueError(f"--environment-behind is for .png files, got --output {options.output}")
+    return _loaded_environment(
+        options.environment, rotation_deg=options.environment_rotation_deg, scale=options.environment_scale,
+        directions=options.environment_directions,
+    )  # fmt: skip
+
+
+def _loaded_environment(path: str, **options: Any) -> wd.Environment:
     try:
-        return wd.Environment.load(
-            options.environment, rotation_deg=options.environment_rotation_deg, scale=options.environment_scale,
-            directions=options.environment_directions,
-        )  # fmt: skip
+        return wd.Environment.load(path, **options)
     except (ValueError, *_BAD_PATHS) as error:
         # Other commands' paths are height fields.
         raise type(error)(str(error).replace("path", "--environment", 1)) from None

@@ -24,6 +24,7 @@ from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks, disk_cache
 from warpdiff.core.lru_cache import LruCache
 from warpdiff.image.display_transform import MEAN_SHOWN
+from warpdiff.scene.environment import turned
 from warpdiff.viewer import bodies, encoding
 from warpdiff.viewer.scene import NamedFiles, Scene
 
@@ -44,6 +45,8 @@ _SCALES = (1.0, 0.75, 0.5, 0.375)
 # Of renderers that are kept, and of their pixels, some.
 _MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
+# How often a page is told how much of a picture is drawn.
+_TOLD_S = 0.5
 # Of a pixel that a body fills.
 _WHOLE = 0.999
 
@@ -124,6 +127,8 @@ class _Made:
     """What is kept between pictures, by what tells it apart."""
 
     surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
+    environments: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(2))
+    skies: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(4))
     height_fields: LruCache[wd.HeightField] = field(default_factory=lambda: LruCache(8))
     bases: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(6))
     renderers: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(8, _MOST_BYTES, _bytes_of))
@@ -266,9 +271,15 @@ class Studio:
     def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
         """Draw pictures from a stage on and send them, or what there is to say of the last one."""
 
-        def watch(_share: float) -> None:
+        told_at = time.monotonic()
+
+        def watch(share: float) -> None:
+            nonlocal told_at
             if not self._goes_on(session, wanted, index):
                 raise _AbandonedError
+            if time.monotonic() - told_at > _TOLD_S:
+                told_at = time.monotonic()
+                session.send({"kind": "progress", "generation": wanted.generation, "share": share}, None)
 
         scene = Scene.of(wanted.values, self.files)
         stages = stages_to(scene.tolerance)
@@ -284,11 +295,16 @@ class Studio:
         width, height = (max(round(scale * each), 1) for each in (full.width, full.height))
         view = dataclasses.replace(full, width=width, height=height)
 
-        def say() -> None:
-            session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": scene.tolerance}, None)
+        drawn = scene if index else scene.unrefined()
+        if index and scene.sky is not None:
+            # Fewer directions serve a larger tolerance.
+            drawn = dataclasses.replace(scene, tolerance=stages[index].tolerance)
 
-        renderer = self._renderer(scene, view, refine=index > 0, say=say)
-        light = scene.light.make()
+        def say() -> None:
+            session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": drawn.tolerance}, None)
+
+        renderer = self._renderer(drawn, view, refine=index > 0, say=say)
+        lights = self._lights(drawn)
         built = time.perf_counter()
         description = {
             "kind": "picture",
@@ -304,8 +320,12 @@ class Studio:
             """Send the picture of the next stage as it is drawn."""
             stage = stages[session.stage]
             image = renderer.image()
-            drawn = time.perf_counter()
+            ready = time.perf_counter()
             how = self._exposed(session, wanted, image, moving=wanted.moving and stage.tolerance is None)
+            told_how = dict(how)
+            if scene.is_behind:
+                told_how.pop("background")
+                how["background"] = lights[-1].seen(view) / np.float32(scene.normal)
             pixels = encoding.shown(image, exact=stage.last, **how)
             displayed = time.perf_counter()
             data = encoding.encoded(pixels, lossless=stage.last)
@@ -321,14 +341,14 @@ class Studio:
                 "error": dict(zip(("median", "p99"), np.percentile(errors, (50.0, 99.0)).tolist(), strict=True))
                 if errors.size else None,
                 "seconds": {
-                    "prepare": built - begin, "draw": drawn - built, "display": displayed - drawn,
+                    "prepare": built - begin, "draw": ready - built, "display": displayed - ready,
                     "encode": encoded - displayed,
                 },
             }  # fmt: skip
             if stage.tolerance is not None:
                 told["plan"] = str(image.plan)
-                told["python"] = scene.python(view, scene.tolerance, how)
-                told["command"] = scene.command(view, scene.tolerance, how, self.files)
+                told["python"] = scene.python(view, scene.tolerance, told_how)
+                told["command"] = scene.command(view, scene.tolerance, told_how, self.files)
             session.seen, session.shown = wanted, (image, how)
             with self._changed:
                 session.in_flight += 1
@@ -337,12 +357,11 @@ class Studio:
             session.send(description | told, data)
 
         # What is refined goes on from one tolerance to the next.
-        on_the_way = (
-            {each.tolerance: send for each in stages[index:-1] if each.tolerance is not None} if index else None
-        )
-        renderer.draw(light, view, progress=watch, coarser=on_the_way)
+        goes_on = index > 0 and scene.sky is None
+        on_the_way = {each.tolerance: send for each in stages[index:-1] if each.tolerance is not None}
+        renderer.draw(lights, view, progress=watch, coarser=on_the_way if goes_on else None)
         # Where nothing is to be split, there is nothing on the way.
-        session.stage = len(stages) - 1 if index else 0
+        session.stage = len(stages) - 1 if goes_on else index
         send()
 
     def _scale(self, pixels: int) -> float:
@@ -372,37 +391,53 @@ class Studio:
         made: Callable[[], wd.HeightField] = scene.hf.make
         return self._made.height_fields.get_or_make(str(scene.hf), made)
 
+    def _lights(self, scene: Scene) -> list[Any]:
+        """The light, and after it the environment."""
+        found = [] if scene.light is None else [scene.light.make()]
+        if (sky := scene.sky) is None:
+            return found
+
+        def make() -> wd.Environment:
+            (path,) = sky.operands
+            loaded = self._made.environments.get_or_make(path, lambda: wd.Environment.load(path))
+            return turned(loaded, **{"rotation_deg": 0.0, "scale": 1.0, "directions": None} | dict(sky.options))
+
+        return [*found, self._made.skies.get_or_make(str(sky), make)]
+
     def _renderer(self, scene: Scene, view: wd.View, *, refine: bool, say: Callable[[], None]) -> wd.Renderer:
         """A renderer of pictures of a size; ``say`` is called where that takes long."""
-        light = scene.light.make()
-        of = str(scene.mesh), str(scene.hf), str(scene.options), light.illuminant, scene.tolerance
+        of = str(scene.mesh), str(scene.hf), str(scene.options), *_illuminants(scene), scene.tolerance
 
         def make() -> wd.Renderer:
-            base = self._made.bases.get_or_make(of, lambda: self._base(scene, light, scene.tolerance, say))
+            base = self._made.bases.get_or_make(of, lambda: self._base(scene, say))
             return base.resized(view, refine=refine)
 
         return self._made.renderers.get_or_make((*of, refine, view.width, view.height), make)
 
-    def _base(self, scene: Scene, light: Any, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
+    def _base(self, scene: Scene, say: Callable[[], None]) -> wd.Renderer:
         """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
         say()
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
+        # Of an environment its spectra alone are asked for, in which all are alike.
+        lights = self._lights(scene.unrefined())
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
         view = bodies.framed(surface, 16, 12)
         begun: list[wd.Renderer] = []
 
         def plan() -> dict[str, Any]:
-            begun.append(wd.Renderer(surface, hf, light, view, tolerance=tolerance, **options))
+            begun.append(wd.Renderer(surface, hf, lights, view, tolerance=scene.tolerance, **options))
             return {"plan": json.dumps(dataclasses.asdict(begun[0].plan))}
 
-        asked = "plan", str(scene.options), light.illuminant, tolerance, hf.pitch_um, self._device.alias
+        # No plan asks whether there are shadows.
+        of_plan = tuple(each for each in scene.options if each[0] != "shadows")
+        asked = "plan", str(of_plan), *_illuminants(scene), scene.tolerance, hf.pitch_um, self._device.alias
         found = disk_cache.kept_on_disk(asked, hf.heights_um, plan)
         if begun:
             return begun[0]
         for name in ("method", "coherence"):
             options.pop(name, None)
-        return wd.Renderer(surface, hf, light, view, plan=_plan_of(str(found["plan"])), **options)
+        return wd.Renderer(surface, hf, lights, view, plan=_plan_of(str(found["plan"])), **options)
 
     def _send_angles_and_map(
         self, session: Session, wanted: Wanted, scene: Scene, view: wd.View, watch: Callable[[float], None]
@@ -413,7 +448,7 @@ class Studio:
         if image is not None:
             whole = image.coverage > _WHOLE
             place = _nearest(whole & image.lit, wanted.probe) or _nearest(whole, wanted.probe)
-        light = scene.light.make()
+        light = wd.DirectionalLight(scene.to_light) if scene.light is None else scene.light.make()
         local = place and bodies.local_directions(
             self._surface(scene), view, light, *place, smooth=wanted.values["smooth"], device=self._device,
             threads=self._threads,
@@ -423,8 +458,12 @@ class Studio:
             session.send(found | {"text": "no surface in the picture"}, None)
             return
         found["at"] = [(place[0] + 0.5) / view.width, (place[1] + 0.5) / view.height]
-        found["angles"] = {"to_light": _angles(local.to_light), "to_view": _angles(local.to_view)}
+        found["angles"] = {"light": _angles(local.to_light), "view": _angles(local.to_view)}
         found["to_view"] = local.to_view
+        if scene.light is None:
+            del found["angles"]["light"]
+            session.send(found | {"text": "the map is of a light, and there is none but the environment"}, None)
+            return
         if local.to_light[2] <= 1e-3:
             session.send(found | {"text": "the light is below the horizon here"}, None)
             return
@@ -444,6 +483,12 @@ def _alike(one: Wanted, other: Wanted) -> bool:
     return dataclasses.replace(one, generation=0, moving=False, probe=other.probe) == dataclasses.replace(
         other, generation=0, moving=False
     )
+
+
+def _illuminants(scene: Scene) -> tuple[str, ...]:
+    """What light a scene has; all environments are of the same spectra."""
+    named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
+    return named if scene.sky is None else (*named, "environment")
 
 
 def _is_let_go(session: Session, wanted: Wanted) -> bool:
