@@ -94,13 +94,13 @@ def sky(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("light", ["none", "far"])
-def test_environments_light_a_body_and_stand_behind_it(sky, light, monkeypatch, tmp_path):
+def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_path):
     monkeypatch.setattr("warpdiff.viewer.session._TOLD_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
     values = checked(
-        known, {name: VALUES[name] for name in VALUES} | {"environment_directions": 256, "shadows": False, "light": light}
+        known,
+        dict(VALUES) | {"environment_directions": 256, "shadows": False, "light": "none"},
     )
     studio = Studio(files, values, threads=1)
     with Page(studio) as page:
@@ -110,7 +110,7 @@ def test_environments_light_a_body_and_stand_behind_it(sky, light, monkeypatch, 
         (first, _), (last, data) = (each for each in told if each[0]["kind"] == "picture")
         assert (first["tolerance"], last["tolerance"]) == (None, 0.1)
         assert [each["share"] for each, _ in told if each["kind"] == "progress"]
-        assert set(told[-1][0]["angles"]) == ({"view"} if light == "none" else {"light", "view"})
+        assert set(told[-1][0]["angles"]) == {"view"}
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
@@ -122,10 +122,8 @@ def test_environments_light_a_body_and_stand_behind_it(sky, light, monkeypatch, 
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - found).max() <= 1
         monkeypatch.chdir(tmp_path)
         command = shlex.split(last["command"])
-        assert ("--light" in command) == (light == "far")
-        if light == "none":
-            assert cli.main(command[1:]) == 0
-            assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - found), 99.0) <= 8
+        assert cli.main(command[1:]) == 0
+        assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - found), 99.0) <= 8
         # It is seen where nothing is before it.
         studio.want(page.session, Wanted(2, turned | {"environment_behind": False}, None, 0.25, False, (0.5, 0.5)))
         (*_, (_, plain)) = page.until(is_last)
@@ -134,7 +132,15 @@ def test_environments_light_a_body_and_stand_behind_it(sky, light, monkeypatch, 
         assert not np.array_equal(corner, found[0, 0])
 
 
-def test_a_scene_takes_a_light_or_an_environment():
+def test_a_scene_takes_a_light_or_an_environment_or_both(sky):
+    known, files = controls([], [], ["a sky.exr"]), NamedFiles(environments=(sky,))
+    scene = Scene.of(checked(known, {"light": "near"}), files).placed((0.0, 0.0, 0.0), 1.0)
+    light = scene.light.make()
+    assert light.power == pytest.approx(1e4 * np.dot(light.position, light.position))
+    words = scene.command(wd.View((0, 1, 3), (0, 0, 0)), 0.1, {"background": (0, 0, 0)}, files).split()
+    assert {"--point-light", "--environment", "--environment-behind"} < set(words)
+    assert "--background" not in words
+    assert scene.at(None).shading["shadows"] is False
     with pytest.raises(ValueError, match="there is no light"):
         Scene.of(VALUES | {"light": "none"}, NamedFiles())
 

@@ -111,8 +111,10 @@ class Renderer:
         self._begin(wanted, surface, view)
         self.draw()
 
-    def _begin(self, wanted: PictureRequest, surface: Surface, view: View) -> None:
-        """Do all that does not change."""
+    def _begin(
+        self, wanted: PictureRequest, surface: Surface, view: View, integrator: Integrator | None = None
+    ) -> None:
+        """Do all that does not change; an integrator by the same plan has its tables."""
         request = wanted.request
         self._wanted, self._surface = wanted, surface
         with memory_named(view):
@@ -120,7 +122,9 @@ class Renderer:
             if request.plan is not None:
                 warn_outside(request.plan, request.hf, scope)
             self.plan = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
-            self._integrator = Integrator(request.hf, self.plan, scope, device=request.device, threads=request.threads)
+            self._integrator = integrator or Integrator(
+                request.hf, self.plan, scope, device=request.device, threads=request.threads
+            )
             self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
@@ -152,7 +156,7 @@ class Renderer:
         refine = self._wanted.refine if refine is None else checks.flag(refine, "refine")
         result = object.__new__(Renderer)
         request = replace(self._wanted.request, plan=self.plan)
-        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view)
+        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view, self._integrator)
         return result
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -134,7 +134,6 @@ class Environment:
         along = -frame.back + (0.0 if frame.orthographic else 1.0) * across
         return np.asarray(self.scale * linear(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
-
     @functools.cached_property
     def _grids(self) -> list[NDArray[np.float64]]:
         """It takes half a second, and does not depend on how the environment is turned."""

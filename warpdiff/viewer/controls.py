@@ -181,8 +181,11 @@ def _of_environments(names: Sequence[str]) -> list[Control]:
         _number("environment_rotation_deg", "rotation", sky, 0.0, -180.0, 180.0, 0.1, "°", shown=is_shown),
         _number("environment_scale", "scale", sky, 1.0, 0.01, 100.0, 0.01, ratio=True, shown=is_shown),
         _choice("environment_directions", "directions a pixel", sky, counts, shown=is_shown),
+        # A mirror shows a radiance of 1 some ten thousand times as bright as a light of a power of 1.
+        _number("light_power", "power of the light beside it", sky, 1e4, 1.0, 1e6, 1.0, ratio=True,
+                shown=(*is_shown, ("light", ("far", "near")))),
         Control("environment_behind", "shown behind the body", sky, default=True, shown=is_shown),
-    ]
+    ]  # fmt: skip
 
 
 def described(known: dict[str, Control]) -> list[dict[str, Any]]:

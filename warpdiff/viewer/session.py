@@ -268,9 +268,8 @@ class Studio:
             each.wanted is not None and each.begun != each.wanted.generation for each in others
         )
 
-    def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
-        """Draw pictures from a stage on and send them, or what there is to say of the last one."""
-
+    def _watch(self, session: Session, wanted: Wanted, index: int) -> Callable[[float], None]:
+        """What is called with the share of a picture that is drawn: it tells the page, or abandons the picture."""
         told_at = time.monotonic()
 
         def watch(share: float) -> None:
@@ -281,6 +280,11 @@ class Studio:
                 told_at = time.monotonic()
                 session.send({"kind": "progress", "generation": wanted.generation, "share": share}, None)
 
+        return watch
+
+    def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
+        """Draw pictures from a stage on and send them, or what there is to say of the last one."""
+        watch = self._watch(session, wanted, index)
         scene = Scene.of(wanted.values, self.files)
         stages = stages_to(scene.tolerance)
         body = self._surface(scene)
@@ -291,14 +295,8 @@ class Studio:
             session.stage = index + 1
             return
         begin = time.perf_counter()
-        scale = 1.0 if index else self._scale(full.width * full.height)
-        width, height = (max(round(scale * each), 1) for each in (full.width, full.height))
-        view = dataclasses.replace(full, width=width, height=height)
-
-        drawn = scene if index else scene.unrefined()
-        if index and scene.sky is not None:
-            # Fewer directions serve a larger tolerance.
-            drawn = dataclasses.replace(scene, tolerance=stages[index].tolerance)
+        view = full if index else self._smaller(full)
+        drawn = scene.at(stages[index].tolerance)
 
         def say() -> None:
             session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": drawn.tolerance}, None)
@@ -322,52 +320,47 @@ class Studio:
             image = renderer.image()
             ready = time.perf_counter()
             how = self._exposed(session, wanted, image, moving=wanted.moving and stage.tolerance is None)
-            told_how = dict(how)
-            if scene.is_behind:
-                told_how.pop("background")
-                how["background"] = lights[-1].seen(view) / np.float32(scene.normal)
-            pixels = encoding.shown(image, exact=stage.last, **how)
+            shown_how = how | _behind(scene, lights, view)
+            pixels = encoding.shown(image, exact=stage.last, **shown_how)
             displayed = time.perf_counter()
             data = encoding.encoded(pixels, lossless=stage.last)
-            encoded = time.perf_counter()
-            if stage.tolerance is None:
-                self._pixel_s = (encoded - built) / (view.width * view.height)
             errors = image.error[image.lit]
+            seconds = np.diff([begin, built, ready, displayed, time.perf_counter()]).tolist()
             told: dict[str, Any] = {
-                "stage": session.stage,
-                "tolerance": stage.tolerance,
-                "last": stage.last,
+                "stage": session.stage, "tolerance": stage.tolerance, "last": stage.last,
+                "seconds": dict(zip(("prepare", "draw", "display", "encode"), seconds, strict=True)),
                 "type": "image/png" if stage.last else "image/jpeg",
                 "error": dict(zip(("median", "p99"), np.percentile(errors, (50.0, 99.0)).tolist(), strict=True))
                 if errors.size else None,
-                "seconds": {
-                    "prepare": built - begin, "draw": ready - built, "display": displayed - ready,
-                    "encode": encoded - displayed,
-                },
             }  # fmt: skip
             if stage.tolerance is not None:
                 told["plan"] = str(image.plan)
-                told["python"] = scene.python(view, scene.tolerance, told_how)
-                told["command"] = scene.command(view, scene.tolerance, told_how, self.files)
-            session.seen, session.shown = wanted, (image, how)
+                told["python"] = scene.python(view, scene.tolerance, how)
+                told["command"] = scene.command(view, scene.tolerance, how, self.files)
+            session.seen, session.shown = wanted, (image, shown_how)
             with self._changed:
                 session.in_flight += 1
                 session.drawn_at = time.monotonic()
             session.stage += 1
             session.send(description | told, data)
 
-        # What is refined goes on from one tolerance to the next.
-        goes_on = index > 0 and scene.sky is None
-        on_the_way = {each.tolerance: send for each in stages[index:-1] if each.tolerance is not None}
-        renderer.draw(lights, view, progress=watch, coarser=on_the_way if goes_on else None)
+        # What is refined goes on from one tolerance to the next, but for an environment.
+        last = len(stages) - 1 if index and scene.sky is None else index
+        on_the_way = {each.tolerance: send for each in stages[index:last] if each.tolerance is not None}
+        renderer.draw(lights, view, progress=watch, coarser=on_the_way)
         # Where nothing is to be split, there is nothing on the way.
-        session.stage = len(stages) - 1 if goes_on else index
+        session.stage = last
         send()
+        if not index:
+            self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
 
-    def _scale(self, pixels: int) -> float:
-        """The largest scale at which a picture is drawn in time."""
+    def _smaller(self, view: wd.View) -> wd.View:
+        """A view of the largest size that is drawn in time."""
+        pixels = view.width * view.height
         in_time = [each for each in _SCALES if self._pixel_s * each * each * pixels <= _MOVING_S]
-        return max(in_time, default=_SCALES[-1])
+        scale = max(in_time, default=_SCALES[-1])
+        width, height = (max(round(scale * each), 1) for each in (view.width, view.height))
+        return dataclasses.replace(view, width=width, height=height)
 
     def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
         """How a picture is displayed: while something moves, as the last one at rest, or it would flicker."""
@@ -419,7 +412,7 @@ class Studio:
         say()
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
         # Of an environment its spectra alone are asked for, in which all are alike.
-        lights = self._lights(scene.unrefined())
+        lights = self._lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
         view = bodies.framed(surface, 16, 12)
@@ -483,6 +476,11 @@ def _alike(one: Wanted, other: Wanted) -> bool:
     return dataclasses.replace(one, generation=0, moving=False, probe=other.probe) == dataclasses.replace(
         other, generation=0, moving=False
     )
+
+
+def _behind(scene: Scene, lights: list[Any], view: wd.View) -> dict[str, Any]:
+    """The environment as a picture's background, where it is one."""
+    return {"background": lights[-1].seen(view) / np.float32(scene.normal)} if scene.is_behind else {}
 
 
 def _illuminants(scene: Scene) -> tuple[str, ...]:
