@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import math
 import threading
 import time
 import traceback
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from warpdiff.scene.mesh_import import Surface
+    from warpdiff.viewer.scene import Call
 
 # Of pictures at rest, before that of the tolerance itself.
 TOLERANCES = (0.1, 0.03)
@@ -42,6 +44,8 @@ _MOST_IN_FLIGHT = 2
 # A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
 _MOVING_S = 0.065
 _SCALES = (1.0, 0.75, 0.5, 0.375)
+# It has at least so many, where such a picture comes in time for twelve a second.
+_LEAST_PIXELS, _LEAST_MOVING_S = 320 * 240, 0.08
 # Of renderers that are kept, and of their pixels, some.
 _MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
@@ -358,7 +362,9 @@ class Studio:
         """A view of the largest size that is drawn in time."""
         pixels = view.width * view.height
         in_time = [each for each in _SCALES if self._pixel_s * each * each * pixels <= _MOVING_S]
-        scale = max(in_time, default=_SCALES[-1])
+        scale, least = max(in_time, default=_SCALES[-1]), min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
+        if scale < least and self._pixel_s * least * least * pixels <= _LEAST_MOVING_S:
+            scale = least
         width, height = (max(round(scale * each), 1) for each in (view.width, view.height))
         return dataclasses.replace(view, width=width, height=height)
 
@@ -381,8 +387,7 @@ class Studio:
         return self._made.surfaces.get_or_make(key, lambda: bodies.surface_of(scene.mesh, tangents))
 
     def _height_field(self, scene: Scene) -> wd.HeightField:
-        made: Callable[[], wd.HeightField] = scene.hf.make
-        return self._made.height_fields.get_or_make(str(scene.hf), made)
+        return self._made.height_fields.get_or_make(str(scene.hf), lambda: _kept_height_field(scene.hf))
 
     def _lights(self, scene: Scene) -> list[Any]:
         """The light, and after it the environment."""
@@ -469,6 +474,20 @@ class Studio:
         )  # fmt: skip
         pixels = encoding.shown(disc, exact=False, display=how["display"])
         session.send(found | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))
+
+
+def _kept_height_field(call: Call) -> wd.HeightField:
+    """A height field; gratings are found again on disk, as fingers take half a second of a first picture."""
+    if call.on is not None or not call.function.startswith("gratings."):
+        made: wd.HeightField = call.make()
+        return made
+
+    def arrays() -> dict[str, Any]:
+        hf = call.make()
+        return {"heights_um": hf.heights_um, "pitch_um": np.array(hf.pitch_um)}
+
+    found = disk_cache.kept_on_disk(("height field", str(call)), np.zeros(0), arrays)
+    return wd.HeightField.of_known_scale(found["heights_um"], tuple(found["pitch_um"].tolist()))
 
 
 def _alike(one: Wanted, other: Wanted) -> bool:
