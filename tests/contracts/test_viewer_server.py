@@ -256,7 +256,7 @@ def test_every_control_is_part_of_a_scene(tmp_path):
     skies = tmp_path / "s.exr", tmp_path / "r.hdr"
     files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), skies, (("pitch_um", 0.1),), (levelled,))
     known = controls(["m.obj"], ["h.npy"], ["s.exr", "r.hdr"])
-    first = checked(known, {"mesh": "snake", "surface": "fingers"})
+    first = checked(known, {"mesh": "snake", "surface": "fingers", "light": "far"})
     of_picture = {"height", "display", "exposure_stops", "held", "background"}
     for control in known.values():
         shown = {name: values[0] for name, values in control.shown}

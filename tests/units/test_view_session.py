@@ -210,7 +210,8 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
         studio.want(page.session, wanted(1))
         page.until(is_last)
         # As on a slower machine.
-        monkeypatch.setattr("warpdiff.viewer.session._MOVING_S", 1e-6)
+        for name in ("_MOVING_S", "_LEAST_MOVING_S"):
+            monkeypatch.setattr(f"warpdiff.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):
             studio.want(page.session, wanted(generation, moving=True, azimuth_deg=3.0 * generation))
             time.sleep(0.05)
@@ -220,6 +221,18 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
         assert {each["tolerance"] for each in moving} == {None}
         assert moving[0]["height"] < 240
         page.until(lambda told: is_last(told) and told["generation"] == 9)
+
+
+def test_what_moves_has_as_many_pixels_as_come_in_time():
+    studio = object.__new__(Studio)
+    full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
+    # Of milliseconds for a picture of 320 × 240; below that size only where twelve a second are not kept.
+    for milliseconds, expected in ((10.0, 640), (20.0, 480), (40.0, 320), (75.0, 320), (100.0, 240)):
+        studio._pixel_s = milliseconds * 1e-3 / (320 * 240)
+        assert studio._smaller(full).width == expected
+    studio._pixel_s = 0.075 / (320 * 240)
+    small = wd.View((0, 1, 3), (0, 0, 0), width=320, height=240)
+    assert studio._smaller(small) == small
 
 
 def test_an_error_is_told_and_ends_nothing(studio):
