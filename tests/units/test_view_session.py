@@ -226,13 +226,15 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
 def test_what_moves_has_as_many_pixels_as_come_in_time():
     studio = object.__new__(Studio)
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
-    # Of milliseconds for a picture of 320 × 240; below that size only where twelve a second are not kept.
-    for milliseconds, expected in ((10.0, 640), (20.0, 480), (40.0, 320), (75.0, 320), (100.0, 240)):
-        studio._pixel_s = milliseconds * 1e-3 / (320 * 240)
-        assert studio._smaller(full).width == expected
-    studio._pixel_s = 0.075 / (320 * 240)
-    small = wd.View((0, 1, 3), (0, 0, 0), width=320, height=240)
-    assert studio._smaller(small) == small
+    # Seconds of a picture, a part of them for whatever size; below 320 × 240 only where twelve a second are not kept.
+    for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.08, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
+        studio._took, sizes = {}, []
+        for _ in range(8):
+            view = studio._smaller(full)
+            sizes.append(view.width)
+            pixels = view.width * view.height
+            studio._took[pixels] = fixed + of_all * pixels / (640 * 480), time.monotonic()
+        assert sizes[-1] == expected, sizes
 
 
 def test_an_error_is_told_and_ends_nothing(studio):

@@ -49,6 +49,8 @@ _LEAST_PIXELS, _LEAST_MOVING_S = 320 * 240, 0.08
 # Of renderers that are kept, and of their pixels, some.
 _MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
+# How long it counts what a size took.
+_FORGOTTEN_S = 3.0
 # How often a page is told how much of a picture is drawn.
 _TOLD_S = 0.5
 # Of a pixel that a body fills.
@@ -150,8 +152,8 @@ class Studio:
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
         self._made = _Made()
-        # What a pixel takes without refinement, as measured last [s].
-        self._pixel_s = 0.0
+        # What unrefined pictures took last [s], and when, by their pixels.
+        self._took: dict[int, tuple[float, float]] = {}
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
 
@@ -356,17 +358,29 @@ class Studio:
         session.stage = last
         send()
         if not index:
-            self._pixel_s = (time.perf_counter() - built) / (view.width * view.height)
+            self._took[view.width * view.height] = time.perf_counter() - built, time.monotonic()
 
     def _smaller(self, view: wd.View) -> wd.View:
         """A view of the largest size that is drawn in time."""
-        pixels = view.width * view.height
-        in_time = [each for each in _SCALES if self._pixel_s * each * each * pixels <= _MOVING_S]
-        scale, least = max(in_time, default=_SCALES[-1]), min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
-        if scale < least and self._pixel_s * least * least * pixels <= _LEAST_MOVING_S:
-            scale = least
-        width, height = (max(round(scale * each), 1) for each in (view.width, view.height))
-        return dataclasses.replace(view, width=width, height=height)
+        pixels, now = view.width * view.height, time.monotonic()
+        least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
+        self._took = {count: told for count, told in self._took.items() if now - told[1] < _FORGOTTEN_S}
+
+        def size(scale: float) -> tuple[int, int]:
+            return max(round(scale * view.width), 1), max(round(scale * view.height), 1)
+
+        def is_in_time(scale: float) -> bool:
+            """As it was drawn last, or as a smaller one lets expect: a part of the time is the same for all sizes."""
+            wanted = math.prod(size(scale))
+            drawn = max((count for count in self._took if count <= wanted), default=None)
+            if drawn is None:
+                return not self._took
+            most = _MOVING_S if scale > least else _LEAST_MOVING_S
+            return self._took[drawn][0] * math.sqrt(wanted / drawn) <= most
+
+        scales = sorted({*_SCALES, least}, reverse=True)
+        scale = next(filter(is_in_time, scales), scales[-1])
+        return dataclasses.replace(view, **dict(zip(("width", "height"), size(scale), strict=True)))
 
     def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
         """How a picture is displayed: while something moves, as the last one at rest, or it would flicker."""
