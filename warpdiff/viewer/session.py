@@ -379,8 +379,8 @@ class Studio:
             return self._took[drawn][0] * math.sqrt(wanted / drawn) <= most
 
         scales = sorted({*_SCALES, least}, reverse=True)
-        scale = next(filter(is_in_time, scales), scales[-1])
-        return dataclasses.replace(view, **dict(zip(("width", "height"), size(scale), strict=True)))
+        width, height = size(next(filter(is_in_time, scales), scales[-1]))
+        return dataclasses.replace(view, width=width, height=height)
 
     def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
         """How a picture is displayed: while something moves, as the last one at rest, or it would flicker."""
