@@ -251,6 +251,8 @@ def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chr
     lobes = wd.bake(skin, coherence=WINDOW, tolerance=4.0, material=material)
     options = {"smooth": False, "masking": False, **reflection}
     path = wd.export_html(tmp_path / "tube.html", body, lobes, lights, view, **options)
+    with pytest.raises(ValueError, match=r"light\[1\].position must be at least 1.1 radii of the mesh"):
+        wd.export_html(tmp_path / "in.html", body, lobes, [lights[0], wd.PointLight((0, 0.1, 0))], view, **options)
     exact = wd.shade(body, skin, lights, view, coherence=WINDOW, tolerance=3e-2, material=material, **options)
     browser, shown, said = opened(chromium, path)
     shown.evaluate("warpdiff.ready")
