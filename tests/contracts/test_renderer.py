@@ -138,6 +138,26 @@ def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_s
             assert image.plan == expected.plan
 
 
+def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plans):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
+    before = drawn.image()
+
+    def fails():
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        drawn.draw(coarser={0.4: fails})
+    # No picture is left half drawn.
+    same(drawn.image(), before)
+    with pytest.raises(RuntimeError, match="was called by what it calls itself"):
+        drawn.draw(coarser={0.4: drawn.draw})
+    asked = {0.2: print}
+    asked[0.4] = asked.clear
+    drawn.draw(coarser=asked)
+    assert not asked
+    same(drawn.image(), before)
+
+
 def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["points"])
     before = drawn.image()
