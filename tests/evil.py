@@ -21,11 +21,23 @@ LIGHT = wd.DirectionalLight((0.1, 0.2, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
 SHORT = wd.Coherence(sigma_um=3.0)
-PLAN = wd.plan(HF, coherence=SHORT, tolerance=0.1)
-PICTURE = wd.brdf_map(HF, UP, size=2, plan=PLAN)
-LOBES = wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
-SPECTRUM = wd.bake_spectrum(HF, coherence=SHORT, size=16, tolerance=0.1)
 HUGE, TINY = 1e300, 1e-300
+
+
+# What takes kernels is made where a test asks for it: each process that runs tests imports this file.
+@functools.cache
+def plan() -> wd.Plan:
+    return wd.plan(HF, coherence=SHORT, tolerance=0.1)
+
+
+@functools.cache
+def picture() -> wd.Image:
+    return wd.brdf_map(HF, UP, size=4, plan=plan())
+
+
+@functools.cache
+def lobes() -> wd.BakedLobes:
+    return wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
 
 
 # No parameter takes all of these, and most take none.
@@ -180,7 +192,7 @@ def _plans():
         "coherence": (wd.Coherence("centred"),),
     }.items():
         for value in values:
-            yield dataclasses.replace(PLAN, **{name: value})
+            yield dataclasses.replace(plan(), **{name: value})
 
 
 def _materials():
@@ -215,15 +227,15 @@ _KINDS = {
     "view": st.sampled_from(list(_views())),
     "coherence": st.sampled_from(list(_coherences())),
     "mesh": st.sampled_from(list(hostile_meshes())),
-    "plan": st.sampled_from(list(_plans())),
+    "plan": st.deferred(lambda: st.sampled_from(list(_plans()))),
     "callback": st.just("bad"),
     "callbacks": st.sampled_from([{1e-3: print}, {0.5: None}, {math.nan: print}, {HUGE: print}, {"x": print}, {}]),
     "shots": st.lists(st.sampled_from([wd.Shot((LIGHT,), VIEW), *_shots()]), max_size=3),
     "formats": st.lists(st.sampled_from([".png", ".exr", ".jpg", "png", 1, None]), max_size=3),
     "folder": st.sampled_from(["", ".", "new/one", "a.npy", "a\0b", "\ud800", "x" * 5000, "/dev/null", "/dev/full/a"]),
     "material": st.sampled_from(list(_materials())),
-    "picture": st.just(PICTURE),
-    "lobes": st.just(LOBES),
+    "picture": st.deferred(lambda: st.just(picture())),
+    "lobes": st.deferred(lambda: st.just(lobes())),
     "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
 }
 # Every parameter of whatever is public; of a pair of them, either.

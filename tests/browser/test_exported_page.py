@@ -141,6 +141,26 @@ def test_a_picture_at_rest_is_that_of_shade(shown, skin, body, index):
     assert np.abs(found[..., 3] - exact.coverage).mean() < 0.01
 
 
+def test_a_light_at_a_place_is_that_of_shade(shown, skin, body):
+    """Direction, falloff, footprint and shadow, by fewer frames: medians and sums do not see edges' noise."""
+    view, place = VIEWS[1], (-0.2, 1.6, 1.2)
+    options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
+    exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
+    wanted = of_view(view, place) | {"lights": [{"position": place, "power": 2.0}]}
+    found = render(shown, 64, exposure=exact.auto_exposure, **wanted)
+    seen = canvas(shown)
+    inside = (exact.coverage > 0.999) & exact.lit
+    dark = (exact.coverage > 0.999) & ~exact.lit
+    assert min(inside.sum(), 20 * dark.sum()) > 1000
+    assert np.median(colour_difference(seen, exact.display()[..., :3])[inside]) <= 1.0
+    assert found[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
+    assert np.median(found[..., 1][dark]) < 0.05 * np.median(found[..., 1][inside])
+    # As bright in the middle, but from far away, it is another picture.
+    far = of_view(view, place) | {"lights": [{"to_light": place, "power": 2.0 / np.dot(place, place)}]}
+    render(shown, 16, **far)
+    assert np.median(colour_difference(canvas(shown), exact.display()[..., :3])[inside]) > 3.0
+
+
 def test_pictures_come_back_when_light_view_and_exposure_do(shown):
     first = of_view(VIEWS[0], LIGHTS[0])
     before = render(shown, 2, exposure=1e5, **first)
@@ -231,6 +251,8 @@ def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chr
     lobes = wd.bake(skin, coherence=WINDOW, tolerance=4.0, material=material)
     options = {"smooth": False, "masking": False, **reflection}
     path = wd.export_html(tmp_path / "tube.html", body, lobes, lights, view, **options)
+    with pytest.raises(ValueError, match=r"light\[1\].position must be at least 1.1 radii of the mesh"):
+        wd.export_html(tmp_path / "in.html", body, lobes, [lights[0], wd.PointLight((0, 0.1, 0))], view, **options)
     exact = wd.shade(body, skin, lights, view, coherence=WINDOW, tolerance=3e-2, material=material, **options)
     browser, shown, said = opened(chromium, path)
     shown.evaluate("warpdiff.ready")

@@ -65,6 +65,20 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
+@pytest.fixture
+def served(cache):
+    """Begins servers, which end with the test where it fails."""
+    made = []
+
+    def begin(*arguments, **options):
+        made.append(Viewer(*arguments, cache=cache, **options))
+        return made[-1]
+
+    yield begin
+    for each in made:
+        each.process.kill()
+
+
 @pytest.fixture(scope="module")
 def waves(tmp_path_factory):
     path = tmp_path_factory.mktemp("heights") / "waves.npy"
@@ -294,8 +308,57 @@ def test_two_pages_at_once_and_one_page_s_error_reaches_no_other(page, chromium,
     other.close()
 
 
-def test_the_server_may_go_and_come_back(chromium, cache):
-    server = Viewer(cache=cache)
+def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, waves, tmp_path):
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+    radiance = np.full((8, 16, 3), 0.3, dtype=np.float32)
+    radiance[:, 8:] = 0.6, 0.4, 0.3
+    out = oiio.ImageOutput.create(str(tmp_path / "sky.hdr"))
+    out.open(str(tmp_path / "sky.hdr"), oiio.ImageSpec(16, 8, 3, "float"))
+    out.write_image(radiance)
+    out.close()
+    wd.meshes.tube().export(tmp_path / "body.obj")
+    files = tmp_path / "body.obj", "--height", waves, "--pixel-um", "0.05", "--environment", tmp_path / "sky.hdr"
+    server = served(*files)
+    made = Page(chromium, server.url)
+    simple = {
+        "height": "240",
+        "tolerance": "1e-1",
+        "environment_directions": "256",
+        "shadows": False,
+        "material": "perfect mirror",
+    }
+    for name, value in simple.items():
+        made.set(name, value)
+    first = made.rest()
+    assert not made.page.locator("#light").is_visible()
+    # Behind the body, on the left and on the right.
+    assert np.ptp(first[0], axis=0)[0] > 10
+    made.set("environment_rotation_deg", 150)
+    assert changed(made.rest(), first) > 0.2
+    made.set("environment_rotation_deg", 0)
+    np.testing.assert_array_equal(made.rest(), first)
+    made.set("environment_behind", False)
+    plain = made.rest()
+    assert np.ptp(plain[0]) == 0
+    made.set("light", "far away")
+    lit = made.rest()
+    assert changed(lit, plain) > 0.05
+    assert made.page.locator("#light").is_visible()
+    assert "DirectionalLight" in made.page.locator("#python").text_content()
+    made.set("environment", "none")
+    assert not made.page.locator("#set-environment_scale").is_visible()
+    assert changed(made.rest(), lit) > 0.01
+    assert "--environment" not in made.page.locator("#command").text_content()
+    made.set("light", "none")
+    made.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)
+    assert "there is no light" in made.page.locator("#notice").text_content()
+    made.close()
+    server.end()
+
+
+def test_the_server_may_go_and_come_back(chromium, served):
+    server = served()
     made = Page(chromium, server.url)
     for name, value in {"mesh": "tube", "height": "240", "tolerance": "1e-1"}.items():
         made.set(name, value)
@@ -303,7 +366,7 @@ def test_the_server_may_go_and_come_back(chromium, cache):
     server.end()
     made.page.wait_for_function("() => !document.body.dataset.connected", timeout=WAIT_MS)
     assert "away" in made.page.locator("#notice").text_content()
-    server = Viewer(cache=cache, port=server.port)
+    server = served(port=server.port)
     made.page.wait_for_function("() => document.body.dataset.connected", timeout=WAIT_MS)
     made.set("azimuth_deg", 10)
     assert changed(made.rest(), before) > 0.01
@@ -313,8 +376,8 @@ def test_the_server_may_go_and_come_back(chromium, cache):
     made.close()
 
 
-def test_beyond_this_machine_the_page_is_opened_with_its_token(chromium, cache):
-    server = Viewer("--host", "0.0.0.0", cache=cache)  # noqa: S104 (that is what is tested)
+def test_beyond_this_machine_the_page_is_opened_with_its_token(chromium, served):
+    server = served("--host", "0.0.0.0")  # noqa: S104 (that is what is tested)
     made = Page(chromium, f"http://127.0.0.1:{server.port}/?{server.url.partition('?')[2]}")
     made.page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
     made.close()

@@ -122,8 +122,10 @@ def test_parameters_of_gratings_are_refused_by_name(tmp_path, capsys, surface, s
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--port", "70000"], ["no.obj"], ["--height", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"]]
-)
+    "arguments",
+    [["--port", "70000"], ["no.obj"], ["--height", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
+     ["--environment", "no.exr"], ["--environment", __file__]],
+)  # fmt: skip
 def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
     assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
     error = capsys.readouterr().err.splitlines()[-1]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evil import HF, LIGHT, PLAN, VIEW, hostile_meshes
+from evil import HF, LIGHT, VIEW, hostile_meshes, plan
 
 import warpdiff as wd
 from warpdiff.scene import mesh_import
@@ -27,7 +27,7 @@ def render(path, **options):
         # Such as of a lost texture.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         try:
-            image = wd.shade(path, HF, LIGHT, VIEW, plan=PLAN, threads=1, **options)
+            image = wd.shade(path, HF, LIGHT, VIEW, plan=plan(), threads=1, **options)
         except ValueError as error:
             said = str(error)
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import inspect
 import re
 import signal
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from evil import HF, LIGHT, LOBES, MESH, PLAN, SHORT, SPECTRUM, UP, VIEW, legal_kind, strategy
+from evil import HF, LIGHT, MESH, SHORT, UP, VIEW, legal_kind, lobes, picture, plan, strategy
 from hypothesis import given
 from hypothesis import strategies as st
 from soaking import examples, seconds_left
@@ -24,32 +25,33 @@ import warpdiff as wd
 
 resource = pytest.importorskip("resource", reason="limits of memory are POSIX")
 
-IMAGE = wd.brdf_map(HF, UP, size=4, plan=PLAN)
-RENDERER = wd.Renderer(MESH, HF, LIGHT, VIEW, plan=PLAN)
-WAVY = wd.HeightField(0.05 * np.sin(np.arange(300.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
+WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # What results are made of is for the library to give; a warning takes any words.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "WarpdiffWarning"}
-# What stands for ``self``, and arguments that are legal beside an evil one.
+# What stands for ``self`` where it is not evil, by a call, and the kind of what is.
 OWNERS = {
-    "Environment": (None, wd.Environment(np.ones((2, 4, 3)), directions=16)),
-    "Material": (None, wd.Material.metal("Au")),
-    "Spectrum": (None, wd.Spectrum.blackbody(3000.0)),
-    "HeightField": ("hf", WAVY),
-    "Image": (None, IMAGE),
-    "Renderer": (None, RENDERER),
-    "View": ("view", VIEW),
-    "BakedLobes": (None, LOBES),
-    "BakedSpectrum": (None, SPECTRUM),
+    "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
+    "Material": lambda: wd.Material.metal("Au"),
+    "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
+    "HeightField": lambda: WAVY,
+    "Image": picture,
+    "Renderer": functools.cache(lambda: wd.Renderer(MESH, HF, LIGHT, VIEW, plan=plan())),
+    "View": lambda: VIEW,
+    "BakedLobes": lobes,
+    "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HF, coherence=SHORT, size=16, tolerance=0.1)),
 }
+KIND_OF_OWNER = {"HeightField": "hf", "View": "view"}
+# Arguments that are legal beside an evil one, and those that take kernels, by a call.
 LEGAL = {
     "hf": HF, "mesh": MESH, "light": LIGHT, "view": VIEW, "to_light": UP, "to_view": UP, "wavelengths_nm": [500.0],
     "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0), "extent_y": 1.0, "period_um": 1.0,
     "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]], "pitch_um": 0.1, "size": 4,
     "tolerance": 0.1, "extent_um": 1.0, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1, "segments_along": 12,
-    "segments_around": 3, "renderer": RENDERER, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
-    "lobes": LOBES, "deflections": [[0.1, 0.2, -1.5]],
+    "segments_around": 3, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
+    "deflections": [[0.1, 0.2, -1.5]],
     "radiance_rgb": np.ones((2, 4, 3)), "directions": 16, "position": (0.0, 0.0, 2.0),
 }  # fmt: skip
+LEGAL_BY_CALL = {"renderer": OWNERS["Renderer"], "lobes": lobes}
 PATHS = {
     "Image.save": "a.png", "export_html": "a.html", "BakedLobes.save": "a.npz", "BakedSpectrum.save": "a.npz",
 }  # fmt: skip
@@ -91,7 +93,7 @@ def parameters_of(name):
     """The kind of ``self``, if it may be evil, and the names of what else a public callable takes."""
     function, owner = PUBLIC[name]
     names = [key for key in inspect.signature(function).parameters if key != "self"]
-    return ([] if owner is None or OWNERS[owner][0] is None else ["self"]), names
+    return (["self"] if owner in KIND_OF_OWNER else []), names
 
 
 def call(name, arguments):
@@ -99,12 +101,13 @@ def call(name, arguments):
     function, owner = PUBLIC[name]
     given_ones = dict(arguments)
     if name == "Plan":
-        plan = dataclasses.replace(PLAN, **given_ones)
-        return [str(plan), wd.reflectance(HF, UP, (0.1, 0.2, 1.0), plan=plan)]
-    this = [] if owner is None else [given_ones.pop("self", OWNERS[owner][1])]
+        evil_plan = dataclasses.replace(plan(), **given_ones)
+        return [str(evil_plan), wd.reflectance(HF, UP, (0.1, 0.2, 1.0), plan=evil_plan)]
+    this = [] if owner is None else [given_ones.pop("self") if "self" in given_ones else OWNERS[owner]()]
     taken = inspect.signature(function).parameters
     # Something must be given, or is of a costly default.
     legal = {key: value for key, value in LEGAL.items() if key in taken}
+    legal |= {key: made() for key, made in LEGAL_BY_CALL.items() if key in taken and key not in given_ones}
     if name in PATHS:
         legal["path"] = PATHS[name]
     if name == "bake":
@@ -230,7 +233,9 @@ def check(name, arguments):
 @pytest.mark.parametrize("name", [name for name in PUBLIC if sum(map(len, parameters_of(name)))])
 def test_evil_values_are_refused_by_name_or_served(name, tries):
     own, names = parameters_of(name)
-    values = {each: strategy(each) for each in names} | {each: legal_kind(OWNERS[PUBLIC[name][1]][0]) for each in own}
+    values = {each: strategy(each) for each in names} | {
+        each: legal_kind(KIND_OF_OWNER[PUBLIC[name][1]]) for each in own
+    }
     one_or_two = st.lists(st.sampled_from(list(values)), min_size=1, max_size=2, unique=True)
 
     @examples(*((3, 50) if name in SLOW else (24, 500)))

@@ -48,8 +48,8 @@ def _scene():
     return lambda view: wd.shade(mesh, hf, light, view, **options).xyz
 
 
-def in_child(work):
-    """The exit code of a forked child that does some work: 0 if that is true; it is killed if it hangs."""
+def forked(work):
+    """A child that does some work and ends with exit code 0 if that is true."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -57,6 +57,11 @@ def in_child(work):
             code = 0 if work() else 2
         finally:
             os._exit(code)
+    return child
+
+
+def ended(child):
+    """A child's exit code; it is killed if it hangs."""
     for _ in range(int(_MOST_S / 0.02)):
         found, status = os.waitpid(child, os.WNOHANG)
         if found:
@@ -65,6 +70,11 @@ def in_child(work):
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     pytest.fail("the child hangs")
+
+
+def in_child(work):
+    """The exit code of a forked child that does some work."""
+    return ended(forked(work))
 
 
 def test_a_child_draws_what_its_parent_draws():
@@ -170,12 +180,12 @@ import OpenImageIO as oiio
 import test_forks as t
 from warpdiff.core.image_library import in_use
 
-def within(seconds):
+def within(wait):
     entered = threading.Event()
     def stay():
         with in_use():
             entered.set()
-            time.sleep(seconds)
+            wait()
     thread = threading.Thread(target=stay)
     thread.start()
     entered.wait()
@@ -193,17 +203,19 @@ def refused():
 
 before = oiio.get_int_attribute("exr_threads")
 # The fork waits for it, whoever else comes meanwhile, ...
-short = within(0.5)
+short = within(lambda: time.sleep(0.5))
 assert t.in_child(used) == 0
 # ... but not for ever.
-long = within(8.0)
+leave = threading.Event()
+long = within(lambda: leave.wait(60.0))
 assert oiio.get_int_attribute("exr_threads") == -1
 began = time.monotonic()
 assert t.in_child(refused) == 0
 assert time.monotonic() - began < 3.0 and long.is_alive()
 # Whoever leaves last gives back what was set.
-within(0.01).join()
+within(lambda: time.sleep(0.01)).join()
 assert oiio.get_int_attribute("exr_threads") == -1
+leave.set()
 long.join()
 assert oiio.get_int_attribute("exr_threads") == before
 assert t.in_child(used) == 0
@@ -222,18 +234,20 @@ def test_a_fork_waits_for_imports_and_kernels():
         "import test_forks as t\n"
         "thread = threading.Thread(target=t.picture)\n"
         "thread.start()\n"
-        "time.sleep({})\n"
         "def drawn():\n"
         "    try:\n"
         "        return t.picture().any()\n"
         "    except RuntimeError as error:\n"
         "        return \"'spawn'\" in str(error)\n"
-        "assert t.in_child(drawn) == 0\n"
-        "thread.join()"
+        "children = []\n"
+        # The first fork ends where the imports do.
+        "for after in (0.05, 0.35):\n"
+        "    time.sleep(after)\n"
+        "    children.append(t.forked(drawn))\n"
+        "thread.join()\n"
+        "assert [t.ended(each) for each in children] == [0, 0]"
     )
-    for after in (0.05, 0.7):
-        command = [sys.executable, "-c", code.format(after)]
-        subprocess.run(command, cwd=HERE, check=True, timeout=_MOST_S)
+    subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
 def test_work_that_is_cut_in_two_ends_in_the_child():

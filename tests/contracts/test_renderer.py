@@ -90,6 +90,8 @@ def recorded(monkeypatch):
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
+    # Launches are as large as what may be found at most: a GPU's threads that find nothing end at once, in parallel.
+    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 1 << 15)
     monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
     return begun
 
@@ -134,6 +136,26 @@ def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_s
             same(image, expected)
             np.testing.assert_array_equal(image.error, expected.error)
             assert image.plan == expected.plan
+
+
+def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plans):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
+    before = drawn.image()
+
+    def fails():
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        drawn.draw(coarser={0.4: fails})
+    # No picture is left half drawn.
+    same(drawn.image(), before)
+    with pytest.raises(RuntimeError, match="was called by what it calls itself"):
+        drawn.draw(coarser={0.4: drawn.draw})
+    asked = {0.2: print}
+    asked[0.4] = asked.clear
+    drawn.draw(coarser=asked)
+    assert not asked
+    same(drawn.image(), before)
 
 
 def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
@@ -279,6 +301,7 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
         drawn.draw(turned(0.2)[0])
         return drawn.image()
 
+    monkeypatch.setattr(device_schedule, "_MOST_RAYS", 1 << 20)
     whole = picture()
     monkeypatch.setattr(device_schedule, "_MOST_RAYS", 300)
     parts = picture()

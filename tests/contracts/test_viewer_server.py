@@ -253,9 +253,10 @@ def test_a_page_that_reads_nothing_is_let_go():
 def test_every_control_is_part_of_a_scene(tmp_path):
     np.save(tmp_path / "h.npy", np.zeros((8, 8)))
     levelled = ("levelled", (("order", 1),))
-    files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), (("pitch_um", 0.1),), (levelled,))
-    known = controls(["m.obj"], ["h.npy"])
-    first = checked(known, {"mesh": "snake", "surface": "fingers"})
+    skies = tmp_path / "s.exr", tmp_path / "r.hdr"
+    files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), skies, (("pitch_um", 0.1),), (levelled,))
+    known = controls(["m.obj"], ["h.npy"], ["s.exr", "r.hdr"])
+    first = checked(known, {"mesh": "snake", "surface": "fingers", "light": "far"})
     of_picture = {"height", "display", "exposure_stops", "held", "background"}
     for control in known.values():
         shown = {name: values[0] for name, values in control.shown}

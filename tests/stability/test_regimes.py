@@ -87,7 +87,7 @@ def test_automatic_choice_over_patches(size):
 
 
 def test_other_choices_break_over_patches():
-    usual = Case(wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), methods.hemisphere_pairs(48))
+    usual = Case(wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), methods.hemisphere_pairs(24))
     assert usual.fixed_steps(5.0) > 0.1
     assert usual.fixed_steps(1.0) < TOLERANCE
     assert usual.automatic <= TOLERANCE

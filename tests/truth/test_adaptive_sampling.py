@@ -56,7 +56,7 @@ def lumpy(subdivisions=3):
 BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "lumpy": lumpy}
 
 
-def by_points(mesh, hf, light, camera, plan, points=48):
+def by_points(mesh, hf, light, camera, plan, points=36):
     """A picture of points as many times as fine, under the filter, and which pixels are inside the lit surface."""
     fine = dataclasses.replace(camera, width=points * camera.width, height=points * camera.height)
     image = wd.shade(mesh, hf, light, fine, plan=dataclasses.replace(plan, footprint=False))
@@ -173,7 +173,7 @@ def test_where_no_table_takes_means_points_do(fingers):
     """By whatever method, under any coherence: a mean is never left out without a word."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
-    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=16)
+    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
     found = wd.shade(
         mesh, fingers, LIGHT, view("lumpy"), plan=dataclasses.replace(plan, tolerance=5e-2), footprint=True
     )

@@ -12,7 +12,7 @@ import warpdiff as wd
 from warpdiff.bench.truth.sky_sums import SkySums
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
-from warpdiff.scene.sky_map import blurred_maps
+from warpdiff.scene.sky_map import blurred_grids, maps_of
 from warpdiff.tables.sky_table import cells
 
 WINDOW = wd.Coherence(sigma_um=8.0)
@@ -49,7 +49,7 @@ def test_blurred_maps_keep_power_and_have_the_variance_that_they_tell():
     radiance[3, 40, 0] = radiance[100, 511, 1] = 1.0
     radiance[..., 2] = 1.0
     along, solid = middles(256)
-    texels, sides, blur = blurred_maps(radiance, 0.0)
+    texels, sides, blur = maps_of(blurred_grids(radiance), 0.0)
     begin = 0
     for level, side in enumerate(sides):
         values = texels[begin : begin + (side + 2) ** 2].reshape(side + 2, side + 2, 3)

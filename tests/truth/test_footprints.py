@@ -25,7 +25,7 @@ SHORT = wd.Coherence(sigma_um=3.25)
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 # Of 144, P99 of the best pictures was their own noise: 0.25, and 0.06 against these.
-RAYS = 1024
+RAYS = 400
 
 
 @pytest.fixture(scope="module")

@@ -78,7 +78,7 @@ def test_each_geometry_has_its_material(footprint, fingers):
     options = {"coherence": SHORT, "tolerance": 1e-1, "footprint": footprint}
     both = wd.shade(scene(), fingers, LIGHTS, VIEW, material={"lower": SILVER, "upper": GOLD}, **options)
     of_one = {
-        name: wd.shade(scene(), fingers, LIGHTS, VIEW, material=material, layers=["geometry"], **options)
+        name: wd.shade(scene(), fingers, LIGHTS, VIEW, material=material, layers=["geometry"], plan=both.plan)
         for name, material in (("upper", GOLD), ("lower", SILVER))
     }
     for index, (name, alone) in enumerate(of_one.items()):

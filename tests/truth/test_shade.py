@@ -22,7 +22,7 @@ from warpdiff.bench.truth import reference
 from warpdiff.scene.mesh_import import prepare_surface
 
 # More are judged by bench/studies/picture_error.py.
-PIXELS = 240
+PIXELS = 160
 SNAKE_LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
@@ -144,14 +144,14 @@ def test_both_sides_are_seen(fingers):
     images = [
         wd.shade(
             whole_disc(), fingers, wd.DirectionalLight(light * side), coherence=SHORT, footprint=False,
-            view=wd.View(eye * side, (0, 0, 0), up=(1, 0, 0), width=33, height=33),
+            view=wd.View(eye * side, (0, 0, 0), up=(1, 0, 0), width=25, height=25),
         )
         for side in (1.0, flip)
     ]  # fmt: skip
     assert images[1].xyz[images[1].mask][:, 1].min() > 0.0
-    pixels = np.arange(33 * 33)
+    pixels = np.arange(25 * 25)
     body = reference.Body.of(prepare_surface(whole_disc()))
-    behind = wd.View(eye * flip, (0, 0, 0), up=(1, 0, 0), width=33, height=33)
+    behind = wd.View(eye * flip, (0, 0, 0), up=(1, 0, 0), width=25, height=25)
     truth = reference.reference_picture(
         body, fingers, [wd.DirectionalLight(light * flip)], behind, pixels, "averaged", 3.0, tolerance=1e-2
     )
@@ -271,7 +271,7 @@ def textured_quad(texture=TEXTURE):
 
 @pytest.mark.parametrize(("sigma_um", "ior", "illuminant"), [(16.25, 1.5, "D65"), (4.0, 2.2, "A")])
 def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
-    view = wd.View((0.4, -1.6, 2.0), (0, 0, 0), width=24, height=18)
+    view = wd.View((0.4, -1.6, 2.0), (0, 0, 0), width=16, height=12)
     light = wd.DirectionalLight((0.5, 0.8, 1.0), illuminant=illuminant, power=1.7)
     quad = textured_quad()
     options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3, "footprint": False}
@@ -279,11 +279,11 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     body = reference.Body.of(prepare_surface(quad), TEXTURE)
     truth = [
         reference.reference_picture(
-            body, fingers, [light], view, np.arange(24 * 18), "averaged", sigma_um, tolerance=1e-3, ior=ior, pigment=p
+            body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um, tolerance=1e-3, ior=ior, pigment=p
         )
         for p in (0.0, 1.0)
     ]
-    under = (truth[1].xyz - truth[0].xyz).reshape(18, 24, 3)
+    under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
     # In units of the pigment: what a sum in float32 with the diffraction colour loses is the latter's rounding.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
@@ -351,20 +351,20 @@ def test_the_direct_method_agrees(kind, snake, fingers):
 
 
 def a_tube(_request):
-    return meshes.tube(segments_along=64, segments_around=32), snake_view(64, 48)
+    return meshes.tube(segments_along=64, segments_around=32), snake_view(48, 36)
 
 
 def a_disc(_request):
-    return meshes.disc(segments=64, rings=4), wd.View((0.0, -1.9, 2.3), (0, 0, 0), width=64, height=48)
+    return meshes.disc(segments=64, rings=4), wd.View((0.0, -1.9, 2.3), (0, 0, 0), width=48, height=36)
 
 
 def a_ball(_request):
-    return spherical(2), wd.View((2.0, 1.5, 1.0), (0, 0, 0), width=64, height=48)
+    return spherical(2), wd.View((2.0, 1.5, 1.0), (0, 0, 0), width=48, height=36)
 
 
 def the_bottle(request):
     path = request.getfixturevalue("fuze_path")
-    return path, wd.View((0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=48, height=64)
+    return path, wd.View((0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=36, height=48)
 
 
 @pytest.mark.parametrize("make", [a_tube, a_disc, a_ball, the_bottle])

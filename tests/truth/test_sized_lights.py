@@ -82,8 +82,8 @@ def test_a_light_of_a_size_is_a_disc_of_points(diameter, count, median, most, fi
 @pytest.mark.filterwarnings("ignore:plan= is used beyond")
 def test_a_wide_light_has_a_soft_shadow(fingers):
     """Behind the edge of a tube that hides the middle of a light, its rim still shines."""
-    body = wd.meshes.snake(segments=2)
-    view = wd.View((0, 3.4, 4), (0, 0, 0), fov_y_deg=13, width=64, height=48)
+    body = wd.meshes.tube(segments_along=48, segments_around=36)
+    view = wd.View((0, 3.4, 4), (0, 0, 0), fov_y_deg=23, width=48, height=36)
     options = {"tolerance": 2e-1, "coherence": SHORT, "pigment": 0.0, "refine": False}
     towards = (0.6, 0.25, -0.1)
     point, wide = (

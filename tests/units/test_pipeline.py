@@ -12,9 +12,12 @@ import warp as wp
 from warpdiff.compute.device import resolve_device
 from warpdiff.compute.pipeline import KernelCall, Pipeline, launch, launch_pipeline
 from warpdiff.core.thread_pool import side_by_side
+from warpdiff.kernels import compile_options
 from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
+# With other flags Warp's headers would be precompiled once more.
+wp.set_module_options(compile_options.options())
 
 
 def test_progress_is_told_of_nothing():
@@ -23,13 +26,13 @@ def test_progress_is_told_of_nothing():
     assert told == [1.0]
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel
 def add_in_runs(values: wp.array(dtype=wp.int32), first: wp.int32, run: wp.int32):
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         values[i] += 1
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel
 def double(values: wp.array(dtype=wp.int32), first: wp.int32):
     values[first + wp.tid()] *= 2
 
@@ -73,7 +76,7 @@ def test_threads_launch_one_chain_over_elements_of_their_own():
     np.testing.assert_array_equal(values.numpy(), 2)
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel
 def gather_all(
     sampling: Sampling,
     cells: Cells,
@@ -115,7 +118,7 @@ def test_arrays_of_another_type_are_refused():
         launch(double, 4, [wp.zeros(4, dtype=wp.float64, device=device)], [], device=device, threads=1)
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel
 def count_up(values: wp.array(dtype=wp.int64), first: wp.int32):
     values[first + wp.tid()] += wp.int64(1)
 
@@ -150,6 +153,6 @@ def test_what_was_launched_may_go():
     assert kept() is None
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel
 def triple(values: wp.array(dtype=wp.int32), first: wp.int32):
     values[first + wp.tid()] *= 3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import queue
+import shlex
 import time
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 import warpdiff as wd
+from warpdiff.app import cli
 from warpdiff.compute.device import resolve_device
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.viewer import bodies
@@ -68,7 +70,7 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         assert [each["tolerance"] for each, _ in pictures] == [None, 0.1, 0.03]
         assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/jpeg", "image/png"]
         assert pictures[2][0]["error"]["p99"] <= pictures[1][0]["error"]["p99"] < 3 * 0.1
-        assert told[-1][0]["angles"]["to_light"]["theta_deg"] == pytest.approx(
+        assert told[-1][0]["angles"]["light"]["theta_deg"] == pytest.approx(
             np.degrees(np.arccos(pictures[2][0]["to_light"][2])), abs=0.5
         )
         last, data = pictures[2]
@@ -77,6 +79,70 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
         found = np.asarray(Image.open(io.BytesIO(data)))
         assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+
+
+@pytest.fixture(scope="module")
+def sky(tmp_path_factory):
+    radiance = np.full((8, 16, 3), 0.2, dtype=np.float32)
+    radiance[1, 3] = 20.0, 10.0, 5.0
+    path = tmp_path_factory.mktemp("sky") / "a sky.exr"
+    oiio = pytest.importorskip("OpenImageIO")
+    out = oiio.ImageOutput.create(str(path))
+    out.open(str(path), oiio.ImageSpec(16, 8, 3, "float"))
+    out.write_image(radiance)
+    out.close()
+    return path
+
+
+def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_path):
+    monkeypatch.setattr("warpdiff.viewer.session._TOLD_S", 0.0)
+    files = NamedFiles(environments=(sky,))
+    known = controls([], [], ["a sky.exr"])
+    values = checked(
+        known,
+        dict(VALUES) | {"environment_directions": 256, "shadows": False, "light": "none"},
+    )
+    studio = Studio(files, values, threads=1)
+    with Page(studio) as page:
+        turned = values | {"environment_rotation_deg": 90.0, "environment_scale": 2.0}
+        studio.want(page.session, Wanted(1, turned, None, 0.25, False, (0.5, 0.5)))
+        told = page.until(lambda each: each["kind"] == "map")
+        (first, _), (last, data) = (each for each in told if each[0]["kind"] == "picture")
+        assert (first["tolerance"], last["tolerance"]) == (None, 0.1)
+        assert [each["share"] for each, _ in told if each["kind"] == "progress"]
+        assert set(told[-1][0]["angles"]) == {"view"}
+        made = {}
+        lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
+        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
+        found = np.asarray(Image.open(io.BytesIO(data))).astype(int)
+        assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+        assert made["environment"].rotation_deg == 90.0
+        # The file is the same, and so is the command's but for its plan.
+        saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
+        assert np.abs(np.asarray(saved)[..., :3].astype(int) - found).max() <= 1
+        monkeypatch.chdir(tmp_path)
+        command = shlex.split(last["command"])
+        assert cli.main(command[1:]) == 0
+        assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - found), 99.0) <= 8
+        # It is seen where nothing is before it.
+        studio.want(page.session, Wanted(2, turned | {"environment_behind": False}, None, 0.25, False, (0.5, 0.5)))
+        (*_, (_, plain)) = page.until(is_last)
+        corner = np.asarray(Image.open(io.BytesIO(plain)))[0, 0].astype(int)
+        assert np.ptp(corner) == 0
+        assert not np.array_equal(corner, found[0, 0])
+
+
+def test_a_scene_takes_a_light_or_an_environment_or_both(sky):
+    known, files = controls([], [], ["a sky.exr"]), NamedFiles(environments=(sky,))
+    scene = Scene.of(checked(known, {"light": "near"}), files).placed((0.0, 0.0, 0.0), 1.0)
+    light = scene.light.make()
+    assert light.power == pytest.approx(1e4 * np.dot(light.position, light.position))
+    words = scene.command(wd.View((0, 1, 3), (0, 0, 0)), 0.1, {"background": (0, 0, 0)}, files).split()
+    assert {"--point-light", "--environment", "--environment-behind"} < set(words)
+    assert "--background" not in words
+    assert scene.at(None).shading["shadows"] is False
+    with pytest.raises(ValueError, match="there is no light"):
+        Scene.of(VALUES | {"light": "none"}, NamedFiles())
 
 
 def test_what_is_let_go_is_refined_at_once(studio):
@@ -144,7 +210,8 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
         studio.want(page.session, wanted(1))
         page.until(is_last)
         # As on a slower machine.
-        monkeypatch.setattr("warpdiff.viewer.session._MOVING_S", 1e-6)
+        for name in ("_MOVING_S", "_LEAST_MOVING_S"):
+            monkeypatch.setattr(f"warpdiff.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):
             studio.want(page.session, wanted(generation, moving=True, azimuth_deg=3.0 * generation))
             time.sleep(0.05)
@@ -154,6 +221,20 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
         assert {each["tolerance"] for each in moving} == {None}
         assert moving[0]["height"] < 240
         page.until(lambda told: is_last(told) and told["generation"] == 9)
+
+
+def test_what_moves_has_as_many_pixels_as_come_in_time():
+    studio = object.__new__(Studio)
+    full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
+    # Seconds of a picture, a part of them for whatever size; below 320 × 240 only where twelve a second are not kept.
+    for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.08, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
+        studio._took, sizes = {}, []
+        for _ in range(8):
+            view = studio._smaller(full)
+            sizes.append(view.width)
+            pixels = view.width * view.height
+            studio._took[pixels] = fixed + of_all * pixels / (640 * 480), time.monotonic()
+        assert sizes[-1] == expected, sizes
 
 
 def test_an_error_is_told_and_ends_nothing(studio):

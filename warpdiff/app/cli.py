@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.scene.environment import Light
 
 GRATINGS: dict[str, Callable[[argparse.Namespace], wd.HeightField]] = {
     "sinusoidal": lambda a: wd.gratings.sinusoidal(a.period_um, a.depth_um),
@@ -56,7 +55,7 @@ METAL_SYMBOLS = ("Al", "Ag", "Au", "Cr", "Cu", "Ni")
 _FLAGS = {
     "mesh": "MESH", "hf": "HEIGHTFIELD", "heightfield": "HEIGHTFIELD", "path": "HEIGHTFIELD", "kind": "--coherence",
     "pitch_um": "--pixel-um", "size_um": "--crop-um", "filled()": "--fill", "cropped()": "--crop-um",
-    "periodic()": "--periodic", "despiked()": "--despike",
+    "power": "--light-power", "periodic()": "--periodic", "despiked()": "--despike",
 }  # fmt: skip
 _MOST_PORT = 65_535
 # What the file system says of a path that was given; a full disk is another matter.
@@ -236,13 +235,17 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_surroundings(render: argparse.ArgumentParser) -> None:
-    """Lights that are no directions; the default light is left out where there are any."""
-    group = render.add_argument_group("lights of other kinds")
+def _add_point_light(group: Any) -> None:
     group.add_argument(
         "--point-light", type=float, nargs=4, action="append", default=[], metavar=("X", "Y", "Z", "POWER"),
         help="a light at a place, and its power at a distance of 1 of the mesh's unit; may be repeated",
     )  # fmt: skip
+
+
+def _add_surroundings(render: argparse.ArgumentParser) -> None:
+    """Lights that are no directions; the default light is left out where there are any."""
+    group = render.add_argument_group("lights of other kinds")
+    _add_point_light(group)
     group.add_argument(
         "--environment", metavar="FILE", help="a sky or room, EXR or HDR in latitude and longitude, linear sRGB"
     )
@@ -314,6 +317,10 @@ def _add_view(commands: Any, common: argparse.ArgumentParser, surface: argparse.
         "--height", nargs="+", action="extend", default=[], metavar="FILE",
         help="scans that the page offers, beside the synthetic gratings",
     )  # fmt: skip
+    view.add_argument(
+        "--environment", nargs="+", action="extend", default=[], metavar="FILE",
+        help="skies or rooms that the page offers as lights, EXR or HDR in latitude and longitude, linear sRGB",
+    )  # fmt: skip
     view.add_argument("--port", type=int, default=0, help="(default: a free one)")
     view.add_argument(
         "--host", default="127.0.0.1", help="address to listen on; beyond this machine the page has a token (default: "
@@ -353,6 +360,7 @@ def _add_export_html(commands: Any, common: argparse.ArgumentParser, surface: ar
     lobes.add_argument("--device", help="cpu (default) or cuda")
     lobes.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
     page.add_argument("--exposure", type=float, help="linear factor (default: for the first picture)")
+    _add_point_light(page)
     page.add_argument("--title", default="warpdiff", help="of the page")
     _add_scene(page)
     page.set_defaults(width=640, height=480)
@@ -475,6 +483,7 @@ def _add_scene(command: Any) -> None:
     command.add_argument(
         "--light-diameter-deg", type=float, default=0.0, metavar="DEG", help="size of these in the sky (default: 0)"
     )
+    command.add_argument("--light-power", type=float, default=1.0, metavar="POWER", help="of these (default: 1)")
     command.add_argument(
         "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="camera (default: frames the mesh)"
     )
@@ -670,17 +679,21 @@ def _view(options: argparse.Namespace) -> None:
 
     if not 0 <= options.port <= _MOST_PORT:
         raise ValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
-    for name, paths in (("MESH", options.mesh), ("--height", options.height)):
+    named = ("MESH", options.mesh), ("--height", options.height), ("--environment", options.environment)
+    for name, paths in named:
         for each in paths:
             if not checks.path(each, name).is_file():
                 raise FileNotFoundError(f"{name}: there is no file {each!r}")
     # What cannot be loaded is told here, rather than on the page.
     for path in options.height:
         _scan(path, options)
+    for path in options.environment:
+        _loaded_environment(path)
     loading, cleaning = _loading(options), _cleaning(options)
     files = NamedFiles(
-        tuple(map(Path, options.mesh)), tuple(map(Path, options.height)), tuple(loading.items()), tuple(cleaning)
-    )
+        tuple(map(Path, options.mesh)), tuple(map(Path, options.height)), tuple(map(Path, options.environment)),
+        tuple(loading.items()), tuple(cleaning),
+    )  # fmt: skip
     run(
         files, host=options.host, port=options.port, opens_browser=not options.no_browser, device=options.device,
         threads=options.threads, say=lambda line: print(line, flush=True),
@@ -691,12 +704,7 @@ def _render(options: argparse.Namespace) -> None:
     _check_output(options)
     sky = _environment(options)
     mesh, hf, directional, view = _scene(options)
-    others: list[Light] = [
-        wd.PointLight((x, y, z), illuminant=directional[0].illuminant, power=power)
-        for x, y, z, power in options.point_light
-    ]
-    others += [] if sky is None else [sky]
-    lights = [*(directional if options.light or not others else ()), *others]
+    lights = [*_lights(options, directional, others=sky is not None), *([] if sky is None else [sky])]
     shading = _shading(options)
     image = wd.shade(mesh, hf, lights, view, **shading, progress=Bar(options.command))
     behind = None
@@ -705,6 +713,17 @@ def _render(options: argparse.Namespace) -> None:
         normal, _ = check_reflection(shading["ior"], shading["material"])
         behind = sky.seen(view) / np.float32(normal)
     _report(image, options, behind)
+
+
+def _lights(
+    options: argparse.Namespace, directional: list[wd.DirectionalLight], *, others: bool = False
+) -> list[wd.DirectionalLight | wd.PointLight]:
+    """Directional lights and those at a place; the default one is left out where there are ``others``."""
+    near = [
+        wd.PointLight((x, y, z), illuminant=directional[0].illuminant, power=power)
+        for x, y, z, power in options.point_light
+    ]
+    return [*(directional if options.light or not (near or others) else ()), *near]
 
 
 def _environment(options: argparse.Namespace) -> wd.Environment | None:
@@ -718,11 +737,15 @@ def _environment(options: argparse.Namespace) -> wd.Environment | None:
         raise ValueError("--environment-behind and --background are both behind the picture: give one of them")
     if options.environment_behind and Path(options.output).suffix.lower() != ".png":
         raise ValueError(f"--environment-behind is for .png files, got --output {options.output}")
+    return _loaded_environment(
+        options.environment, rotation_deg=options.environment_rotation_deg, scale=options.environment_scale,
+        directions=options.environment_directions,
+    )  # fmt: skip
+
+
+def _loaded_environment(path: str, **options: Any) -> wd.Environment:
     try:
-        return wd.Environment.load(
-            options.environment, rotation_deg=options.environment_rotation_deg, scale=options.environment_scale,
-            directions=options.environment_directions,
-        )  # fmt: skip
+        return wd.Environment.load(path, **options)
     except (ValueError, *_BAD_PATHS) as error:
         # Other commands' paths are height fields.
         raise type(error)(str(error).replace("path", "--environment", 1)) from None
@@ -739,8 +762,11 @@ def _scene(options: argparse.Namespace) -> tuple[Any, wd.HeightField, list[wd.Di
     )
     frame = view.frame()
     directions = options.light or [list(frame.back + 0.6 * frame.up + 0.3 * frame.right)]
-    size, illuminant = options.light_diameter_deg, _illuminant(options)
-    lights = [wd.DirectionalLight(tuple(each), illuminant=illuminant, angular_diameter_deg=size) for each in directions]
+    alike = {
+        "illuminant": _illuminant(options), "angular_diameter_deg": options.light_diameter_deg,
+        "power": options.light_power,
+    }  # fmt: skip
+    lights = [wd.DirectionalLight(tuple(each), **alike) for each in directions]
     return mesh, hf, lights, view
 
 
@@ -799,9 +825,9 @@ def _export_html(options: argparse.Namespace) -> None:
         coherence=coherence, device=options.device, threads=options.threads, progress=Bar(options.command),
     )  # fmt: skip
     path = wd.export_html(
-        target, mesh, lobes, lights, view, ior=options.ior, masking=not options.no_masking, pigment=options.pigment,
-        shadows=not options.no_shadows, smooth=not options.flat, tangents=options.tangent, exposure=options.exposure,
-        title=options.title,
+        target, mesh, lobes, _lights(options, lights), view, ior=options.ior, masking=not options.no_masking,
+        pigment=options.pigment, shadows=not options.no_shadows, smooth=not options.flat, tangents=options.tangent,
+        exposure=options.exposure, title=options.title,
     )  # fmt: skip
     print(lobes)
     print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")

@@ -111,8 +111,10 @@ class Renderer:
         self._begin(wanted, surface, view)
         self.draw()
 
-    def _begin(self, wanted: PictureRequest, surface: Surface, view: View) -> None:
-        """Do all that does not change."""
+    def _begin(
+        self, wanted: PictureRequest, surface: Surface, view: View, integrator: Integrator | None = None
+    ) -> None:
+        """Do all that does not change; an integrator by the same plan has its tables."""
         request = wanted.request
         self._wanted, self._surface = wanted, surface
         with memory_named(view):
@@ -120,7 +122,9 @@ class Renderer:
             if request.plan is not None:
                 warn_outside(request.plan, request.hf, scope)
             self.plan = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
-            self._integrator = Integrator(request.hf, self.plan, scope, device=request.device, threads=request.threads)
+            self._integrator = integrator or Integrator(
+                request.hf, self.plan, scope, device=request.device, threads=request.threads
+            )
             self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
@@ -152,7 +156,7 @@ class Renderer:
         refine = self._wanted.refine if refine is None else checks.flag(refine, "refine")
         result = object.__new__(Renderer)
         request = replace(self._wanted.request, plan=self.plan)
-        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view)
+        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view, self._integrator)
         return result
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -188,6 +192,8 @@ class Renderer:
         """
         checks.callback(progress, "progress")
         mine = self._mine
+        if mine.is_drawing:
+            raise RuntimeError("draw() was called by what it calls itself, progress or coarser: call it afterwards")
         on_the_way = self._on_the_way(mine, coarser)
         lights = mine.lights if light is None else lobes_for(light, self._wanted.request)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
@@ -205,12 +211,16 @@ class Renderer:
                 mine.frame.set_view(view)
             mine.lights, mine.drawn = lights, False
             self._wanted.set_lights(mine.frame, lights)
-            if self._recorded:
-                self._replay(mine)
-                if progress is not None:
-                    progress(1.0)
-            else:
-                self._launch(mine, progress, on_the_way)
+            mine.is_drawing = True
+            try:
+                if self._recorded:
+                    self._replay(mine)
+                    if progress is not None:
+                        progress(1.0)
+                else:
+                    self._launch(mine, progress, on_the_way)
+            finally:
+                mine.is_drawing = False
             mine.drawn, mine.tolerance = True, self.plan.tolerance
         return mine.frame.xyz
 
@@ -227,14 +237,19 @@ class Renderer:
 
     def _on_the_way(self, mine: _Picture, coarser: Any) -> list[tuple[float, Callable[[], None]]]:
         """Checked tolerances, the largest first, with what is called at each."""
-        checks.instance(coarser, Mapping, "coarser", optional=True)
+        if coarser is not None and not isinstance(coarser, Mapping):
+            raise TypeError(f"coarser must be a mapping from tolerances to callables, got {type(coarser).__name__}")
+        # What is called may change what was given.
+        asked = dict(coarser or {})
 
         def tell(tolerance: float) -> None:
             mine.drawn, mine.tolerance = True, tolerance
-            coarser[tolerance]()
-            mine.drawn = False
+            try:
+                asked[tolerance]()
+            finally:
+                mine.drawn = False
 
-        for tolerance, reached in (coarser or {}).items():
+        for tolerance, reached in asked.items():
             if not checks.number(tolerance, "coarser", most=0.5) > self.plan.tolerance:
                 raise ValueError(
                     f"coarser must be above the plan's {self.plan.tolerance:g}, got {tolerance!r}: omit it"
@@ -243,7 +258,7 @@ class Renderer:
                 raise TypeError(f"coarser[{tolerance!r}] must be callable, got {type(reached).__name__}")
         if not self._wanted.refine:
             return []
-        return [(each, functools.partial(tell, each)) for each in sorted(coarser or {}, reverse=True)]
+        return [(each, functools.partial(tell, each)) for each in sorted(asked, reverse=True)]
 
     def _launch(
         self,
@@ -292,6 +307,7 @@ class _Picture(threading.local):
         lights: The last.
         view: The last.
         drawn: Whether it was drawn.
+        is_drawing: Whether it is being drawn.
         tolerance: For which.
         graph: Its launches as they were recorded.
         graph_is_for: What these depend on.
@@ -299,6 +315,7 @@ class _Picture(threading.local):
 
     def __init__(self, make: Callable[[], Frame], lights: list[Lobe], view: View) -> None:
         self.frame, self.lights, self.view, self.drawn, self.tolerance = make(), lights, view, False, 0.0
+        self.is_drawing = False
         self.graph: Any = None
         self.graph_is_for: tuple[Any, ...] = ()
 

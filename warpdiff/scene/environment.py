@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from dataclasses import KW_ONLY, dataclass, field
@@ -15,7 +16,7 @@ from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
 from warpdiff.scene.lights import MOST_POWER, DirectionalLight, Lobe, PointLight
-from warpdiff.scene.sky_map import SkyLight, blurred_maps, linear
+from warpdiff.scene.sky_map import SkyLight, blurred_grids, linear, maps_of
 
 if TYPE_CHECKING:
     import os
@@ -133,6 +134,25 @@ class Environment:
         along = -frame.back + (0.0 if frame.orthographic else 1.0) * across
         return np.asarray(self.scale * linear(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
+    @functools.cached_property
+    def _grids(self) -> list[NDArray[np.float64]]:
+        """It takes half a second, and does not depend on how the environment is turned."""
+        return blurred_grids(np.asarray(self.radiance_rgb))
+
+    @functools.cached_property
+    def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
+        """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale."""
+        return maps_of(self._grids, math.radians(self.rotation_deg))
+
+
+def turned(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
+    """The same radiances, otherwise turned, scaled and summed: what takes long is done once."""
+    result = copy.copy(environment)
+    vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grids=environment._grids)
+    if rotation_deg != environment.rotation_deg:
+        vars(result).pop("_maps", None)
+    return result
+
 
 Light = DirectionalLight | PointLight | Environment
 
@@ -145,7 +165,7 @@ def sky_of(environment: Environment, sigma_um: float, tolerance: float) -> Lobe:
     (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
     chosen = min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
-    texels, sides, blur = blurred_maps(np.asarray(environment.radiance_rgb), math.radians(environment.rotation_deg))
+    texels, sides, blur = environment._maps
     (red, green, blue), per_radiance = _spectra()
     powers = texels * (environment.scale * 4.0 * math.pi * sigma_um**2 * per_radiance)
     strongest = 4.0 * math.pi * float(powers.max())

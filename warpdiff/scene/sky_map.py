@@ -54,20 +54,25 @@ def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -
     return np.asarray((1.0 - down) * upper + down * lower)
 
 
-def blurred_maps(radiance: NDArray[np.float32], turn: float) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-    """Texels, sides and the first blur of a :class:`SkyLight`, of RGB over latitude and longitude."""
+def blurred_grids(radiance: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+    """RGB over latitude and longitude, blurred more and more."""
     grid, before = _on_grid(radiance), 0.0
-    texels, sides = [], []
+    result = []
     for level in range(_LEVELS):
         blur = _FIRST_BLUR * 2.0**level
         while grid.shape[0] * blur >= 2.0 * _STEPS_A_BLUR * math.pi:
             grid = _halved(grid)
         grid = _blurred(grid, math.sqrt(blur**2 - before**2))
         before = blur
-        side = max(_LARGEST_SIDE >> level, _SMALLEST_SIDE)
-        texels.append(linear(grid, _directions(side), turn).reshape(-1, 3))
-        sides.append(side)
-    return np.concatenate(texels).astype(np.float32), tuple(sides), _FIRST_BLUR
+        result.append(grid)
+    return result
+
+
+def maps_of(grids: list[NDArray[np.float64]], turn: float) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
+    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids that are turned about +y [rad]."""
+    sides = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
+    texels = [linear(grid, _directions(side), turn).reshape(-1, 3) for grid, side in zip(grids, sides, strict=True)]
+    return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:

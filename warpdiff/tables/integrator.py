@@ -83,12 +83,16 @@ class Integrator:
         """The struct ``SkyTable`` for so many directions, of spectra by material, made or found again."""
         key = lit, directions
         if key not in self._sky_tables:
-            without = Integrator(
-                self._hf, self._plan, self._scope, zeroth_order=False, device=self._device, threads=self._threads
+            # Of their own: colours of an environment's spectra are asked for here alone, and are far larger.
+            with_all, without = (
+                Integrator(
+                    self._hf, self._plan, self._scope, zeroth_order=each, device=self._device, threads=self._threads
+                )
+                for each in (True, False)
             )
             lobe_uv = polar_layout.blur(self._plan.coherence) * polar_layout.MIDDLE_UM
             self._sky_tables[key] = sky_table(
-                (self, without), lit, directions, self._hf.height_range_um, lobe_uv, device=self._device
+                (with_all, without), lit, directions, self._hf.height_range_um, lobe_uv, device=self._device
             )
         return self._sky_tables[key]
 

@@ -38,7 +38,7 @@ def run(
         threads: As in :func:`warpdiff.shade`.
         say: Called with the line that names the address.
     """
-    known = controls([each.name for each in files.meshes], [each.name for each in files.heights])
+    known = controls(*([each.name for each in named] for named in (files.meshes, files.heights, files.environments)))
 
     def begin() -> Studio:
         # A second's worth of imports, while the browser already loads the page.

@@ -34,6 +34,8 @@ MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
 # Rows of a picture at rest.
 HEIGHTS = (240, 360, 480, 720, 960)
+# Of an environment, from how many a pixel sums its light where it is not by the tolerance.
+DIRECTIONS = (256, 1024, 4096)
 # The one that is most exact is for single pictures.
 _METHODS = {name: name for name in METHODS if "/" not in name and name != "direct"}
 
@@ -99,7 +101,9 @@ def _number(
     return Control(name, label, group, default, least=least, most=most, step=step, unit=unit, **more)
 
 
-def controls(meshes: Sequence[str] = (), heights: Sequence[str] = ()) -> dict[str, Control]:
+def controls(
+    meshes: Sequence[str] = (), heights: Sequence[str] = (), environments: Sequence[str] = ()
+) -> dict[str, Control]:
     """All controls by name, with files that were named when the viewer was started, by their names on the page."""
     bodies = {f"file {index}": name for index, name in enumerate(meshes)} | BODIES
     surfaces = {f"file {index}": name for index, name in enumerate(heights)} | GRATINGS
@@ -133,15 +137,17 @@ def controls(meshes: Sequence[str] = (), heights: Sequence[str] = ()) -> dict[st
         _choice("disc_kind", "kind", surface, {"CD": "CD", "DVD": "DVD", "Blu-ray": "Blu-ray"}, shown=of("disc")),
         _number("disc_length_um", "length", surface, 25.6, 16.0, 64.0, 0.1, "µm", shown=of("disc")),
         _number("seed", "seed", surface, 0, 0, 999, 1, shown=of("fingers", "disc")),
-        _choice("light", "light", light, {"far": "far away", "near": "at a place"}),
-        _number("azimuth_deg", "azimuth", light, 150.0, -180.0, 180.0, 0.1, "°"),
-        _number("elevation_deg", "elevation", light, 60.0, -90.0, 90.0, 0.1, "°"),
+        *(_of_environments(environments) if environments else ()),
+        _choice("light", "light", light,
+                {**({"none": "none"} if environments else {}), "far": "far away", "near": "at a place"}),
+        _number("azimuth_deg", "azimuth", light, 150.0, -180.0, 180.0, 0.1, "°", shown=(("light", ("far", "near")),)),
+        _number("elevation_deg", "elevation", light, 60.0, -90.0, 90.0, 0.1, "°", shown=(("light", ("far", "near")),)),
         _number("distance", "distance from the body's centre", light, 2.0, 1.1, 20.0, 0.01, "its radii", ratio=True,
                 shown=(("light", ("near",)),)),
         # Wider ones are several lights.
         _number("light_diameter_deg", "diameter", light, 0.0, 0.0, ONE_LOBE_DEG, 0.01, "°",
                 shown=(("light", ("far",)), ("coherence", ("averaged",)))),
-        _choice("illuminant", "illuminant", light, ILLUMINANTS),
+        _choice("illuminant", "illuminant", light, ILLUMINANTS, shown=(("light", ("far", "near")),)),
         Control("shadows", "shadows", light, default=True),
         _choice("coherence", "coherence", optics, {each: each for each in KINDS}),
         _number("sigma_um", "σ", optics, DEFAULT_SIGMA_UM, 1.0, 100.0, 0.05, "µm", ratio=True,
@@ -163,6 +169,23 @@ def controls(meshes: Sequence[str] = (), heights: Sequence[str] = ()) -> dict[st
         _number("background", "background", picture, 0.1, 0.0, 1.0, 0.01),
     ]  # fmt: skip
     return {each.name: each for each in found}
+
+
+def _of_environments(names: Sequence[str]) -> list[Control]:
+    """Of the sky that lights a body, beside its light or in place of it."""
+    sky, files = "Environment", {f"file {index}": name for index, name in enumerate(names)}
+    is_shown = (("environment", tuple(files)), ("coherence", ("averaged",)))
+    counts = {0: "by the tolerance", **{each: str(each) for each in DIRECTIONS}}
+    return [
+        _choice("environment", "environment", sky, files | {"none": "none"}, shown=is_shown[1:]),
+        _number("environment_rotation_deg", "rotation", sky, 0.0, -180.0, 180.0, 0.1, "°", shown=is_shown),
+        _number("environment_scale", "scale", sky, 1.0, 0.01, 100.0, 0.01, ratio=True, shown=is_shown),
+        _choice("environment_directions", "directions a pixel", sky, counts, shown=is_shown),
+        # A mirror shows a radiance of 1 some ten thousand times as bright as a light of a power of 1.
+        _number("light_power", "power of the light beside it", sky, 1e4, 1.0, 1e6, 1.0, ratio=True,
+                shown=(*is_shown, ("light", ("far", "near")))),
+        Control("environment_behind", "shown behind the body", sky, default=True, shown=is_shown),
+    ]  # fmt: skip
 
 
 def described(known: dict[str, Control]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import math
 import threading
 import time
 import traceback
@@ -24,6 +25,7 @@ from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks, disk_cache
 from warpdiff.core.lru_cache import LruCache
 from warpdiff.image.display_transform import MEAN_SHOWN
+from warpdiff.scene.environment import turned
 from warpdiff.viewer import bodies, encoding
 from warpdiff.viewer.scene import NamedFiles, Scene
 
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from warpdiff.scene.mesh_import import Surface
+    from warpdiff.viewer.scene import Call
 
 # Of pictures at rest, before that of the tolerance itself.
 TOLERANCES = (0.1, 0.03)
@@ -41,9 +44,15 @@ _MOST_IN_FLIGHT = 2
 # A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
 _MOVING_S = 0.065
 _SCALES = (1.0, 0.75, 0.5, 0.375)
+# It has at least so many, where such a picture comes in time for twelve a second.
+_LEAST_PIXELS, _LEAST_MOVING_S = 320 * 240, 0.08
 # Of renderers that are kept, and of their pixels, some.
 _MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
+# How long it counts what a size took.
+_FORGOTTEN_S = 3.0
+# How often a page is told how much of a picture is drawn.
+_TOLD_S = 0.5
 # Of a pixel that a body fills.
 _WHOLE = 0.999
 
@@ -124,6 +133,8 @@ class _Made:
     """What is kept between pictures, by what tells it apart."""
 
     surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
+    environments: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(2))
+    skies: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(4))
     height_fields: LruCache[wd.HeightField] = field(default_factory=lambda: LruCache(8))
     bases: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(6))
     renderers: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(8, _MOST_BYTES, _bytes_of))
@@ -141,8 +152,8 @@ class Studio:
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
         self._made = _Made()
-        # What a pixel takes without refinement, as measured last [s].
-        self._pixel_s = 0.0
+        # What unrefined pictures took last [s], and when, by their pixels.
+        self._took: dict[int, tuple[float, float]] = {}
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
 
@@ -263,13 +274,23 @@ class Studio:
             each.wanted is not None and each.begun != each.wanted.generation for each in others
         )
 
-    def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
-        """Draw pictures from a stage on and send them, or what there is to say of the last one."""
+    def _watch(self, session: Session, wanted: Wanted, index: int) -> Callable[[float], None]:
+        """What is called with the share of a picture that is drawn: it tells the page, or abandons the picture."""
+        told_at = time.monotonic()
 
-        def watch(_share: float) -> None:
+        def watch(share: float) -> None:
+            nonlocal told_at
             if not self._goes_on(session, wanted, index):
                 raise _AbandonedError
+            if time.monotonic() - told_at > _TOLD_S:
+                told_at = time.monotonic()
+                session.send({"kind": "progress", "generation": wanted.generation, "share": share}, None)
 
+        return watch
+
+    def _serve(self, session: Session, wanted: Wanted, index: int) -> None:
+        """Draw pictures from a stage on and send them, or what there is to say of the last one."""
+        watch = self._watch(session, wanted, index)
         scene = Scene.of(wanted.values, self.files)
         stages = stages_to(scene.tolerance)
         body = self._surface(scene)
@@ -280,15 +301,14 @@ class Studio:
             session.stage = index + 1
             return
         begin = time.perf_counter()
-        scale = 1.0 if index else self._scale(full.width * full.height)
-        width, height = (max(round(scale * each), 1) for each in (full.width, full.height))
-        view = dataclasses.replace(full, width=width, height=height)
+        view = full if index else self._smaller(full)
+        drawn = scene.at(stages[index].tolerance)
 
         def say() -> None:
-            session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": scene.tolerance}, None)
+            session.send({"kind": "preparing", "generation": wanted.generation, "tolerance": drawn.tolerance}, None)
 
-        renderer = self._renderer(scene, view, refine=index > 0, say=say)
-        light = scene.light.make()
+        renderer = self._renderer(drawn, view, refine=index > 0, say=say)
+        lights = self._lights(drawn)
         built = time.perf_counter()
         description = {
             "kind": "picture",
@@ -304,51 +324,63 @@ class Studio:
             """Send the picture of the next stage as it is drawn."""
             stage = stages[session.stage]
             image = renderer.image()
-            drawn = time.perf_counter()
+            ready = time.perf_counter()
             how = self._exposed(session, wanted, image, moving=wanted.moving and stage.tolerance is None)
-            pixels = encoding.shown(image, exact=stage.last, **how)
+            shown_how = how | _behind(scene, lights, view)
+            pixels = encoding.shown(image, exact=stage.last, **shown_how)
             displayed = time.perf_counter()
             data = encoding.encoded(pixels, lossless=stage.last)
-            encoded = time.perf_counter()
-            if stage.tolerance is None:
-                self._pixel_s = (encoded - built) / (view.width * view.height)
             errors = image.error[image.lit]
+            seconds = np.diff([begin, built, ready, displayed, time.perf_counter()]).tolist()
             told: dict[str, Any] = {
-                "stage": session.stage,
-                "tolerance": stage.tolerance,
-                "last": stage.last,
+                "stage": session.stage, "tolerance": stage.tolerance, "last": stage.last,
+                "seconds": dict(zip(("prepare", "draw", "display", "encode"), seconds, strict=True)),
                 "type": "image/png" if stage.last else "image/jpeg",
                 "error": dict(zip(("median", "p99"), np.percentile(errors, (50.0, 99.0)).tolist(), strict=True))
                 if errors.size else None,
-                "seconds": {
-                    "prepare": built - begin, "draw": drawn - built, "display": displayed - drawn,
-                    "encode": encoded - displayed,
-                },
             }  # fmt: skip
             if stage.tolerance is not None:
                 told["plan"] = str(image.plan)
                 told["python"] = scene.python(view, scene.tolerance, how)
                 told["command"] = scene.command(view, scene.tolerance, how, self.files)
-            session.seen, session.shown = wanted, (image, how)
+            session.seen, session.shown = wanted, (image, shown_how)
             with self._changed:
                 session.in_flight += 1
                 session.drawn_at = time.monotonic()
             session.stage += 1
             session.send(description | told, data)
 
-        # What is refined goes on from one tolerance to the next.
-        on_the_way = (
-            {each.tolerance: send for each in stages[index:-1] if each.tolerance is not None} if index else None
-        )
-        renderer.draw(light, view, progress=watch, coarser=on_the_way)
+        # What is refined goes on from one tolerance to the next, but for an environment.
+        last = len(stages) - 1 if index and scene.sky is None else index
+        on_the_way = {each.tolerance: send for each in stages[index:last] if each.tolerance is not None}
+        renderer.draw(lights, view, progress=watch, coarser=on_the_way)
         # Where nothing is to be split, there is nothing on the way.
-        session.stage = len(stages) - 1 if index else 0
+        session.stage = last
         send()
+        if not index:
+            self._took[view.width * view.height] = time.perf_counter() - built, time.monotonic()
 
-    def _scale(self, pixels: int) -> float:
-        """The largest scale at which a picture is drawn in time."""
-        in_time = [each for each in _SCALES if self._pixel_s * each * each * pixels <= _MOVING_S]
-        return max(in_time, default=_SCALES[-1])
+    def _smaller(self, view: wd.View) -> wd.View:
+        """A view of the largest size that is drawn in time."""
+        pixels, now = view.width * view.height, time.monotonic()
+        least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
+        self._took = {count: told for count, told in self._took.items() if now - told[1] < _FORGOTTEN_S}
+
+        def size(scale: float) -> tuple[int, int]:
+            return max(round(scale * view.width), 1), max(round(scale * view.height), 1)
+
+        def is_in_time(scale: float) -> bool:
+            """As it was drawn last, or as a smaller one lets expect: a part of the time is the same for all sizes."""
+            wanted = math.prod(size(scale))
+            drawn = max((count for count in self._took if count <= wanted), default=None)
+            if drawn is None:
+                return not self._took
+            most = _MOVING_S if scale > least else _LEAST_MOVING_S
+            return self._took[drawn][0] * math.sqrt(wanted / drawn) <= most
+
+        scales = sorted({*_SCALES, least}, reverse=True)
+        width, height = size(next(filter(is_in_time, scales), scales[-1]))
+        return dataclasses.replace(view, width=width, height=height)
 
     def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
         """How a picture is displayed: while something moves, as the last one at rest, or it would flicker."""
@@ -369,40 +401,55 @@ class Studio:
         return self._made.surfaces.get_or_make(key, lambda: bodies.surface_of(scene.mesh, tangents))
 
     def _height_field(self, scene: Scene) -> wd.HeightField:
-        made: Callable[[], wd.HeightField] = scene.hf.make
-        return self._made.height_fields.get_or_make(str(scene.hf), made)
+        return self._made.height_fields.get_or_make(str(scene.hf), lambda: _kept_height_field(scene.hf))
+
+    def _lights(self, scene: Scene) -> list[Any]:
+        """The light, and after it the environment."""
+        found = [] if scene.light is None else [scene.light.make()]
+        if (sky := scene.sky) is None:
+            return found
+
+        def make() -> wd.Environment:
+            (path,) = sky.operands
+            loaded = self._made.environments.get_or_make(path, lambda: wd.Environment.load(path))
+            return turned(loaded, **{"rotation_deg": 0.0, "scale": 1.0, "directions": None} | dict(sky.options))
+
+        return [*found, self._made.skies.get_or_make(str(sky), make)]
 
     def _renderer(self, scene: Scene, view: wd.View, *, refine: bool, say: Callable[[], None]) -> wd.Renderer:
         """A renderer of pictures of a size; ``say`` is called where that takes long."""
-        light = scene.light.make()
-        of = str(scene.mesh), str(scene.hf), str(scene.options), light.illuminant, scene.tolerance
+        of = str(scene.mesh), str(scene.hf), str(scene.options), *_illuminants(scene), scene.tolerance
 
         def make() -> wd.Renderer:
-            base = self._made.bases.get_or_make(of, lambda: self._base(scene, light, scene.tolerance, say))
+            base = self._made.bases.get_or_make(of, lambda: self._base(scene, say))
             return base.resized(view, refine=refine)
 
         return self._made.renderers.get_or_make((*of, refine, view.width, view.height), make)
 
-    def _base(self, scene: Scene, light: Any, tolerance: float, say: Callable[[], None]) -> wd.Renderer:
+    def _base(self, scene: Scene, say: Callable[[], None]) -> wd.Renderer:
         """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
         say()
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
+        # Of an environment its spectra alone are asked for, in which all are alike.
+        lights = self._lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
         view = bodies.framed(surface, 16, 12)
         begun: list[wd.Renderer] = []
 
         def plan() -> dict[str, Any]:
-            begun.append(wd.Renderer(surface, hf, light, view, tolerance=tolerance, **options))
+            begun.append(wd.Renderer(surface, hf, lights, view, tolerance=scene.tolerance, **options))
             return {"plan": json.dumps(dataclasses.asdict(begun[0].plan))}
 
-        asked = "plan", str(scene.options), light.illuminant, tolerance, hf.pitch_um, self._device.alias
+        # No plan asks whether there are shadows.
+        of_plan = tuple(each for each in scene.options if each[0] != "shadows")
+        asked = "plan", str(of_plan), *_illuminants(scene), scene.tolerance, hf.pitch_um, self._device.alias
         found = disk_cache.kept_on_disk(asked, hf.heights_um, plan)
         if begun:
             return begun[0]
         for name in ("method", "coherence"):
             options.pop(name, None)
-        return wd.Renderer(surface, hf, light, view, plan=_plan_of(str(found["plan"])), **options)
+        return wd.Renderer(surface, hf, lights, view, plan=_plan_of(str(found["plan"])), **options)
 
     def _send_angles_and_map(
         self, session: Session, wanted: Wanted, scene: Scene, view: wd.View, watch: Callable[[float], None]
@@ -413,7 +460,7 @@ class Studio:
         if image is not None:
             whole = image.coverage > _WHOLE
             place = _nearest(whole & image.lit, wanted.probe) or _nearest(whole, wanted.probe)
-        light = scene.light.make()
+        light = wd.DirectionalLight(scene.to_light) if scene.light is None else scene.light.make()
         local = place and bodies.local_directions(
             self._surface(scene), view, light, *place, smooth=wanted.values["smooth"], device=self._device,
             threads=self._threads,
@@ -423,8 +470,12 @@ class Studio:
             session.send(found | {"text": "no surface in the picture"}, None)
             return
         found["at"] = [(place[0] + 0.5) / view.width, (place[1] + 0.5) / view.height]
-        found["angles"] = {"to_light": _angles(local.to_light), "to_view": _angles(local.to_view)}
+        found["angles"] = {"light": _angles(local.to_light), "view": _angles(local.to_view)}
         found["to_view"] = local.to_view
+        if scene.light is None:
+            del found["angles"]["light"]
+            session.send(found | {"text": "the map is of a light, and there is none but the environment"}, None)
+            return
         if local.to_light[2] <= 1e-3:
             session.send(found | {"text": "the light is below the horizon here"}, None)
             return
@@ -439,11 +490,36 @@ class Studio:
         session.send(found | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))
 
 
+def _kept_height_field(call: Call) -> wd.HeightField:
+    """A height field; gratings are found again on disk, as fingers take half a second of a first picture."""
+    if call.on is not None or not call.function.startswith("gratings."):
+        made: wd.HeightField = call.make()
+        return made
+
+    def arrays() -> dict[str, Any]:
+        hf = call.make()
+        return {"heights_um": hf.heights_um, "pitch_um": np.array(hf.pitch_um)}
+
+    found = disk_cache.kept_on_disk(("height field", str(call)), np.zeros(0), arrays)
+    return wd.HeightField.of_known_scale(found["heights_um"], tuple(found["pitch_um"].tolist()))
+
+
 def _alike(one: Wanted, other: Wanted) -> bool:
     """Whether two have the same picture."""
     return dataclasses.replace(one, generation=0, moving=False, probe=other.probe) == dataclasses.replace(
         other, generation=0, moving=False
     )
+
+
+def _behind(scene: Scene, lights: list[Any], view: wd.View) -> dict[str, Any]:
+    """The environment as a picture's background, where it is one."""
+    return {"background": lights[-1].seen(view) / np.float32(scene.normal)} if scene.is_behind else {}
+
+
+def _illuminants(scene: Scene) -> tuple[str, ...]:
+    """What light a scene has; all environments are of the same spectra."""
+    named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
+    return named if scene.sky is None else (*named, "environment")
 
 
 def _is_let_go(session: Session, wanted: Wanted) -> bool:

@@ -16,7 +16,7 @@ from warpdiff.core import allocations, checks, file_writing
 from warpdiff.image import display_transform
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import ONE_LOBE_DEG, DirectionalLight, lobes_of
+from warpdiff.scene.lights import MOST_POWER, ONE_LOBE_DEG, DirectionalLight, PointLight, lobes_of
 from warpdiff.scene.mesh_geometry import is_closed
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.web.packing import Arrays, octahedral, quantised
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.mesh_import import Surface
 
+# Of a light from the mesh's centre, in radii: its shadow map is one picture of what lies before it.
+_NEAREST = 1.1
 # Texels along a side of the page's grid over (u, v), and frames that a picture at rest adds up.
 _SIZE, _FRAMES = 1024, 1024
 # The zeroth order's wavelengths: as many as a page has look-ups left for.
@@ -48,7 +50,7 @@ def export_html(
     path: str | os.PathLike[str],
     mesh: Any,
     lobes: BakedLobes,
-    light: DirectionalLight | Sequence[DirectionalLight],
+    light: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight],
     view: View,
     *,
     ior: float | None = None,
@@ -71,7 +73,8 @@ def export_html(
         path: Where to; it ends in ``.html`` or ``.htm``.
         mesh: As in :func:`warpdiff.shade`.
         lobes: What :func:`warpdiff.bake` made.
-        light: One light, or several, under the illuminant of ``lobes``, up to 5° wide where these are averaged.
+        light: One light, or several, under the illuminant of ``lobes``, up to 5° wide where these are averaged; those
+            at a place are at least 1.1 radii of the mesh's bounding sphere from its centre.
         view: The first view, a perspective one; its size is that of the reader's window.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror, None is 1.5, or what the material of the lobes
             says.
@@ -109,6 +112,7 @@ def export_html(
     file_writing.check_folder(target.parent, "path")
     with allocations.named("export_html()", "take a smaller mesh"):
         surface = prepare_surface(mesh, tangents=tangents)
+        _check_places(lights, surface)
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
         # No light comes through a material to what lies below it.
@@ -116,7 +120,7 @@ def export_html(
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
             "lights": [
-                {"to_light": each.to_light, "power": each.power,
+                {"to_light": each.to_light, "position": each.position, "power": each.power,
                  "deviation": 0.0 if each.deviations is None else float(np.linalg.norm(each.deviations[0]))}
                 for given in lights for each in lobes_of(given)
             ],
@@ -132,16 +136,19 @@ def export_html(
     return target
 
 
-def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight]:
-    lights = [light] if isinstance(light, DirectionalLight) else light
+def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight | PointLight]:
+    kinds = DirectionalLight | PointLight
+    lights = [light] if isinstance(light, kinds) else light
     if not isinstance(lights, (list, tuple)) or not 1 <= len(lights) <= _MOST_LIGHTS:
         raise TypeError(
-            f"light must be a DirectionalLight, or a sequence of 1 to {_MOST_LIGHTS} of them, got {light!r}"
+            f"light must be a DirectionalLight or a PointLight, or a sequence of 1 to {_MOST_LIGHTS} of them, got "
+            f"{light!r}"
         )
     for index, each in enumerate(lights):
-        checks.instance(each, DirectionalLight, f"light[{index}]")
+        if not isinstance(each, PointLight):
+            checks.instance(each, DirectionalLight, f"light[{index}]")
         most = ONE_LOBE_DEG if lobes.coherence.kind == "averaged" else 0.0
-        if each.angular_diameter_deg > most:
+        if isinstance(each, DirectionalLight) and each.angular_diameter_deg > most:
             raise ValueError(
                 f"light[{index}].angular_diameter_deg must be at most {most:g} on a page of lobes of kind "
                 f"{lobes.coherence.kind!r}, got {each.angular_diameter_deg:g}: give several lights, or bake lobes of a "
@@ -152,6 +159,24 @@ def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight]:
                 f"light[{index}].illuminant must be that of lobes, {lobes.illuminant!r}, got {each.illuminant!r}"
             )
     return list(lights)
+
+
+def _check_places(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
+    """Refuse lights within the mesh, and those that are brighter than the page's numbers hold."""
+    for index, each in enumerate(lights):
+        if not isinstance(each, PointLight):
+            continue
+        away = float(np.linalg.norm(np.subtract(each.position, surface.centre))) / surface.radius
+        if away < _NEAREST:
+            raise ValueError(
+                f"light[{index}].position must be at least {_NEAREST:g} radii of the mesh, {surface.radius:g}, from "
+                f"its centre, {tuple(surface.centre.tolist())}, got one of {away:.3g}: move it outwards"
+            )
+        if each.power > MOST_POWER * surface.radius**2:
+            raise ValueError(
+                f"light[{index}].power must be at most {MOST_POWER:g} times the square of the mesh's radius, "
+                f"{surface.radius:g}, got {each.power:g}"
+            )
 
 
 def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:

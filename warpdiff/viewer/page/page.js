@@ -78,7 +78,7 @@ function connect() {
 }
 
 function meet(told, data) {
-  const kinds = { hello, picture, map, file, preparing, warning: words, error: words };
+  const kinds = { hello, picture, map, file, preparing, progress, warning: words, error: words };
   kinds[told.kind]?.(told, data);
 }
 
@@ -99,6 +99,10 @@ function words(told) {
 
 function preparing(told) {
   if (told.generation === generation) notice(`Preparing pictures of this surface at ${told.tolerance} …`, true);
+}
+
+function progress(told) {
+  if (told.generation === generation) byId("rate").textContent = `${(100 * told.share).toFixed(0)} % of the next`;
 }
 
 function notice(text, soft = false) {
@@ -173,7 +177,7 @@ async function map(told, data) {
     byId("view").setAttribute("cy", -told.to_view[1]);
   }
   const said = (name, { theta_deg, phi_deg }) => `${name}: θ ${theta_deg.toFixed(1)}°, φ ${phi_deg.toFixed(1)}°`;
-  const lines = told.angles ? [said("light", told.angles.to_light), said("view", told.angles.to_view)] : [];
+  const lines = Object.entries(told.angles ?? {}).map(([name, angles]) => said(name, angles));
   byId("angles").textContent = [...lines, told.text ?? "reflectance for this light, over all views"].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = told.generation;
@@ -333,6 +337,7 @@ function place() {
   handle.setAttribute("cx", x);
   handle.setAttribute("cy", y);
   handle.classList.toggle("behind", dot(light, view.back) < 0);
+  for (const name of ["light", "ray"]) byId(name).toggleAttribute("hidden", state.values.light === "none");
   for (const [name, value] of Object.entries({ x1: x0, y1: y0, x2: x, y2: y })) byId("ray").setAttribute(name, value);
   byId("probe").toggleAttribute("hidden", !probed);
   if (probed) {

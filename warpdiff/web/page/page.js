@@ -305,23 +305,41 @@ function camera(width, height, shift) {
     return { eye, right, up, back, half, matrix: columns([across, along, z, depth.map((d) => -d)]) };
 }
 
-// A light's parallel projection of what the view sees, and how wide a texel of its shadow map is.
+// Where a light is, or the direction to it, in the coordinates of the mesh.
+const placed = (light) => (light.position ? local(light.position) : unit(light.to_light));
+
+// A light's projection of what the view sees, parallel or from its place, and how wide a texel of its shadow map is: at a
+// distance of 1 where it has a place, which lies outside the unit sphere.
 function lightCamera(light, matrix, positions) {
-    const back = unit(light.to_light), right = unit(cross(Math.abs(back[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0], back));
+    const place = placed(light), away = light.position ? Math.hypot(...place) : 0;
+    const back = unit(place), right = unit(cross(Math.abs(back[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0], back));
     const up = cross(back, right);
-    let left = 1, far = -1, low = 1, high = -1;
+    let left = Infinity, far = -Infinity, low = Infinity, high = -Infinity;
     for (let k = 0; k < positions.length; k += 3) {
         const [x, y, z] = [positions[k], positions[k + 1], positions[k + 2]];
         const w = matrix[3] * x + matrix[7] * y + matrix[11] * z + matrix[15];
         if (Math.abs(matrix[0] * x + matrix[4] * y + matrix[8] * z + matrix[12]) > 1.1 * w
             || Math.abs(matrix[1] * x + matrix[5] * y + matrix[9] * z + matrix[13]) > 1.1 * w) continue;
-        const a = right[0] * x + right[1] * y + right[2] * z, b = up[0] * x + up[1] * y + up[2] * z;
+        const depth = away ? away - (back[0] * x + back[1] * y + back[2] * z) : 1;
+        const a = (right[0] * x + right[1] * y + right[2] * z) / depth;
+        const b = (up[0] * x + up[1] * y + up[2] * z) / depth;
         left = Math.min(left, a); far = Math.max(far, a); low = Math.min(low, b); high = Math.max(high, b);
     }
+    if (far < left) [left, far, low, high] = [-1, 1, -1, 1];
     const size = Math.max(far - left, high - low, 1e-3) * 1.05, a = (left + far) / 2, b = (low + high) / 2;
+    if (!away) {
+        const rows = [
+            [...right.map((r) => 2 * r / size), -2 * a / size], [...up.map((u) => 2 * u / size), -2 * b / size],
+            [...back.map((r) => -r / 1.05), 0], [0, 0, 0, 1],
+        ];
+        return { rows, texel: size / SHADOW_SIZE };
+    }
+    // The last row is the distance along the axis, and the middle of what is seen may lie beside that.
+    const depth = [...back.map((r) => -r), away], [near, end] = [Math.max(away - 1.02, 1e-3), away + 1.02];
+    const beside = (axis, middle) => depth.map((d, c) => 2 / size * ((c < 3 ? axis[c] : 0) - middle * d));
     const rows = [
-        [...right.map((r) => 2 * r / size), -2 * a / size], [...up.map((u) => 2 * u / size), -2 * b / size],
-        [...back.map((r) => -r / 1.05), 0], [0, 0, 0, 1],
+        beside(right, a), beside(up, b),
+        depth.map((d, c) => ((end + near) * d - (c === 3 ? 2 * end * near : 0)) / (end - near)), depth,
     ];
     return { rows, texel: size / SHADOW_SIZE };
 }
@@ -421,9 +439,10 @@ function addFrame(moving) {
         gl.useProgram(used);
         gl.uniformMatrix4fv(uniforms.projection, false, seen.matrix);
         gl.uniform3fv(uniforms.eye, seen.eye);
-        gl.uniform3fv(uniforms.toLight, unit(light.to_light));
-        gl.uniform1f(uniforms.power, light.power);
-        gl.uniform1f(uniforms.lightDeviation, light.deviation);
+        gl.uniform4fv(uniforms.place, [...placed(light), light.position ? 1 : 0]);
+        // Distances are told in the mesh's unit.
+        gl.uniform1f(uniforms.power, light.position ? light.power / radius ** 2 : light.power);
+        gl.uniform1f(uniforms.lightDeviation, light.deviation ?? 0);
         gl.uniform1f(uniforms.coverage, index === 0 ? 1 : 0);
         gl.uniform1f(uniforms.deviation, (moving ? 1 : OWN_SHARE) * DEVIATION);
         // Frames at rest see points of the texture.
@@ -457,8 +476,7 @@ function shadowOf(light, matrix, aside) {
     if (lights.length === 1 && added % FRAMES_OF_SHADOW !== 0) return scene.shadows.last;
     const { rows, texel } = lightCamera(light, matrix, scene.mesh.positions);
     // Texels' edges lie elsewhere in each frame.
-    rows[0][3] += (aside[0] - 0.5) * 4 / SHADOW_SIZE;
-    rows[1][3] += (aside[1] - 0.5) * 4 / SHADOW_SIZE;
+    for (const axis of [0, 1]) rows[axis] = add(rows[axis], rows[3], (aside[axis] - 0.5) * 4 / SHADOW_SIZE);
     const result = columns(rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, scene.shadows.target);
     gl.viewport(0, 0, SHADOW_SIZE, SHADOW_SIZE);
@@ -561,7 +579,7 @@ function tick() {
 let resting = -1, atOnce = 1;
 
 function showControls() {
-    const { right, up, back } = camera(1, 1, [0, 0]), light = unit(lights[0].to_light);
+    const { right, up, back } = camera(1, 1, [0, 0]), light = unit(placed(lights[0]));
     const spot = document.getElementById("spot").style, behind = dot(light, back) < 0;
     spot.left = `${42 + 40 * dot(light, right)}px`;
     spot.top = `${42 - 40 * dot(light, up)}px`;
@@ -596,10 +614,14 @@ function zoom(factor) {
 
 // All lights turn with the first one.
 function turnLights(towards) {
-    const from = unit(lights[0].to_light), axis = cross(from, towards), sine = Math.hypot(...axis);
+    const from = unit(placed(lights[0])), axis = cross(from, towards), sine = Math.hypot(...axis);
     if (sine < 1e-9) return;
     const angle = Math.atan2(sine, dot(from, towards));
-    for (const light of lights) light.to_light = turned(light.to_light, axis.map((x) => x / sine), angle);
+    for (const light of lights) {
+        const by = (v) => turned(v, axis.map((x) => x / sine), angle);
+        if (light.position) light.position = add(centre, by(sub(light.position, centre)));
+        else light.to_light = by(light.to_light);
+    }
     changed();
 }
 

@@ -10,7 +10,8 @@ in vec2 vTextureUv;
 in vec4 vColour;
 out vec4 xyzAndCoverage;
 
-uniform vec3 eye, toLight;
+uniform vec3 eye;
+uniform vec4 place;  // homogeneous: the direction to the light and 0, or where it is and 1
 uniform float power, lightDeviation, coverage, deviation, textureBias;
 uniform bool smoothNormals, masking, hasShadows;
 uniform float normalReflectance;
@@ -98,15 +99,21 @@ vec3 others(vec2 uv, float w, vec3 covariance) {
     return max(result, 0.0) * (unit * w * w / whole);
 }
 
+// How a direction to what is near changes as the position does.
+vec3 turns(vec3 position, vec3 direction, float perDistance) {
+    return (dot(position, direction) * direction - position) * perDistance;
+}
+
 // How (sum · t, sum · b) changes as position, normal and tangent do.
 vec2 changes(vec3 position, vec3 normal, vec3 tangent, mat3 frame, vec3 toView, float distance, vec3 sum, float perNormal,
-             float clamped, float tilt, float perTangent) {
-    vec3 turn = (dot(position, toView) * toView - position) / distance * frame, view = toView * frame;
+             float clamped, float tilt, float perTangent, vec3 toLight, float perLight) {
+    vec3 turn = turns(position, toView, 1.0 / distance) * frame, view = toView * frame;
     vec2 ofNormal = perNormal * (normal * frame).xy;
     // A normal that was turned to the viewer keeps its angle with the view.
     ofNormal -= clamped * (dot(ofNormal, view.xy) + turn.z) * view.xy;
     float round_ = perTangent * (dot(tangent, frame[1]) - tilt * ofNormal.y);
-    return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy;
+    return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy
+        + (turns(position, toLight, perLight) * frame).xy;
 }
 
 void main() {
@@ -125,21 +132,25 @@ void main() {
     float tilt = dot(vTangent, n), left = max(dot(vTangent, vTangent) - tilt * tilt, 1e-10);
     vec3 t = (vTangent - tilt * n) * inversesqrt(left), b = vHandedness * cross(n, t);
     mat3 frame = mat3(t, b, n);
+    vec3 towards = place.xyz - place.w * vPosition;
+    float near2 = dot(towards, towards), falloff = place.w > 0.0 ? 1.0 / (near2 + 1e-8) : 1.0;
+    vec3 toLight = towards * inversesqrt(near2 + 1e-12);
+    float perLight = place.w * inversesqrt(near2 + 1e-12);
     vec3 lightLocal = toLight * frame, sum = lightLocal + toView * frame;
     vec2 uv = -sum.xy;
     float perNormal = blends ? side / size : 0.0, clamped = turned && blends ? 1.0 : 0.0;
     vec2 right = deviation * changes(dFdx(vPosition), dFdx(vNormal), dFdx(vTangent), frame, toView, length(away), sum,
-        perNormal, clamped, tilt, inversesqrt(left));
+        perNormal, clamped, tilt, inversesqrt(left), toLight, perLight);
     vec2 down = deviation * changes(dFdy(vPosition), dFdy(vNormal), dFdy(vTangent), frame, toView, length(away), sum,
-        perNormal, clamped, tilt, inversesqrt(left));
-    float factor = power * gain(lightLocal.z, sum.z - lightLocal.z, sum);
+        perNormal, clamped, tilt, inversesqrt(left), toLight, perLight);
+    float factor = power * falloff * gain(lightLocal.z, sum.z - lightLocal.z, sum);
     vec4 base = texture(baseColour, vTextureUv, textureBias);
     if (hasShadows && factor > 0.0) {
         // From above the surface by as much as the shadow map's texels are wide, seen from the light.
         float slant = clamp(dot(geometric, toLight), 0.0, 1.0);
-        vec3 from = vPosition + shadowLift * (geometric * sqrt(1.0 - slant * slant) + toLight * 0.5);
+        vec3 from = vPosition + shadowLift * (place.w > 0.0 ? sqrt(near2) : 1.0) * (geometric * sqrt(1.0 - slant * slant) + toLight * 0.5);
         vec4 at = lightProjection * vec4(from, 1.0);
-        factor *= texture(shadows, at.xyz * 0.5 + 0.5);
+        factor *= texture(shadows, at.xyz / at.w * 0.5 + 0.5);
     }
     xyzAndCoverage = vec4(0.0, 0.0, 0.0, coverage);
     if (factor <= 0.0) return;
