@@ -235,6 +235,9 @@ def test_what_moves_has_as_many_pixels_as_come_in_time():
             pixels = view.width * view.height
             studio._took[pixels] = fixed + of_all * pixels / (640 * 480), time.monotonic()
         assert sizes[-1] == expected, sizes
+        # After a while, too.
+        studio._took = {count: (seconds, when - 100.0) for count, (seconds, when) in studio._took.items()}
+        assert studio._smaller(full).width == expected
 
 
 def test_an_error_is_told_and_ends_nothing(studio):

@@ -362,9 +362,11 @@ class Studio:
 
     def _smaller(self, view: wd.View) -> wd.View:
         """A view of the largest size that is drawn in time."""
-        pixels, now = view.width * view.height, time.monotonic()
+        pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
-        self._took = {count: told for count, told in self._took.items() if now - told[1] < _FORGOTTEN_S}
+        # The last one stays, or the first picture after a while would be of all pixels.
+        last = max((when for _, when in self._took.values()), default=0.0)
+        self._took = {count: told for count, told in self._took.items() if last - told[1] < _FORGOTTEN_S}
 
         def size(scale: float) -> tuple[int, int]:
             return max(round(scale * view.width), 1), max(round(scale * view.height), 1)
