@@ -502,7 +502,7 @@ def _kept_height_field(call: Call) -> wd.HeightField:
         hf = call.make()
         return {"heights_um": hf.heights_um, "pitch_um": np.array(hf.pitch_um)}
 
-    found = disk_cache.kept_on_disk(("height field", str(call)), np.zeros(0), arrays)
+    found = disk_cache.kept_on_disk(("height field", wd.__version__, str(call)), np.zeros(0), arrays)
     return wd.HeightField.of_known_scale(found["heights_um"], tuple(found["pitch_um"].tolist()))
 
 
