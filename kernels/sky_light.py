@@ -192,6 +192,43 @@ def mirror_directions(
             lit_out[i] = lit_out[i] or gain > 0.0
 
 
+@wp.func
+def principal_axes(footprint: Footprint) -> wp.vec4f:
+    """Variances of a footprint along its longer and its shorter axis, and one deviation along the longer one."""
+    xx = footprint[0] * footprint[0] + footprint[2] * footprint[2]
+    xy = footprint[0] * footprint[1] + footprint[2] * footprint[3]
+    yy = footprint[1] * footprint[1] + footprint[3] * footprint[3]
+    half = wp.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+    major = 0.5 * (xx + yy) + half
+    angle = 0.5 * wp.atan2(2.0 * xy, xx - yy)
+    along = wp.sqrt(major)
+    return wp.vec4f(major, wp.max(0.5 * (xx + yy) - half, 0.0), along * wp.cos(angle), along * wp.sin(angle))
+
+
+@wp.func
+def open_sky(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f) -> open_t:
+    """In which directions, texels of an octahedral map, the mesh does not hide the sky."""
+    seen = open_t()
+    for texel in range(wp.static(_SIDE * _SIDE)):
+        along = direction_at(
+            (wp.float32(texel % wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
+            (wp.float32(texel // wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
+        )
+        # Below the horizon, where no light comes from, texels are beside others that count.
+        if not (wp.dot(along, normal) > 0.0 and occluded(mesh_id, origin, along, FAR)):
+            seen[texel // 32] = seen[texel // 32] | (wp.uint32(1) << wp.uint32(texel % 32))
+    return seen
+
+
+@wp.func
+def hides_any(seen: open_t) -> wp.bool:
+    """Whether the sky is hidden in any direction."""
+    result = wp.bool(False)
+    for word in range(wp.static(_WORDS)):
+        result = result or seen[word] != wp.uint32(0xFFFFFFFF)
+    return result
+
+
 @wp.kernel
 def add_sky(
     # In:
@@ -229,30 +266,17 @@ def add_sky(
         normal = pixels.normal[i]
         to_view = pixels.to_view[i]
         view = wp.normalize(wp.vec3f(wp.dot(tangent, to_view), wp.dot(bitangent, to_view), wp.dot(normal, to_view)))
-        given = footprints[i]
-        xx = given[0] * given[0] + given[2] * given[2]
-        xy = given[0] * given[1] + given[2] * given[3]
-        yy = given[1] * given[1] + given[3] * given[3]
-        half = wp.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
-        major = 0.5 * (xx + yy) + half
-        minor = wp.max(0.5 * (xx + yy) - half, 0.0)
-        angle = 0.5 * wp.atan2(2.0 * xy, xx - yy)
-        streak = wp.sqrt(major) * wp.vec2f(wp.cos(angle), wp.sin(angle))
+        axes = principal_axes(footprints[i])
+        major = axes[0]
+        minor = axes[1]
+        streak = wp.vec2f(axes[2], axes[3])
         material = wp.int32(0)
         if reflection.materials.shape[0] > 0:
             material = reflection.materials[pixels.face[i]]
         seen = open_t()
         if shadows:
-            for texel in range(wp.static(_SIDE * _SIDE)):
-                along = direction_at(
-                    (wp.float32(texel % wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
-                    (wp.float32(texel // wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
-                )
-                # Below the horizon, where no light comes from, texels are beside others that count.
-                if wp.dot(along, normal) > 0.0 and occluded(mesh_id, pixels.shadow_origin[i], along, FAR):
-                    hidden_out[i] = True
-                else:
-                    seen[texel // 32] = seen[texel // 32] | (wp.uint32(1) << wp.uint32(texel % 32))
+            seen = open_sky(mesh_id, pixels.shadow_origin[i], normal)
+            hidden_out[i] = hides_any(seen)
         colour = wp.vec3f()
         below = wp.mat33f()
         for cell in range(cells):

@@ -48,8 +48,8 @@ def _scene():
     return lambda view: wd.shade(mesh, hf, light, view, **options).xyz
 
 
-def forked(work):
-    """A child that does some work and ends with exit code 0 if that is true."""
+def in_child(work):
+    """The exit code of a forked child that does some work: 0 if that is true; it is killed if it hangs."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -57,11 +57,6 @@ def forked(work):
             code = 0 if work() else 2
         finally:
             os._exit(code)
-    return child
-
-
-def ended(child):
-    """A child's exit code; it is killed if it hangs."""
     for _ in range(int(_MOST_S / 0.02)):
         found, status = os.waitpid(child, os.WNOHANG)
         if found:
@@ -70,11 +65,6 @@ def ended(child):
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     pytest.fail("the child hangs")
-
-
-def in_child(work):
-    """The exit code of a forked child that does some work."""
-    return ended(forked(work))
 
 
 def test_a_child_draws_what_its_parent_draws():
