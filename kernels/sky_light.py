@@ -150,6 +150,39 @@ def share_above(radius: wp.float32, deviation: wp.float32) -> wp.vec3f:
     return wp.vec3f(share, wp.max(radius - moved, 0.0) / wp.max(radius, 1.0e-6), per_cosine)
 
 
+@wp.func
+def light_along(
+    sky: SkyMap,
+    tangent: wp.vec3f,
+    bitangent: wp.vec3f,
+    normal: wp.vec3f,
+    middle: wp.vec2f,
+    turned: wp.float32,
+    streak: wp.vec2f,
+    taps: wp.int32,
+    apart: wp.float32,
+    variance: wp.float32,
+    shadows: wp.bool,
+    seen: open_t,
+    weight: wp.float32,
+) -> wp.vec3f:
+    """The weighted mean of the sky's light at places along a streak about a direction, given across the normal."""
+    total = wp.float32(0.0)
+    light = wp.vec3f()
+    for tap in range(taps):
+        off = (wp.float32(tap) + 0.5) * apart - SPAN
+        share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
+        total += share
+        p = middle[0] + off * turned * streak[0]
+        q = middle[1] + off * turned * streak[1]
+        up = wp.sqrt(wp.max(1.0 - p * p - q * q, wp.static(float(limits.HORIZON) + 1.0e-6)))
+        towards = on_octahedron(p * tangent + q * bitangent + up * normal)
+        if shadows:
+            share *= share_open(seen, towards)
+        light += share * radiance_at(sky, towards, variance / wp.max(up, 0.1))
+    return light * (weight / total)
+
+
 @wp.kernel
 def mirror_directions(
     # In:
@@ -301,20 +334,10 @@ def add_sky(
             y *= above[1]
             z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(limits.HORIZON) + 1.0e-6)))
             w = z + view[2]
-            total = wp.float32(0.0)
-            light = wp.vec3f()
-            for tap in range(taps):
-                off = (wp.float32(tap) + 0.5) * apart - SPAN
-                share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
-                total += share
-                p = x + off * turned * streak[0]
-                q = y + off * turned * streak[1]
-                up = wp.sqrt(wp.max(1.0 - p * p - q * q, wp.static(float(limits.HORIZON) + 1.0e-6)))
-                towards = on_octahedron(p * tangent + q * bitangent + up * normal)
-                if shadows:
-                    share *= share_open(seen, towards)
-                light += share * radiance_at(sky, towards, variance / wp.max(up, 0.1))
-            light *= above[0] * place[3] / total
+            light = light_along(
+                sky, tangent, bitangent, normal, wp.vec2f(x, y), turned, streak, taps, apart, variance, shadows, seen,
+                above[0] * place[3],
+            )  # fmt: skip
             # The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv.
             overlap = 0.5 * (place[0] * place[0] + place[1] * place[1] + w * w)
             cosine = wp.sqrt(0.5 * overlap)
