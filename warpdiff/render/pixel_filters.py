@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core.thread_pool import slices_of
+from warpdiff.image.image import lengths
 from warpdiff.kernels import structs
 from warpdiff.kernels.cell_levels import (
     BRIGHTEST_SHARE,
@@ -176,7 +177,7 @@ def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
     """‖ΔXYZ‖ between pixels and those of the four beside them that differ most, (height, width)."""
     result = np.zeros(xyz.shape[:2], dtype=np.float32)
     for axis in range(2):
-        steps, most = np.linalg.norm(np.diff(xyz, axis=axis), axis=2), np.moveaxis(result, axis, 0)
+        steps, most = lengths(np.diff(xyz, axis=axis)), np.moveaxis(result, axis, 0)
         steps = np.moveaxis(steps, axis, 0)
         np.maximum(most[1:], steps, out=most[1:])
         np.maximum(most[:-1], steps, out=most[:-1])
