@@ -32,7 +32,7 @@ _TOO_BRIGHT = 1e-4
 MOST_STOPS = 30.0
 # The odds that a pixel errs by more than the tolerance, where its estimated error is the tolerance, and the power of
 # their ratio that they grow by.
-_ODDS_AT_TOLERANCE, _ODDS_POWER = 0.007, 4.0
+_ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 # What pixels may err by that edges pass, of the mesh or of what is lit, over the tolerance.
 EDGES_PER_TOLERANCE = 3.0
 
