@@ -45,6 +45,8 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most, where its contrast with those
 # beside it is as large as its colour: a table errs where colours change, and by the cube root of how much they do.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.37
+# What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
+_ERROR_PER_COARSENESS = 0.5
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
 # Power of lights at a place, at a distance of the mesh's radius: squares of colours near them are float32.
@@ -104,6 +106,8 @@ class Frame:
         # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
+        # Under skies, what pixels' own rays err by; or empty.
+        self._estimates = self._no_estimates = wp.empty(0, dtype=wp.vec2f, device=device)
         # Through which pixels an edge passes, as cells have found.
         self._edges = wp.empty(0, dtype=wp.bool, device=device)
         self._refined = False
@@ -202,6 +206,8 @@ class Frame:
             for each in lights
         ]
         self._skies = [each.sky for each in lights]
+        if any(self._skies) and not len(self._estimates):
+            self._estimates = wp.zeros(self._size, dtype=wp.vec2f, device=self._device)
         # Those of before stay, where a recorded picture finds them.
         kept = self._sky_maps
         self._sky_maps = {
@@ -225,7 +231,7 @@ class Frame:
     def _sky_map(self, sky: SkyLight, solid_angle: NDArray[np.float64]) -> Any:
         """The struct ``SkyMap`` of a light."""
         result = sky_light.SkyMap()
-        result.texels = wp.array(sky.texels, dtype=wp.vec3f, device=self._device)
+        result.texels = wp.array(sky.texels, dtype=wp.vec4f, device=self._device)
         result.sides = wp.array(sky.sides, dtype=wp.int32, device=self._device)
         starts = np.cumsum([0, *((side + 2) ** 2 for side in sky.sides[:-1])])
         result.firsts = wp.array(starts, dtype=wp.int32, device=self._device)
@@ -346,9 +352,10 @@ class Frame:
             inputs = [
                 self._sky_maps[sky], integrator.sky_table(self._lit[light_index], sky.directions), seen.pixels,
                 gains, footprints, self._lights, light_index, self._reflection,
-                self._grid_of(light_index).mesh_id if len(hidden) else 0,
+                self._grid_of(light_index).mesh_id if len(hidden) else 0, sky.directions,
             ]  # fmt: skip
-            return [KernelCall(sky_light.add_sky, inputs, [hidden, colours], in_runs=True)]
+            estimates = self._estimates if seen is self.seen else self._no_estimates
+            return [KernelCall(sky_light.add_sky, inputs, [hidden, estimates, colours], in_runs=True)]
         steps: list[KernelCall] = []
         for index, (lit,) in enumerate(self._lit[light_index]):
             if self.has_materials:
@@ -382,6 +389,7 @@ class Frame:
         errors = self._errors[several]
         self._errors[0].zero_()
         self._edges.zero_()
+        self._estimates.zero_()
         self._refined = refine
         if several:
             self._sums[0].zero_()
@@ -422,6 +430,10 @@ class Frame:
         if not len(self._colours):
             self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
         return self._colours
+
+    def estimates_of(self, light_index: int) -> wp.array:
+        """What the colours of pixels' own rays err by under a light, if it is a sky."""
+        return self._no_estimates if self._skies[light_index] is None else self._estimates
 
     def steps_of_cells(
         self,
@@ -564,6 +576,8 @@ class Frame:
             errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.cbrt(size**2 * contrasts)
         if self._errors:
             errors += self._errors[0].numpy()
+        if any(self._skies):
+            errors += _ERROR_PER_COARSENESS * self._estimates.numpy()[:, 1]
         error = relative_errors(errors, xyz, lit) * lit
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
         found = 0 if self._schedule is None else self._schedule.count

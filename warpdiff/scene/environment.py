@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MOST_RADIANCE = 1e9
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Those of a tolerance of 1: what is left falls about as their number grows.
-_DIRECTIONS_AT_ONE = 410.0
+_DIRECTIONS_AT_ONE = 1640.0
 _BYTES_A_PIXEL, _BYTES_SEEN = 24.0, 400.0
 _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
@@ -167,8 +167,9 @@ def sky_of(environment: Environment, sigma_um: float, tolerance: float) -> Lobe:
     chosen = min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
     texels, sides, blur = environment._maps
     (red, green, blue), per_radiance = _spectra()
-    powers = texels * (environment.scale * 4.0 * math.pi * sigma_um**2 * per_radiance)
-    strongest = 4.0 * math.pi * float(powers.max())
+    of_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
+    powers = texels * (environment.scale * 4.0 * math.pi * sigma_um**2 * np.append(per_radiance, of_luminance))
+    strongest = 4.0 * math.pi * float(powers[:, :3].max())
     if strongest > MOST_POWER:
         raise ValueError(
             f"light: radiance_rgb times scale of an Environment is too bright: it has a power of up to "

@@ -58,7 +58,7 @@ def sky_table(
     places, footprints = cells(directions)
     phase = 2.0 * math.pi * height_range_um * 2e3 / LAMBDA_MIN_NM
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
-    count = len(places) + 1
+    count = len(tree(directions)[0]) + 1
     free_memory.require(
         _BYTES_A_ROW * count * entries * len(lit), f"light: an Environment of {directions} directions",
         "give {share} of them",
@@ -67,10 +67,20 @@ def sky_table(
     wide = np.zeros((1, 4), dtype=np.float32), np.diag([_WIDE, _WIDE]).reshape(1, 4)
     with_all, without = (look_up(each, *wide) for each in integrators)
     mirror = 2.0 * math.pi * _WIDE**2 * (with_all - without)
-    rows = np.concatenate([mirror, look_up(integrators[1], places, footprints)], axis=1)
+    nodes, ends, order = tree(directions)
+    # Cells where they come, and what is above them the mean of what is below.
+    is_cell = order >= 0
+    rows = np.empty((len(lit), len(nodes), entries, 3, len(lit[0])), dtype=np.float32)
+    rows[:, is_cell] = look_up(integrators[1], places, footprints)[:, order[is_cell]]
+    for node in range(len(nodes) - 1, -1, -1):
+        if not is_cell[node]:
+            children = children_of(node, ends)
+            shares = nodes[children, 3] / nodes[node, 3]
+            rows[:, node] = np.tensordot(shares, rows[:, children], axes=(0, 1))
     result = sky_light.SkyTable()
-    of_all = np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], places])
-    result.cells = wp.array(of_all, dtype=wp.vec4f, device=device)
+    result.nodes = wp.array(np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], nodes]), dtype=wp.vec4f, device=device)
+    result.ends = wp.array(np.concatenate([[1], ends + 1]), dtype=wp.int32, device=device)
+    rows = np.concatenate([mirror, rows], axis=1)
     result.rows = wp.array(rows.reshape(-1, 3, 3), dtype=wp.mat33f, device=device)
     result.entries = entries
     return result
@@ -100,6 +110,55 @@ def _looked_up(
             colours = wp.zeros(count, dtype=wp.vec3f, device=device)
             integrator.add(asked, to_lights, gains, each, colours, footprints=seen)
             result[material, ..., spectrum] = colours.numpy().reshape(len(places), entries, 3)
+    return result
+
+
+@functools.lru_cache(maxsize=16)
+def tree(most: int) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    """Nodes of a tree of cells, parents first, (u, v), deviation and area, (n, 4); where each ends, and its cell or −1.
+
+    Nodes have four children, halves of halves across their longer axes, of as many cells.
+    """
+    places = cells(most)[0].astype(np.float64)
+    nodes: list[NDArray[np.float64]] = []
+    ends: list[int] = []
+    order: list[int] = []
+
+    def add(index: NDArray[np.int64]) -> None:
+        own = places[index]
+        area = own[:, 3].sum()
+        middle = own[:, 3] @ own[:, :2] / area
+        variance = own[:, 3] @ (own[:, 2] ** 2 + 0.5 * ((own[:, :2] - middle) ** 2).sum(axis=1)) / area
+        at = len(nodes)
+        nodes.append(np.array([*middle, math.sqrt(variance), area]))
+        ends.append(0)
+        order.append(int(index[0]) if len(index) == 1 else -1)
+        if len(index) > 1:
+            for half in _halves(places, index):
+                for quarter in _halves(places, half):
+                    add(quarter)
+        ends[at] = len(nodes)
+
+    add(np.arange(len(places)))
+    return np.array(nodes, dtype=np.float32), np.array(ends, dtype=np.int32), np.array(order, dtype=np.int32)
+
+
+def _halves(places: NDArray[np.float64], index: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Cells in two parts across their longer axis, if there are several."""
+    if len(index) == 1:
+        return [index]
+    along = places[index, :2] - places[index, :2].mean(axis=0)
+    axis = np.linalg.eigh(along.T @ along)[1][:, 1]
+    return np.array_split(index[np.argsort(along @ axis, kind="stable")], 2)
+
+
+def children_of(node: int, ends: NDArray[np.int32]) -> list[int]:
+    """The nodes right below one."""
+    result = []
+    child = node + 1
+    while child < ends[node]:
+        result.append(child)
+        child = int(ends[child])
     return result
 
 
