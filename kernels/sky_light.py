@@ -30,7 +30,7 @@ TAPS_A_RATIO = wp.constant(2.0)
 MOST_TAPS = wp.constant(8)
 # A ray's colour is guessed by nodes of a part of the cells at most. Nodes are opened that may err by more than a share
 # of that, which is so much over the number of cells.
-GUESSED_PARTS = wp.constant(64)
+GUESSED_PARTS = wp.constant(16)
 OPENED_SHARE = wp.constant(33.0)
 # From this deviation on a node may hide an edge of what the mesh leaves open.
 LEAST_HIDING = wp.constant(0.1)
@@ -47,6 +47,7 @@ class SkyMap:
     firsts: wp.array(dtype=wp.int32)  # where each level begins
     sides: wp.array(dtype=wp.int32)  # texels along a side of each level, without those beyond it
     variance: wp.float32  # that the first level is blurred by [rad²]; the next ones by four times as much each
+    turn: wp.vec2f  # cosine and sine of the angle that the sky is turned by about +y
     whites: wp.mat33f  # of what the pigment sends back under each spectrum, linear RGB in rows
 
 
@@ -185,7 +186,9 @@ def share_above(radius: wp.float32, deviation: wp.float32) -> wp.vec3f:
 
 
 @wp.func
-def gain_of(sight: Sight, reflection: Reflection, u: wp.float32, v: wp.float32, z: wp.float32, beyond: wp.float32) -> wp.float32:
+def gain_of(
+    sight: Sight, reflection: Reflection, u: wp.float32, v: wp.float32, z: wp.float32, beyond: wp.float32
+) -> wp.float32:
     """The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv."""
     w = z + sight.view[2]
     overlap = 0.5 * (u * u + v * v + w * w)
@@ -234,11 +237,14 @@ def sum_nodes(
         x *= above[1]
         y *= above[1]
         z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(limits.HORIZON) + 1.0e-6)))
-        towards = on_octahedron(x * sight.tangent + y * sight.bitangent + z * sight.normal)
-        light = radiance_at(sky, towards, variance / wp.max(z, 0.1))
+        along = x * sight.tangent + y * sight.bitangent + z * sight.normal
         weight = above[0] * place[3]
         if sight.hides:
-            weight *= share_open(sight.seen, towards)
+            weight *= share_open(sight.seen, on_octahedron(along))
+        in_sky = wp.vec3f(
+            sky.turn[0] * along[0] - sky.turn[1] * along[2], along[1], sky.turn[1] * along[0] + sky.turn[0] * along[2]
+        )
+        light = radiance_at(sky, on_octahedron(in_sky), variance / wp.max(z, 0.1))
         w = z + sight.view[2]
         gain = gain_of(sight, reflection, place[0], place[1], z, above[2])
         entry = 0.5 * w * wp.float32(table.entries - 1)
@@ -346,17 +352,29 @@ def principal_axes(footprint: Footprint) -> wp.vec4f:
 
 
 @wp.func
-def open_sky(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f) -> open_t:
-    """In which directions, texels of an octahedral map, the mesh does not hide the sky."""
+def open_sky(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f, of_four: wp.bool, turn: wp.int32) -> open_t:
+    """In which directions, texels of an octahedral map, the mesh does not hide the sky.
+
+    ``of_four`` texels one is asked for, which they take turns to be.
+    """
     seen = open_t()
-    for texel in range(wp.static(_SIDE * _SIDE)):
-        along = direction_at(
-            (wp.float32(texel % wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
-            (wp.float32(texel // wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
-        )
-        # Below the horizon, where no light comes from, texels are beside others that count.
-        if not (wp.dot(along, normal) > 0.0 and occluded(mesh_id, origin, along, FAR)):
-            seen[texel // 32] = seen[texel // 32] | (wp.uint32(1) << wp.uint32(texel % 32))
+    step = wp.where(of_four, 2, 1)
+    for row in range(0, wp.static(_SIDE), step):
+        for column in range(0, wp.static(_SIDE), step):
+            x = column
+            z = row
+            if of_four:
+                x += turn % 2
+                z += turn / 2 % 2
+            along = direction_at(
+                (wp.float32(x) + 0.5) * wp.static(1.0 / _SIDE), (wp.float32(z) + 0.5) * wp.static(1.0 / _SIDE)
+            )
+            # Below the horizon, where no light comes from, texels are beside others that count.
+            if wp.dot(along, normal) > 0.0 and occluded(mesh_id, origin, along, FAR):
+                continue
+            for down in range(step):
+                texel = (row + down) * wp.static(_SIDE) + column
+                seen[texel // 32] = seen[texel // 32] | (wp.uint32(2 * step - 1) << wp.uint32(texel % 32))
     return seen
 
 
@@ -370,8 +388,10 @@ def hides_any(seen: open_t) -> wp.bool:
 
 
 @wp.func
-def sight_of(pixels: Pixels, reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, i: wp.int32) -> Sight:
-    """What a pixel's ray has met."""
+def sight_of(
+    pixels: Pixels, reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, is_cell: wp.bool, i: wp.int32
+) -> Sight:
+    """What a pixel's ray has met, or that of one of its cells, which together ask for all of the sky."""
     result = Sight()
     result.tangent = pixels.tangent[i]
     result.bitangent = pixels.bitangent[i]
@@ -383,7 +403,7 @@ def sight_of(pixels: Pixels, reflection: Reflection, mesh_id: wp.uint64, shadows
     if reflection.materials.shape[0] > 0:
         result.material = reflection.materials[pixels.face[i]]
     if shadows:
-        result.seen = open_sky(mesh_id, pixels.shadow_origin[i], result.normal)
+        result.seen = open_sky(mesh_id, pixels.shadow_origin[i], result.normal, is_cell, i)
         result.hides = hides_any(result.seen)
     return result
 
@@ -422,7 +442,7 @@ def add_sky(
             hidden_out[i] = False
         if gains[i] == 0.0:
             continue
-        sight = sight_of(pixels, reflection, mesh_id, shadows, i)
+        sight = sight_of(pixels, reflection, mesh_id, shadows, estimates_out.shape[0] == 0, i)
         if shadows:
             hidden_out[i] = sight.hides
         axes = principal_axes(footprints[i])

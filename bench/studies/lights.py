@@ -139,8 +139,9 @@ def sizes(points: int) -> None:
                 exact = wd.shade(make(), hf, disc_of_points(light, points), VIEW, coherence=WINDOW, **options)
                 found = wd.shade(make(), hf, light, VIEW, plan=exact.plan, **options)
                 seen = exact.lit & found.lit
+                away = distances(found.xyz[seen], exact.xyz[seen])
                 print(
-                    f"| {degrees:g}° | {name}, {surface} | {percentiles(distances(found.xyz[seen], exact.xyz[seen]))} |",
+                    f"| {degrees:g}° | {name}, {surface} | {percentiles(away)} |",
                     flush=True,
                 )
 
@@ -148,8 +149,8 @@ def sizes(points: int) -> None:
 def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     """Print errors of environments against sums over directions, of ``across``² rays a pixel or more, for some pixels.
 
-    Beside them are what the sums' halves differ by from their mean, what ``image.error`` tells at the same percentiles,
-    for how many of the pixels that err by more than the tolerance it tells so, and a frame's time.
+    Beside them are what the sums may err by, what ``image.error`` tells at the same percentiles, for how many of the
+    pixels that err by more than the tolerance it tells so, and a frame's time.
     """
     rng = np.random.default_rng(seed + 1)
     print("| sky | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
@@ -160,15 +161,12 @@ def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
         if not len(chosen):
             print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
             continue
-        exact, half, directions = settled(sums, chosen, grey, across, seed, min(tolerances) / 3.0)
-        keeps = distances(half, exact) <= min(tolerances) / 3.0
-        if not keeps.all():
-            chosen, exact, half = chosen[keeps], exact[keeps], half[keeps]
-            print(f"| {name} | {np.count_nonzero(~keeps)} | left out: their sums do not settle |" + " |" * 6)
-        print(
-            f"| {name} | {len(chosen)} | {directions:,} or more, half | {percentiles(distances(half, exact))} | | | |",
-            flush=True,
-        )
+        exact, unsettled, directions = settled(sums, chosen, grey, across, seed, min(tolerances) / 3.0)
+        keeps = unsettled <= min(tolerances) / 3.0
+        left_out = np.count_nonzero(~keeps)
+        chosen, exact = chosen[keeps], exact[keeps]
+        of_sums = f"sums of {directions:,} directions or more, {left_out} do not settle and are left out"
+        print(f"| {name} | {len(keeps)} | {of_sums} | {percentiles(unsettled)} | | | |", flush=True)
         environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
         options: dict[str, Any] = {"pigment": 0.0, "shadows": False, "coherence": window, "strict": False}
         for tolerance in tolerances:
@@ -188,16 +186,19 @@ def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
 def settled(
     sums: SkySums, chosen: np.ndarray, grey: np.ndarray, across: int, seed: int, bound: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Means of two sums each, one of the two, and of how many directions at least.
+    """Means of four sums each, what they may err by, and of how many directions they are at least.
 
-    Where the two differ too much from their mean, there are four and sixteen times as many rays.
+    Where the four do not tell their mean well enough, there are four and sixteen times as many rays.
     """
-    halves = np.zeros((2, len(chosen), 3))
+    sets = np.zeros((4, len(chosen), 3))
+    unsettled = np.zeros(len(chosen))
     again = np.arange(len(chosen))
     for more in (1, 2, 4):
-        halves[:, again] = [sums.colours(chosen[again], grey, more * across, each) for each in (seed, seed + 1)]
-        again = np.flatnonzero(distances(halves[0], halves.mean(axis=0)) > bound)
-    return halves.mean(axis=0), halves[0], 2 * sums.directions(across)
+        sets[:, again] = [sums.colours(chosen[again], grey, more * across, 4 * seed + each) for each in range(4)]
+        exact = sets.mean(axis=0)
+        unsettled = np.sqrt(sum(distances(each, exact) ** 2 for each in sets) / 12.0)
+        again = np.flatnonzero(unsettled > bound)
+    return exact, unsettled, len(sets) * sums.directions(across)
 
 
 def albedo(directions: int) -> None:

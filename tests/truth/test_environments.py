@@ -49,10 +49,10 @@ def test_blurred_maps_keep_power_and_have_the_variance_that_they_tell():
     radiance[3, 40, 0] = radiance[100, 511, 1] = 1.0
     radiance[..., 2] = 1.0
     along, solid = middles(256)
-    texels, sides, blur = maps_of(blurred_grids(radiance), 0.0)
+    texels, sides, blur = maps_of(blurred_grids(radiance))
     begin = 0
     for level, side in enumerate(sides):
-        values = texels[begin : begin + (side + 2) ** 2].reshape(side + 2, side + 2, 3)
+        values = texels[begin : begin + (side + 2) ** 2].reshape(side + 2, side + 2, 4)
         begin += (side + 2) ** 2
         # Beyond its sides a map goes on at the same side, the other way round.
         assert values[0, 1:-1] == pytest.approx(values[1, -2:0:-1], abs=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,7 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # beside it is as large as its colour: a table errs where colours change, and by the cube root of how much they do.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.37
 # What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
-_ERROR_PER_COARSENESS = 0.5
+_ERROR_PER_COARSENESS = 0.7
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
 # Power of lights at a place, at a distance of the mesh's radius: squares of colours near them are float32.
@@ -236,6 +237,7 @@ class Frame:
         starts = np.cumsum([0, *((side + 2) ** 2 for side in sky.sides[:-1])])
         result.firsts = wp.array(starts, dtype=wp.int32, device=self._device)
         result.variance = sky.blur**2
+        result.turn = wp.vec2f(math.cos(sky.turn), math.sin(sky.turn))
         whites = [colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(each)) for each in sky.spectra]
         result.whites = wp.mat33f(*np.ravel(whites))
         return result

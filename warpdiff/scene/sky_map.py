@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.spectra import Spectrum
 
-# Rows of the grid of directions that is blurred: 0.7°. The first level is blurred by so much [rad], each next one by
+# Rows of the grid of directions that is blurred: 0.35°. The first level is blurred by so much [rad], each next one by
 # twice as much; grids of a level have steps of half its blur at most, and maps texels as wide as it, but for the last.
-_ROWS, _FIRST_BLUR, _LEVELS = 256, 0.0125, 7
-_STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 288, 12
+_ROWS, _FIRST_BLUR, _LEVELS = 512, 0.00625, 8
+_STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
 _TURNS = 40
 
 
@@ -32,6 +32,7 @@ class SkyLight:
             level: those of a map, with a texel more on each side of it, row by row.
         sides: Texels along a side of each level's map, without these.
         blur: What the first level is blurred by [rad]; each next one by twice as much.
+        turn: By how much the sky is turned about +y [rad].
         directions: From how many a pixel's colour is summed.
     """
 
@@ -39,6 +40,7 @@ class SkyLight:
     texels: NDArray[np.float32]
     sides: tuple[int, ...]
     blur: float
+    turn: float
     directions: int
 
 
@@ -77,10 +79,10 @@ def _luminance2(grid: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((grid[..., :3] @ colorimetry.RGB_TO_XYZ[1, :, None]) ** 2)
 
 
-def maps_of(grids: list[NDArray[np.float64]], turn: float) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids that are turned about +y [rad]."""
+def maps_of(grids: list[NDArray[np.float64]]) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
+    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids."""
     sides = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
-    texels = [linear(grid, _directions(side), turn).reshape(-1, 4) for grid, side in zip(grids, sides, strict=True)]
+    texels = [linear(grid, _directions(side), 0.0).reshape(-1, 4) for grid, side in zip(grids, sides, strict=True)]
     return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
 
 

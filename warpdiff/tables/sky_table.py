@@ -67,16 +67,12 @@ def sky_table(
     wide = np.zeros((1, 4), dtype=np.float32), np.diag([_WIDE, _WIDE]).reshape(1, 4)
     with_all, without = (look_up(each, *wide) for each in integrators)
     mirror = 2.0 * math.pi * _WIDE**2 * (with_all - without)
-    nodes, ends, order = tree(directions)
-    # Cells where they come, and what is above them the mean of what is below.
-    is_cell = order >= 0
-    rows = np.empty((len(lit), len(nodes), entries, 3, len(lit[0])), dtype=np.float32)
-    rows[:, is_cell] = look_up(integrators[1], places, footprints)[:, order[is_cell]]
-    for node in range(len(nodes) - 1, -1, -1):
-        if not is_cell[node]:
-            children = children_of(node, ends)
-            shares = nodes[children, 3] / nodes[node, 3]
-            rows[:, node] = np.tensordot(shares, rows[:, children], axes=(0, 1))
+    nodes, spans, order = tree(directions)
+    rows = look_up(integrators[1], places, footprints)[:, order] * places[order, 3].reshape(-1, 1, 1, 1)
+    # Of each node the mean over its cells. One more is beyond the last.
+    rows = np.concatenate([rows, np.zeros_like(rows[:, :1])], axis=1)
+    rows = np.add.reduceat(rows, spans.ravel(), axis=1)[:, ::2] / nodes[:, 3].reshape(-1, 1, 1, 1)
+    ends = np.searchsorted(spans[:, 0], spans[:, 1])
     result = sky_light.SkyTable()
     result.nodes = wp.array(np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], nodes]), dtype=wp.vec4f, device=device)
     result.ends = wp.array(np.concatenate([[1], ends + 1]), dtype=wp.int32, device=device)
@@ -114,52 +110,50 @@ def _looked_up(
 
 
 @functools.lru_cache(maxsize=16)
-def tree(most: int) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
-    """Nodes of a tree of cells, parents first, (u, v), deviation and area, (n, 4); where each ends, and its cell or −1.
+def tree(most: int) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Nodes of a tree of cells, parents first: (u, v), deviation and area, (n, 4).
 
-    Nodes have four children, halves of halves across their longer axes, of as many cells.
+    Then where the cells of each begin and end, (n, 2), and in which order these are cells. Nodes have four children,
+    halves of halves across their longer axes, of as many cells.
     """
     places = cells(most)[0].astype(np.float64)
-    nodes: list[NDArray[np.float64]] = []
-    ends: list[int] = []
-    order: list[int] = []
-
-    def add(index: NDArray[np.int64]) -> None:
-        own = places[index]
-        area = own[:, 3].sum()
-        middle = own[:, 3] @ own[:, :2] / area
-        variance = own[:, 3] @ (own[:, 2] ** 2 + 0.5 * ((own[:, :2] - middle) ** 2).sum(axis=1)) / area
-        at = len(nodes)
-        nodes.append(np.array([*middle, math.sqrt(variance), area]))
-        ends.append(0)
-        order.append(int(index[0]) if len(index) == 1 else -1)
-        if len(index) > 1:
-            for half in _halves(places, index):
-                for quarter in _halves(places, half):
-                    add(quarter)
-        ends[at] = len(nodes)
-
-    add(np.arange(len(places)))
-    return np.array(nodes, dtype=np.float32), np.array(ends, dtype=np.int32), np.array(order, dtype=np.int32)
+    count = len(places)
+    order, starts = np.arange(count), np.zeros(1, dtype=np.int64)
+    spans = [np.stack([order, order + 1], axis=1)]
+    while len(starts) < count:
+        of_level = np.stack([starts, np.append(starts[1:], count)], axis=1)
+        spans.append(of_level[of_level[:, 1] - of_level[:, 0] > 1])
+        for _ in range(2):
+            order, starts = _halved(places[:, :2], order, starts)
+    found = np.concatenate(spans)
+    found = found[np.lexsort((-found[:, 1], found[:, 0]))]
+    own = places[order]
+    area = own[:, 3]
+    moments = np.stack([area, area * own[:, 0], area * own[:, 1], area * (own[:, 2] ** 2 + 0.5 * _square(own))], axis=1)
+    sums = np.concatenate([np.zeros((1, 4)), moments.cumsum(axis=0)])
+    total = sums[found[:, 1]] - sums[found[:, 0]]
+    middle = total[:, 1:3] / total[:, :1]
+    variance = total[:, 3] / total[:, 0] - 0.5 * _square(middle)
+    nodes = np.column_stack([middle, np.sqrt(variance), total[:, 0]]).astype(np.float32)
+    return nodes, found, order
 
 
-def _halves(places: NDArray[np.float64], index: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Cells in two parts across their longer axis, if there are several."""
-    if len(index) == 1:
-        return [index]
-    along = places[index, :2] - places[index, :2].mean(axis=0)
-    axis = np.linalg.eigh(along.T @ along)[1][:, 1]
-    return np.array_split(index[np.argsort(along @ axis, kind="stable")], 2)
+def _square(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """|(u, v)|²."""
+    return np.asarray(places[:, 0] ** 2 + places[:, 1] ** 2)
 
 
-def children_of(node: int, ends: NDArray[np.int32]) -> list[int]:
-    """The nodes right below one."""
-    result = []
-    child = node + 1
-    while child < ends[node]:
-        result.append(child)
-        child = int(ends[child])
-    return result
+def _halved(
+    places: NDArray[np.float64], order: NDArray[np.int64], starts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Runs of places, in order, halved across their longer axes where they have several; where these start."""
+    counts = np.diff(np.append(starts, len(order)))
+    run = np.repeat(np.arange(len(starts)), counts)
+    x, y = (places[order] - (np.add.reduceat(places[order], starts, axis=0) / counts[:, None])[run]).T
+    xx, xy, yy = (np.add.reduceat(each, starts) for each in (x * x, x * y, y * y))
+    angle = (0.5 * np.arctan2(2.0 * xy, xx - yy))[run]
+    order = order[np.lexsort((x * np.cos(angle) + y * np.sin(angle), run))]
+    return order, np.sort(np.concatenate([starts, (starts + (counts + 1) // 2)[counts > 1]]))
 
 
 @functools.lru_cache(maxsize=16)
