@@ -29,11 +29,16 @@ SPAN = wp.constant(2.0)
 TAPS_A_RATIO = wp.constant(2.0)
 MOST_TAPS = wp.constant(8)
 # A ray's colour is guessed by nodes of a part of the cells at most. Nodes are opened that may err by more than a share
-# of that, which is so much over the number of cells.
+# of that, which is so much over the number of cells, or of a part of them at most where there is pigment.
 GUESSED_PARTS = wp.constant(16)
+PIGMENTED_PARTS = wp.constant(128)
 OPENED_SHARE = wp.constant(33.0)
 # From this deviation on a node may hide an edge of what the mesh leaves open.
 LEAST_HIDING = wp.constant(0.1)
+# By how much phases change, of an entry of w over half the range of w.
+PHASE_AN_ENTRY = 0.08
+# What errors count that all nodes have alike, of those that are as if by chance.
+ALIKE = wp.constant(5.0)
 # ‖XYZ‖ over the luminance.
 PER_LUMINANCE = wp.constant(1.7)
 open_t = wp.types.vector(length=_WORDS, dtype=wp.uint32)
@@ -253,14 +258,19 @@ def sum_nodes(
         at = (sight.material * count + node) * table.entries + before
         row = (gain * weight * (1.0 - t)) * table.rows[at] + (gain * weight * t) * table.rows[at + 1]
         rgb = wp.vec3f(light[0], light[1], light[2])
-        varies = light[3]
+        # Below a node gains bend, and rows as phases change with w: alike for many, so that it adds up.
+        bend = place[2] / z
+        turns = wp.static(PHASE_AN_ENTRY) * wp.float32(table.entries) * radius
+        bend = wp.min(bend * bend * (2.0 + turns * turns), 0.5)
         if above[0] < 1.0 or (sight.hides and place[2] > LEAST_HIDING):
-            varies = wp.max(varies, 0.5 * (rgb[0] + rgb[1] + rgb[2]))
-        error = (row[1, 0] + row[1, 1] + row[1, 2]) * (varies * wp.static(1.0 / 3.0))
-        if end - node > 1 and limit >= 0.0 and error > limit:
+            bend = 0.5
+        per_light = (row[1, 0] + row[1, 1] + row[1, 2]) * wp.static(1.0 / 3.0)
+        opens_for = wp.max(light[3], ALIKE * bend * (rgb[0] + rgb[1] + rgb[2]))
+        if end - node > 1 and limit >= 0.0 and per_light * opens_for > limit:
             node += 1
             continue
         result.colour += row * rgb
+        error = per_light * light[3]
         per_variance = error * error / wp.max(variance, sky.variance)
         result.blurred2 += per_variance * blur
         result.coarse2 += per_variance * (
@@ -455,6 +465,10 @@ def add_sky(
         sight.blur = axes[1] + wp.where(taps > 1, 0.25 * apart * apart * axes[0], 0.5 * (axes[0] - axes[1]))
         size = wp.max(table.nodes.shape[0] / GUESSED_PARTS, 1)
         guess = sum_nodes(sky, table, sight, reflection, -1.0, size, False)
+        # The pigment sends light from everywhere, wherever the surface sends none.
+        size = table.nodes.shape[0]
+        if pigment > 0.0:
+            size = wp.max(size / PIGMENTED_PARTS, 1)
         limit = OPENED_SHARE / wp.float32(cells) * guess.colour[1]
         total = wp.float32(0.0)
         mean = SkySum()
@@ -464,7 +478,7 @@ def add_sky(
             share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
             per_normal = 0.5 * off / sight.view[2]
             beside = turned_by(sight, per_normal * axes[2], per_normal * axes[3])
-            found = sum_nodes(sky, table, beside, reflection, limit, table.nodes.shape[0], pigment > 0.0)
+            found = sum_nodes(sky, table, beside, reflection, limit, size, pigment > 0.0)
             total += share
             mean.colour += share * found.colour
             mean.below += share * found.below
