@@ -208,7 +208,7 @@ def albedo(directions: int) -> None:
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     square = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
     even = wd.Environment(np.ones((4, 8, 3)), directions=directions)
-    step = 1.0 / 160.0
+    step = 1.0 / 90.0
     u, v = np.meshgrid(np.arange(-1.0 + step / 2.0, 1.0, step), np.arange(-1.0 + step / 2.0, 1.0, step))
     inside = u**2 + v**2 < 1.0
     views = np.stack([u[inside], v[inside], np.sqrt(1.0 - u[inside] ** 2 - v[inside] ** 2)], axis=-1)
