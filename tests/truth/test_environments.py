@@ -297,6 +297,6 @@ def test_a_window_on_a_tube_is_that_of_sums_over_directions():
         away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
-        # What is wrong is told.
-        assert (found.error[at][away > 0.1] > 0.1).all()
+        # What is wrong is told, to a factor of two.
+        assert (found.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.06
