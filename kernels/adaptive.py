@@ -354,7 +354,10 @@ def resolve_pixels(
             lit_out[pixel] = True
             edges_out[pixel] = edges_out[pixel] or given.crossed[rank_of(given.ranks, pixel)]
         rim = level < rim_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
-        if not goes_on and not rim and not error > bound * wp.max(wp.length(colour), floor[0]):
+        # What has settled may be told to err by more when it takes such cells, and goes on then.
+        if error > bound * wp.max(wp.length(colour), floor[0]):
+            wanted_out[pixel] = WANTED
+        elif not goes_on and not rim:
             wanted_out[pixel] = SETTLED
 
 

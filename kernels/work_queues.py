@@ -22,15 +22,13 @@ def tally(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     gains: wp.array(dtype=wp.float32),
-    apart: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
     tallies_out: wp.array(dtype=wp.int32),
 ):
-    """How often luminances occur among every so many pixels that are lit: by groups, and then by bins."""
-    for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        i = k * apart
+    """How often luminances occur among the pixels that are lit: by groups, and then by bins."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if gains[i] > 0.0:
             luminance = wp.max(colours[i][1], wp.float32(0.0))
             place = wp.int32(wp.cast(luminance, wp.uint32) >> BELOW)

@@ -286,7 +286,7 @@ def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
     gains = wp.array(lit, dtype=wp.float32, device="cpu")
     tallies = wp.zeros(work_queues.GROUPS * (1 + work_queues.BINS), dtype=wp.int32, device="cpu")
     floor = wp.empty(1, dtype=wp.float32, device="cpu")
-    wp.launch(work_queues.tally, dim=1, inputs=[colours, gains, 1, 0, len(lit)], outputs=[tallies], device="cpu")
+    wp.launch(work_queues.tally, dim=1, inputs=[colours, gains, 0, len(lit)], outputs=[tallies], device="cpu")
     wp.launch(work_queues.find_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[lit > 0.0])
     # As many are brighter as a hundredth of them, rounded down.

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import math
 import queue
 import shlex
 import time
+from collections import deque
 
 import numpy as np
 import pytest
@@ -227,17 +229,16 @@ def test_what_moves_has_as_many_pixels_as_come_in_time():
     studio = object.__new__(Studio)
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
     # Seconds of a picture, a part of them for whatever size; below 320 × 240 only where twelve a second are not kept.
-    for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.08, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
-        studio._took, sizes = {}, []
-        for _ in range(8):
+    for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.06, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
+        studio._took, studio._pixels, sizes = deque(maxlen=5), math.inf, []
+        for index in range(16):
             view = studio._smaller(full)
             sizes.append(view.width)
+            # Every eighth is late, which changes nothing.
+            late = 0.2 * (index % 8 == 7)
             pixels = view.width * view.height
-            studio._took[pixels] = fixed + of_all * pixels / (640 * 480), time.monotonic()
-        assert sizes[-1] == expected, sizes
-        # After a while, too.
-        studio._took = {count: (seconds, when - 100.0) for count, (seconds, when) in studio._took.items()}
-        assert studio._smaller(full).width == expected
+            studio._took.append((fixed + of_all * pixels / (640 * 480) + late) / math.sqrt(pixels))
+        assert set(sizes[6:]) == {expected}, sizes
 
 
 def test_an_error_is_told_and_ends_nothing(studio):

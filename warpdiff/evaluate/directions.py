@@ -13,7 +13,7 @@ from warpdiff.compute.pipeline import launch
 from warpdiff.core import allocations, checks, free_memory
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.fourier import direct_sum, energy_balance
-from warpdiff.image.image import Image, relative_errors
+from warpdiff.image.image import Image, lengths, relative_errors
 from warpdiff.kernels.limits import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
@@ -236,7 +236,8 @@ def brdf_map(
     xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
     coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
     mask = coverage > 0.0
-    error = relative_errors(call.plan.error * np.linalg.norm(xyz, axis=-1), xyz, mask)
+    error = np.zeros(mask.shape, dtype=np.float32)
+    error[mask] = relative_errors(call.plan.error * lengths(xyz[mask]), xyz[mask])
     return Image(xyz=xyz, mask=mask, lit=mask, coverage=coverage, error=error, plan=call.plan)
 
 

@@ -8,7 +8,6 @@ import warp as wp
 
 from warpdiff.compute.pipeline import KernelCall, launch, launch_pipeline
 from warpdiff.kernels import cell_levels, work_queues
-from warpdiff.render import pixel_filters
 from warpdiff.render.adaptive_sampling import SLICE
 from warpdiff.render.gbuffer import TileBuffers
 
@@ -85,8 +84,7 @@ class DeviceSchedule:
     def _find_floor(self, colours: wp.array, gains: wp.array) -> None:
         """Set the floor to that of a picture."""
         self._tallies.zero_()
-        apart = pixel_filters.luminance_stride(self._pixels)
-        self._launch(work_queues.tally, [colours, gains, apart], [self._tallies], -(-self._pixels // apart))
+        self._launch(work_queues.tally, [colours, gains], [self._tallies])
         wp.launch(work_queues.find_floor, dim=1, inputs=[self._tallies], outputs=[self._floor], device=self._device)
 
     def _meet(self, level: int, steps: Sequence[KernelCall]) -> None:

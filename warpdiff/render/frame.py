@@ -13,7 +13,7 @@ from warpdiff.compute.device import load
 from warpdiff.compute.pipeline import KernelCall, launch_pipeline
 from warpdiff.core.thread_pool import part_of
 from warpdiff.evaluate.directions import direct_colour
-from warpdiff.image.image import EDGES_PER_TOLERANCE, Image, relative_errors, share_beyond
+from warpdiff.image.image import EDGES_PER_TOLERANCE, Image, lengths, relative_errors, share_beyond
 from warpdiff.kernels import adaptive, ray_hits, scattering, sky_light
 from warpdiff.kernels.shadow_grid import trace_shadow_rays
 from warpdiff.kernels.structs import Sampling
@@ -45,7 +45,9 @@ if TYPE_CHECKING:
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most, where its contrast with those
 # beside it is as large as its colour: a table errs where colours change, and by the cube root of how much they do.
-_MEAN_ERROR_PER_PLAN_ERROR = 0.37
+_MEAN_ERROR_PER_PLAN_ERROR = 0.48
+# What bounds 95 of 100 errors, over the root sum of squares of what cells and a table err by: see docs/decisions.md.
+_BOUND_OF_BOTH = 1.1
 # What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
 _ERROR_PER_COARSENESS = 0.7
 # Pixels' own rays, as a share of a light's progress.
@@ -570,17 +572,20 @@ class Frame:
         shape = (self.view.height, self.view.width)
         xyz, coverage, lit = (sums.numpy() for sums in self._sums)
         coverage = coverage.astype(np.float32).reshape(shape)
+        seen = xyz[lit]
         # That of a table, or of sums over wavelengths, is in proportion to the colour.
-        size = np.linalg.norm(xyz, axis=1).astype(np.float64)
+        size = lengths(seen).astype(np.float64)
         errors = plan.error * size
         if self._means:
-            contrasts = pixel_filters.contrasts(xyz.reshape(*shape, 3)).ravel()
+            contrasts = pixel_filters.contrasts(xyz.reshape(*shape, 3)).ravel()[lit]
             errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.cbrt(size**2 * contrasts)
         if self._errors:
-            errors += self._errors[0].numpy()
+            # Neither depends on the other.
+            errors = _BOUND_OF_BOTH * np.hypot(errors, self._errors[0].numpy()[lit])
         if any(self._skies):
-            errors += _ERROR_PER_COARSENESS * self._estimates.numpy()[:, 1]
-        error = relative_errors(errors, xyz, lit) * lit
+            errors = errors + _ERROR_PER_COARSENESS * self._estimates.numpy()[lit, 1]
+        error = np.zeros(len(lit), dtype=np.float32)
+        error[lit] = relative_errors(errors, seen)
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
         found = 0 if self._schedule is None else self._schedule.count
         # Where only cells may meet the mesh, pixels are split that do not.

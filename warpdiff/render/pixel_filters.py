@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core.thread_pool import slices_of
+from warpdiff.image.image import lengths
 from warpdiff.kernels import structs
 from warpdiff.kernels.cell_levels import (
     BRIGHTEST_SHARE,
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 _CELL_SIGMA_PER_SPACING = 0.5
 # Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
 RIM_LEVEL = 2
-# Of so many pixels, some tell how bright a picture is.
-_PIXELS_FOR_LUMINANCE = 16_384
 # Rays at a time: worth what comes before their launches, and bounded by their memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
 # Rays whose faces are found together, eight bytes each.
@@ -163,9 +162,8 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, gains: wp.array) -> float:
-    """The least luminance that errors are relative to, from how bright a part of the picture is."""
-    some = slice(None, None, luminance_stride(len(gains)))
-    bright = colours.numpy()[some, 1][gains.numpy()[some] > 0.0]
+    """The least luminance that errors are relative to, from how bright what is lit is."""
+    bright = colours.numpy()[:, 1][gains.numpy() > 0.0]
     if not len(bright):
         return float(TINY)
     rank = len(bright) - 1 - int(BRIGHTEST_SHARE * len(bright))
@@ -176,13 +174,8 @@ def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
     """‖ΔXYZ‖ between pixels and those of the four beside them that differ most, (height, width)."""
     result = np.zeros(xyz.shape[:2], dtype=np.float32)
     for axis in range(2):
-        steps, most = np.linalg.norm(np.diff(xyz, axis=axis), axis=2), np.moveaxis(result, axis, 0)
+        steps, most = lengths(np.diff(xyz, axis=axis)), np.moveaxis(result, axis, 0)
         steps = np.moveaxis(steps, axis, 0)
         np.maximum(most[1:], steps, out=most[1:])
         np.maximum(most[:-1], steps, out=most[:-1])
     return result
-
-
-def luminance_stride(pixels: int) -> int:
-    """How far those are apart that tell how bright a picture is: an odd step does not stay in some columns."""
-    return pixels // _PIXELS_FOR_LUMINANCE | 1

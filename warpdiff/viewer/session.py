@@ -11,10 +11,12 @@ import contextlib
 import dataclasses
 import json
 import math
+import statistics
 import threading
 import time
 import traceback
 import warnings
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -41,16 +43,17 @@ TOLERANCES = (0.1, 0.03)
 _REST_S = 0.15
 # Pictures that a page has not shown yet.
 _MOST_IN_FLIGHT = 2
-# A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels.
-_MOVING_S = 0.065
+# A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels, and least
+# 320 × 240 as long as such a picture comes in time for twelve a second.
+_MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# It has at least so many, where such a picture comes in time for twelve a second.
-_LEAST_PIXELS, _LEAST_MOVING_S = 320 * 240, 0.08
+_LEAST_PIXELS = 320 * 240
+# How many of these tell how long the next takes, as one may be late by chance; it has more pixels where that is
+# expected to leave room, so that sizes do not go to and fro.
+_TIMED, _ROOM = 5, 0.8
 # Of renderers that are kept, and of their pixels, some.
 _MOST_BYTES, _BYTES_A_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
-# How long it counts what a size took.
-_FORGOTTEN_S = 3.0
 # How often a page is told how much of a picture is drawn.
 _TOLD_S = 0.5
 # Of a pixel that a body fills.
@@ -152,8 +155,9 @@ class Studio:
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
         self._made = _Made()
-        # What unrefined pictures took last [s], and when, by their pixels.
-        self._took: dict[int, tuple[float, float]] = {}
+        # What the last unrefined pictures took over the root of their pixels [s]: a part is the same for all sizes.
+        self._took: deque[float] = deque(maxlen=_TIMED)
+        self._pixels = math.inf
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
 
@@ -358,30 +362,24 @@ class Studio:
         session.stage = last
         send()
         if not index:
-            self._took[view.width * view.height] = time.perf_counter() - built, time.monotonic()
+            self._took.append((time.perf_counter() - built) / math.sqrt(view.width * view.height))
 
     def _smaller(self, view: wd.View) -> wd.View:
         """A view of the largest size that is drawn in time."""
         pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
-        # The last one stays, or the first picture after a while would be of all pixels.
-        last = max((when for _, when in self._took.values()), default=0.0)
-        self._took = {count: told for count, told in self._took.items() if last - told[1] < _FORGOTTEN_S}
-
-        def size(scale: float) -> tuple[int, int]:
-            return max(round(scale * view.width), 1), max(round(scale * view.height), 1)
+        took = statistics.median(self._took) if self._took else 0.0
 
         def is_in_time(scale: float) -> bool:
-            """As it was drawn last, or as a smaller one lets expect: a part of the time is the same for all sizes."""
-            wanted = math.prod(size(scale))
-            drawn = max((count for count in self._took if count <= wanted), default=None)
-            if drawn is None:
-                return not self._took
-            most = _MOVING_S if scale > least else _LEAST_MOVING_S
-            return self._took[drawn][0] * math.sqrt(wanted / drawn) <= most
+            most = _LEAST_MOVING_S
+            if scale > least:
+                most = _MOVING_S * (_ROOM if scale**2 * pixels > self._pixels else 1.0)
+            return took * scale * math.sqrt(pixels) <= most
 
         scales = sorted({*_SCALES, least}, reverse=True)
-        width, height = size(next(filter(is_in_time, scales), scales[-1]))
+        scale = next(filter(is_in_time, scales), scales[-1])
+        width, height = (max(round(scale * each), 1) for each in (view.width, view.height))
+        self._pixels = width * height
         return dataclasses.replace(view, width=width, height=height)
 
     def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
