@@ -16,35 +16,49 @@ TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
 
 
-@wp.func
-def change(own: wp.vec3d, other: wp.vec3d) -> wp.vec2f:
-    """By how much (u, v) differs from one pixel to another."""
-    return wp.vec2f(wp.float32(other[0] - own[0]), wp.float32(other[1] - own[1]))
+@wp.struct
+class Seen:
+    """What rays see."""
+
+    deflections: wp.array(dtype=wp.vec3d)
+    mirrored: wp.array(dtype=wp.vec3f)  # under a sky, directions to the light by way of a mirror
+    estimates: wp.array(dtype=wp.vec2f)  # under a sky, what colours err by as they change over footprints; or empty
 
 
 @wp.func
-def share_of_contrast(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
+def change(seen: Seen, own: wp.int32, other: wp.int32) -> wp.vec3f:
+    """By how much (u, v), or under a sky the light's direction, differs from one pixel to another."""
+    if seen.estimates.shape[0] > 0:
+        return seen.mirrored[other] - seen.mirrored[own]
+    moved = seen.deflections[other] - seen.deflections[own]
+    return wp.vec3f(wp.float32(moved[0]), wp.float32(moved[1]), 0.0)
+
+
+@wp.func
+def share_of_contrast(seen: Seen, pixel: wp.int32, width: wp.int32) -> wp.float32:
     """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
-    own = deflections[pixel]
-    left = change(own, deflections[pixel - 1])
-    right = change(own, deflections[pixel + 1])
-    above = change(own, deflections[pixel - width])
-    below = change(own, deflections[pixel + width])
+    left = change(seen, pixel, pixel - 1)
+    right = change(seen, pixel, pixel + 1)
+    above = change(seen, pixel, pixel - width)
+    below = change(seen, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
     # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
     aslant2 = wp.max(
         wp.max(
-            wp.length_sq(change(own, deflections[pixel - width - 1]) - left - above),
-            wp.length_sq(change(own, deflections[pixel - width + 1]) - right - above),
+            wp.length_sq(change(seen, pixel, pixel - width - 1) - left - above),
+            wp.length_sq(change(seen, pixel, pixel - width + 1) - right - above),
         ),
         wp.max(
-            wp.length_sq(change(own, deflections[pixel + width - 1]) - left - below),
-            wp.length_sq(change(own, deflections[pixel + width + 1]) - right - below),
+            wp.length_sq(change(seen, pixel, pixel + width - 1) - left - below),
+            wp.length_sq(change(seen, pixel, pixel + width + 1) - right - below),
         ),
     )
     most = wp.max(along, down)
     uneven2 = wp.max(wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down), aslant2 / most)
+    if seen.estimates.shape[0] > 0:
+        return wp.min(SMOOTH + PER_UNEVEN * wp.sqrt(uneven2), 1.0)
+    own = seen.deflections[pixel]
     uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
     return wp.min(SMOOTH + PER_UNEVEN * wp.sqrt(uneven2) + PER_WIDE * wp.sqrt(most / uv2), 1.0)
 
@@ -53,7 +67,7 @@ def share_of_contrast(deflections: wp.array(dtype=wp.vec3d), pixel: wp.int32, wi
 def estimate_errors(
     # In:
     colours: wp.array(dtype=wp.vec3f),
-    deflections: wp.array(dtype=wp.vec3d),
+    seen: Seen,
     hit: wp.array(dtype=wp.int32),
     width: wp.int32,
     floor: wp.array(dtype=wp.float32),
@@ -72,7 +86,7 @@ def estimate_errors(
 
     Args:
         colours: Theirs, of whole rows.
-        deflections: What their rays see.
+        seen: What their rays see.
         hit: Whether they meet the mesh.
         width: Pixels in a row.
         floor: What errors are relative to at least.
@@ -111,8 +125,10 @@ def estimate_errors(
             contrast2 = wp.length_sq(own)
         share = wp.float32(1.0)
         if met == 9:
-            share = share_of_contrast(deflections, pixel, width)
+            share = share_of_contrast(seen, pixel, width)
         error = share * wp.sqrt(contrast2)
+        if seen.estimates.shape[0] > 0:
+            error = wp.max(error, seen.estimates[pixel][0])
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
         is_rim = met < around and splits_rims
         wanted = met > 0 and (is_rim or error > bound * wp.max(wp.length(own), floor[0]))

@@ -12,6 +12,7 @@ import warp as wp
 from warpdiff.kernels import compile_options, limits
 from warpdiff.kernels.bvh import FAR, occluded
 from warpdiff.kernels.scattering import Lights, Reflection, transmittance
+from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
 
 wp.set_module_options(compile_options.options())
@@ -26,7 +27,20 @@ REACH = wp.constant(2.5)
 # sky is blurred by, and at most.
 SPAN = wp.constant(2.0)
 TAPS_A_RATIO = wp.constant(2.0)
-MOST_TAPS = wp.constant(6)
+MOST_TAPS = wp.constant(8)
+# A ray's colour is guessed by nodes of a part of the cells at most. Nodes are opened that may err by more than a share
+# of that, which is so much over the number of cells, or of a part of them at most where there is pigment.
+GUESSED_PARTS = wp.constant(16)
+PIGMENTED_PARTS = wp.constant(128)
+OPENED_SHARE = wp.constant(33.0)
+# From this deviation on a node may hide an edge of what the mesh leaves open.
+LEAST_HIDING = wp.constant(0.1)
+# By how much phases change, of an entry of w over half the range of w.
+PHASE_AN_ENTRY = 0.08
+# What errors count that all nodes have alike, of those that are as if by chance.
+ALIKE = wp.constant(5.0)
+# ‖XYZ‖ over the luminance.
+PER_LUMINANCE = wp.constant(1.7)
 open_t = wp.types.vector(length=_WORDS, dtype=wp.uint32)
 
 
@@ -34,20 +48,46 @@ open_t = wp.types.vector(length=_WORDS, dtype=wp.uint32)
 class SkyMap:
     """Light from all directions, on octahedral maps that are blurred more and more, with a texel more on each side."""
 
-    texels: wp.array(dtype=wp.vec3f)  # by spectrum; level after level, row after row
+    texels: wp.array(dtype=wp.vec4f)  # by spectrum, and the deviation of their sum; level after level, row after row
     firsts: wp.array(dtype=wp.int32)  # where each level begins
     sides: wp.array(dtype=wp.int32)  # texels along a side of each level, without those beyond it
     variance: wp.float32  # that the first level is blurred by [rad²]; the next ones by four times as much each
+    turn: wp.vec2f  # cosine and sine of the angle that the sky is turned by about +y
     whites: wp.mat33f  # of what the pigment sends back under each spectrum, linear RGB in rows
 
 
 @wp.struct
 class SkyTable:
-    """What a surface sends from cells of (u, v), as Gaussians, by material, cell and w."""
+    """What a surface sends from cells of (u, v), as Gaussians, by material, node and w: a tree, parents first."""
 
-    cells: wp.array(dtype=wp.vec4f)  # u, v, deviation, area; the first one is the zeroth order
+    nodes: wp.array(dtype=wp.vec4f)  # u, v, deviation, area; the first one is the zeroth order
+    ends: wp.array(dtype=wp.int32)  # where what is below a node ends
     rows: wp.array(dtype=wp.mat33f)  # XYZ in rows, by spectrum
     entries: wp.int32  # of w, from 0 to 2
+
+
+@wp.struct
+class Sight:
+    """What a ray has met."""
+
+    tangent: wp.vec3f
+    bitangent: wp.vec3f
+    normal: wp.vec3f
+    view: wp.vec3f  # the direction to it, in this frame
+    blur: wp.float32  # variance of (u, v) for light by way of a mirror
+    material: wp.int32
+    hides: wp.bool  # whether the mesh hides any of the sky
+    seen: open_t  # where it does not
+
+
+@wp.struct
+class SkySum:
+    """Colours under a sky, summed over nodes."""
+
+    colour: wp.vec3f
+    below: wp.mat33f  # what the pigment gets, by spectrum and linear RGB
+    blurred2: wp.float32  # squares of what the luminance may err by, as footprints are blurred evenly
+    coarse2: wp.float32  # and as nodes are no smaller, nor the sky's maps finer
 
 
 @wp.func
@@ -77,7 +117,7 @@ def direction_at(x: wp.float32, z: wp.float32) -> wp.vec3f:
 
 
 @wp.func
-def on_level(sky: SkyMap, level: wp.int32, place: wp.vec2f) -> wp.vec3f:
+def on_level(sky: SkyMap, level: wp.int32, place: wp.vec2f) -> wp.vec4f:
     """Radiance on one level, linear between texels."""
     side = sky.sides[level]
     x = place[0] * wp.float32(side) + 0.5
@@ -93,7 +133,7 @@ def on_level(sky: SkyMap, level: wp.int32, place: wp.vec2f) -> wp.vec3f:
 
 
 @wp.func
-def radiance_at(sky: SkyMap, place: wp.vec2f, variance: wp.float32) -> wp.vec3f:
+def radiance_at(sky: SkyMap, place: wp.vec2f, variance: wp.float32) -> wp.vec4f:
     """Radiance, blurred by a variance."""
     last = sky.sides.shape[0] - 1
     level = wp.clamp(0.5 * wp.log2(wp.max(variance, 1.0e-12) / sky.variance), 0.0, wp.float32(last))
@@ -151,36 +191,116 @@ def share_above(radius: wp.float32, deviation: wp.float32) -> wp.vec3f:
 
 
 @wp.func
-def light_along(
+def gain_of(
+    sight: Sight, reflection: Reflection, u: wp.float32, v: wp.float32, z: wp.float32, beyond: wp.float32
+) -> wp.float32:
+    """The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv."""
+    w = z + sight.view[2]
+    overlap = 0.5 * (u * u + v * v + w * w)
+    cosine = wp.sqrt(0.5 * overlap)
+    gain = overlap * overlap / (w * w * sight.view[2] * z)
+    if reflection.masking:
+        gain *= wp.min(wp.min(z, sight.view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
+    else:
+        gain *= beyond
+    rest = 1.0 - wp.min(cosine, 1.0)
+    beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
+    return gain * (1.0 + beyond_normal * rest * rest * rest * rest * rest)
+
+
+@wp.func
+def sum_nodes(
     sky: SkyMap,
-    tangent: wp.vec3f,
-    bitangent: wp.vec3f,
-    normal: wp.vec3f,
-    middle: wp.vec2f,
-    turned: wp.float32,
-    streak: wp.vec2f,
-    taps: wp.int32,
-    apart: wp.float32,
-    variance: wp.float32,
-    shadows: wp.bool,
-    seen: open_t,
-    weight: wp.float32,
-) -> wp.vec3f:
-    """The weighted mean of the sky's light at places along a streak about a direction, given across the normal."""
-    total = wp.float32(0.0)
-    light = wp.vec3f()
-    for tap in range(taps):
-        off = (wp.float32(tap) + 0.5) * apart - SPAN
-        share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
-        total += share
-        p = middle[0] + off * turned * streak[0]
-        q = middle[1] + off * turned * streak[1]
-        up = wp.sqrt(wp.max(1.0 - p * p - q * q, wp.static(float(limits.HORIZON) + 1.0e-6)))
-        towards = on_octahedron(p * tangent + q * bitangent + up * normal)
-        if shadows:
-            share *= share_open(seen, towards)
-        light += share * radiance_at(sky, towards, variance / wp.max(up, 0.1))
-    return light * (weight / total)
+    table: SkyTable,
+    sight: Sight,
+    reflection: Reflection,
+    limit: wp.float32,
+    size: wp.int32,
+    pigment: wp.bool,
+) -> SkySum:
+    """A sum over nodes, which are opened where they may err by more than a limit, or have more nodes than a size."""
+    result = SkySum()
+    count = table.nodes.shape[0]
+    node = wp.int32(0)
+    while node < count:
+        end = table.ends[node]
+        place = table.nodes[node]
+        x = -(place[0] + sight.view[0])
+        y = -(place[1] + sight.view[1])
+        # A footprint is that of light by way of a mirror: where the normal turns, it grows as w.
+        turned = 0.5 + 0.5 * wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) / sight.view[2]
+        blur = wp.min(turned * turned, 4.0) * sight.blur
+        variance = place[2] * place[2] + blur
+        radius = wp.sqrt(x * x + y * y)
+        above = share_above(radius, wp.sqrt(variance))
+        if above[0] == 0.0:
+            node = end
+            continue
+        if end - node > 1 and end - node > size:
+            node += 1
+            continue
+        x *= above[1]
+        y *= above[1]
+        z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(limits.HORIZON) + 1.0e-6)))
+        along = x * sight.tangent + y * sight.bitangent + z * sight.normal
+        weight = above[0] * place[3]
+        if sight.hides:
+            weight *= share_open(sight.seen, on_octahedron(along))
+        in_sky = wp.vec3f(
+            sky.turn[0] * along[0] - sky.turn[1] * along[2], along[1], sky.turn[1] * along[0] + sky.turn[0] * along[2]
+        )
+        light = radiance_at(sky, on_octahedron(in_sky), variance / wp.max(z, 0.1))
+        w = z + sight.view[2]
+        gain = gain_of(sight, reflection, place[0], place[1], z, above[2])
+        entry = 0.5 * w * wp.float32(table.entries - 1)
+        before = wp.min(wp.int32(entry), table.entries - 2)
+        t = entry - wp.float32(before)
+        at = (sight.material * count + node) * table.entries + before
+        row = (gain * weight * (1.0 - t)) * table.rows[at] + (gain * weight * t) * table.rows[at + 1]
+        rgb = wp.vec3f(light[0], light[1], light[2])
+        # Below a node gains bend, and rows as phases change with w: alike for many, so that it adds up.
+        bend = place[2] / z
+        turns = wp.static(PHASE_AN_ENTRY) * wp.float32(table.entries) * radius
+        bend = wp.min(bend * bend * (2.0 + turns * turns), 0.5)
+        if above[0] < 1.0 or (sight.hides and place[2] > LEAST_HIDING):
+            bend = 0.5
+        per_light = (row[1, 0] + row[1, 1] + row[1, 2]) * wp.static(1.0 / 3.0)
+        opens_for = wp.max(light[3], ALIKE * bend * (rgb[0] + rgb[1] + rgb[2]))
+        if end - node > 1 and limit >= 0.0 and per_light * opens_for > limit:
+            node += 1
+            continue
+        result.colour += row * rgb
+        error = per_light * light[3]
+        per_variance = error * error / wp.max(variance, sky.variance)
+        result.blurred2 += per_variance * blur
+        result.coarse2 += per_variance * (
+            wp.max(sky.variance - variance, 0.0) + wp.where(node > 0, place[2] * place[2], 0.0)
+        )
+        if pigment and node > 0:
+            result.below += wp.outer(weight * rgb, transmittance(reflection, sight.material, z))
+        node = end
+    return result
+
+
+@wp.func
+def turned_by(sight: Sight, x: wp.float32, y: wp.float32) -> Sight:
+    """What a ray beside it has met, where the normal has turned by (x, y) in the frame."""
+    result = sight
+    towards = sight.view[0] * sight.tangent + sight.view[1] * sight.bitangent + sight.view[2] * sight.normal
+    normal = wp.normalize(sight.normal + x * sight.tangent + y * sight.bitangent)
+    tangent = wp.normalize(sight.tangent - wp.dot(sight.tangent, normal) * normal)
+    bitangent = wp.cross(normal, tangent)
+    result.bitangent = wp.where(wp.dot(bitangent, sight.bitangent) < 0.0, -bitangent, bitangent)
+    result.tangent = tangent
+    result.normal = normal
+    result.view = wp.normalize(
+        wp.vec3f(
+            wp.dot(tangent, towards),
+            wp.dot(result.bitangent, towards),
+            wp.max(wp.dot(normal, towards), wp.static(LEAST_COSINE)),
+        )
+    )
+    return result
 
 
 @wp.kernel
@@ -200,7 +320,10 @@ def mirror_directions(
     coverage_out: wp.array(dtype=wp.float64),
     lit_out: wp.array(dtype=wp.bool),
 ):
-    """What ``scattering_vectors`` finds of pixels, for light that comes by way of a mirror, and gains of 1."""
+    """What ``scattering_vectors`` finds of pixels, for light that comes by way of a mirror, and gains of 1.
+
+    Directions to the light are those of the world, which tell how even footprints are.
+    """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         deflection = wp.vec3d()
@@ -210,7 +333,7 @@ def mirror_directions(
             view = pixels.to_view[i]
             cosine = wp.dot(pixels.normal[i], view)
             deflection[2] = -wp.float64(2.0) * wp.float64(cosine)
-            to_light = wp.vec3f(-wp.dot(pixels.tangent[i], view), -wp.dot(pixels.bitangent[i], view), cosine)
+            to_light = 2.0 * cosine * pixels.normal[i] - view
             gain = wp.float32(1.0)
         deflections_out[i] = deflection
         to_lights_out[i] = to_light
@@ -239,17 +362,29 @@ def principal_axes(footprint: Footprint) -> wp.vec4f:
 
 
 @wp.func
-def open_sky(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f) -> open_t:
-    """In which directions, texels of an octahedral map, the mesh does not hide the sky."""
+def open_sky(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f, of_four: wp.bool, turn: wp.int32) -> open_t:
+    """In which directions, texels of an octahedral map, the mesh does not hide the sky.
+
+    ``of_four`` texels one is asked for, which they take turns to be.
+    """
     seen = open_t()
-    for texel in range(wp.static(_SIDE * _SIDE)):
-        along = direction_at(
-            (wp.float32(texel % wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
-            (wp.float32(texel // wp.static(_SIDE)) + 0.5) * wp.static(1.0 / _SIDE),
-        )
-        # Below the horizon, where no light comes from, texels are beside others that count.
-        if not (wp.dot(along, normal) > 0.0 and occluded(mesh_id, origin, along, FAR)):
-            seen[texel // 32] = seen[texel // 32] | (wp.uint32(1) << wp.uint32(texel % 32))
+    step = wp.where(of_four, 2, 1)
+    for row in range(0, wp.static(_SIDE), step):
+        for column in range(0, wp.static(_SIDE), step):
+            x = column
+            z = row
+            if of_four:
+                x += turn % 2
+                z += turn / 2 % 2
+            along = direction_at(
+                (wp.float32(x) + 0.5) * wp.static(1.0 / _SIDE), (wp.float32(z) + 0.5) * wp.static(1.0 / _SIDE)
+            )
+            # Below the horizon, where no light comes from, texels are beside others that count.
+            if wp.dot(along, normal) > 0.0 and occluded(mesh_id, origin, along, FAR):
+                continue
+            for down in range(step):
+                texel = (row + down) * wp.static(_SIDE) + column
+                seen[texel // 32] = seen[texel // 32] | (wp.uint32(2 * step - 1) << wp.uint32(texel % 32))
     return seen
 
 
@@ -259,6 +394,27 @@ def hides_any(seen: open_t) -> wp.bool:
     result = wp.bool(False)
     for word in range(wp.static(_WORDS)):
         result = result or seen[word] != wp.uint32(0xFFFFFFFF)
+    return result
+
+
+@wp.func
+def sight_of(
+    pixels: Pixels, reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, is_cell: wp.bool, i: wp.int32
+) -> Sight:
+    """What a pixel's ray has met, or that of one of its cells, which together ask for all of the sky."""
+    result = Sight()
+    result.tangent = pixels.tangent[i]
+    result.bitangent = pixels.bitangent[i]
+    result.normal = pixels.normal[i]
+    view = pixels.to_view[i]
+    result.view = wp.normalize(
+        wp.vec3f(wp.dot(result.tangent, view), wp.dot(result.bitangent, view), wp.dot(result.normal, view))
+    )
+    if reflection.materials.shape[0] > 0:
+        result.material = reflection.materials[pixels.face[i]]
+    if shadows:
+        result.seen = open_sky(mesh_id, pixels.shadow_origin[i], result.normal, is_cell, i)
+        result.hides = hides_any(result.seen)
     return result
 
 
@@ -274,89 +430,71 @@ def add_sky(
     light_index: wp.int32,
     reflection: Reflection,
     mesh_id: wp.uint64,
+    cells: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
     hidden_out: wp.array(dtype=wp.bool),
+    estimates_out: wp.array(dtype=wp.vec2f),
     xyz_out: wp.array(dtype=wp.vec3f),
 ):
     """Add the sky's colours to those of pixels whose gain is not 0.
 
-    ``hidden_out`` is set where the mesh hides any part of the sky; empty is that it hides none.
+    ``hidden_out`` is set where the mesh hides any part of the sky; empty is that it hides none. ``estimates_out`` are
+    what colours may err by, ‖ΔXYZ‖: as they change over the footprint, and, added up over skies, otherwise; empty is
+    that nobody asks.
     """
     thread, _ = wp.tid()
-    cells = table.cells.shape[0]
     shadows = hidden_out.shape[0] > 0
-    beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
     pigment = wp.float32(lights.strengths[light_index][1])
     for i in range(first + thread * run, first + (thread + 1) * run):
         if shadows:
             hidden_out[i] = False
         if gains[i] == 0.0:
             continue
-        tangent = pixels.tangent[i]
-        bitangent = pixels.bitangent[i]
-        normal = pixels.normal[i]
-        to_view = pixels.to_view[i]
-        view = wp.normalize(wp.vec3f(wp.dot(tangent, to_view), wp.dot(bitangent, to_view), wp.dot(normal, to_view)))
-        axes = principal_axes(footprints[i])
-        major = axes[0]
-        minor = axes[1]
-        streak = wp.vec2f(axes[2], axes[3])
-        material = wp.int32(0)
-        if reflection.materials.shape[0] > 0:
-            material = reflection.materials[pixels.face[i]]
-        seen = open_t()
+        sight = sight_of(pixels, reflection, mesh_id, shadows, estimates_out.shape[0] == 0, i)
         if shadows:
-            seen = open_sky(mesh_id, pixels.shadow_origin[i], normal)
-            hidden_out[i] = hides_any(seen)
-        colour = wp.vec3f()
-        below = wp.mat33f()
-        for cell in range(cells):
-            place = table.cells[cell]
-            x = -(place[0] + view[0])
-            y = -(place[1] + view[1])
-            # A footprint is that of light by way of a mirror: where the normal turns, it grows as w.
-            turned = 0.5 + 0.5 * wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) / view[2]
-            turned = wp.min(turned, 2.0)
-            long = turned * turned * major
-            narrow = place[2] * place[2] + turned * turned * minor
-            # Along its longer axis the sky is taken at several places, unless it is blurred as much anyway. They are
-            # ``apart`` deviations from each other, and blurred by half of that.
-            taps = wp.min(wp.int32(TAPS_A_RATIO * wp.sqrt(long / wp.max(narrow, sky.variance))) + 1, MOST_TAPS)
-            taps = wp.where(taps == 2, 3, taps)
-            apart = 2.0 * SPAN / wp.float32(taps)
-            variance = narrow + wp.where(taps > 1, 0.25 * apart * apart * long, 0.5 * (long - turned * turned * minor))
-            above = share_above(wp.sqrt(x * x + y * y), wp.sqrt(narrow + 0.5 * long))
-            if above[0] == 0.0:
-                continue
-            x *= above[1]
-            y *= above[1]
-            z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(limits.HORIZON) + 1.0e-6)))
-            w = z + view[2]
-            light = light_along(
-                sky, tangent, bitangent, normal, wp.vec2f(x, y), turned, streak, taps, apart, variance, shadows, seen,
-                above[0] * place[3],
-            )  # fmt: skip
-            # The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv.
-            overlap = 0.5 * (place[0] * place[0] + place[1] * place[1] + w * w)
-            cosine = wp.sqrt(0.5 * overlap)
-            gain = overlap * overlap / (w * w * view[2] * z)
-            if reflection.masking:
-                gain *= wp.min(wp.min(z, view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
-            else:
-                gain *= above[2]
-            rest = 1.0 - wp.min(cosine, 1.0)
-            gain *= 1.0 + beyond_normal * rest * rest * rest * rest * rest
-            entry = 0.5 * w * wp.float32(table.entries - 1)
-            before = wp.min(wp.int32(entry), table.entries - 2)
-            t = entry - wp.float32(before)
-            at = (material * cells + cell) * table.entries + before
-            colour += ((gain * (1.0 - t)) * table.rows[at] + (gain * t) * table.rows[at + 1]) * light
-            if pigment > 0.0 and cell > 0:
-                below += wp.outer(light, transmittance(reflection, material, z))
+            hidden_out[i] = sight.hides
+        axes = principal_axes(footprints[i])
+        # Along its longer axis there are rays at several places, unless the sky is blurred as much anyway. They are
+        # ``apart`` deviations from each other, and blurred by half of that.
+        narrow = axes[1] + sky.variance
+        taps = wp.min(wp.int32(TAPS_A_RATIO * wp.sqrt(axes[0] / narrow)) + 1, MOST_TAPS)
+        taps = wp.where(taps == 2, 3, taps)
+        apart = 2.0 * SPAN / wp.float32(taps)
+        sight.blur = axes[1] + wp.where(taps > 1, 0.25 * apart * apart * axes[0], 0.5 * (axes[0] - axes[1]))
+        size = wp.max(table.nodes.shape[0] / GUESSED_PARTS, 1)
+        guess = sum_nodes(sky, table, sight, reflection, -1.0, size, False)
+        # The pigment sends light from everywhere, wherever the surface sends none.
+        size = table.nodes.shape[0]
         if pigment > 0.0:
-            base = wp.cw_mul(pixels.base_colour[i], transmittance(reflection, material, view[2]))
+            size = wp.max(size / PIGMENTED_PARTS, 1)
+        limit = OPENED_SHARE / wp.float32(cells) * guess.colour[1]
+        total = wp.float32(0.0)
+        mean = SkySum()
+        square = wp.float32(0.0)
+        for tap in range(taps):
+            off = (wp.float32(tap) + 0.5) * apart - SPAN
+            share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
+            per_normal = 0.5 * off / sight.view[2]
+            beside = turned_by(sight, per_normal * axes[2], per_normal * axes[3])
+            found = sum_nodes(sky, table, beside, reflection, limit, size, pigment > 0.0)
+            total += share
+            mean.colour += share * found.colour
+            mean.below += share * found.below
+            mean.blurred2 += share * found.blurred2
+            mean.coarse2 += share * found.coarse2
+            square += share * wp.length_sq(found.colour)
+        colour = mean.colour / total
+        if estimates_out.shape[0] > 0:
+            scattered2 = wp.max(square / total - wp.length_sq(colour), 0.0)
+            blurred2 = PER_LUMINANCE * PER_LUMINANCE * mean.blurred2 / total
+            before = estimates_out[i][1]
+            coarse = PER_LUMINANCE * wp.sqrt(mean.coarse2 / total)
+            estimates_out[i] = wp.vec2f(wp.sqrt(wp.max(scattered2, blurred2)), before + coarse)
+        if pigment > 0.0:
+            below = mean.below / total
+            base = wp.cw_mul(pixels.base_colour[i], transmittance(reflection, sight.material, sight.view[2]))
             rgb = wp.vec3f()
             for spectrum in range(3):
                 for channel in range(3):

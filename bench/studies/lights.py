@@ -116,11 +116,15 @@ def disc_of_points(light: wd.DirectionalLight, count: int) -> list[wd.Directiona
     return [wd.DirectionalLight(tuple(each), power=1.0 / count) for each in found]
 
 
-def errors(found: np.ndarray, exact: np.ndarray) -> str:
-    """Median, percentiles 90 and 99 of the errors of colours (n, 3), as ``tolerance`` has them."""
+def distances(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Errors of colours (n, 3), as ``tolerance`` has them."""
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
-    away = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
-    return " | ".join(f"{100.0 * value:.1f} %" for value in np.percentile(away, [50.0, 90.0, 99.0]))
+    return np.asarray(np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
+
+
+def percentiles(errors: np.ndarray, between: str = " | ") -> str:
+    """Their median, percentiles 90 and 99."""
+    return between.join(f"{100.0 * value:.1f} %" for value in np.percentile(errors, [50.0, 90.0, 99.0]))
 
 
 def sizes(points: int) -> None:
@@ -135,30 +139,66 @@ def sizes(points: int) -> None:
                 exact = wd.shade(make(), hf, disc_of_points(light, points), VIEW, coherence=WINDOW, **options)
                 found = wd.shade(make(), hf, light, VIEW, plan=exact.plan, **options)
                 seen = exact.lit & found.lit
-                print(f"| {degrees:g}° | {name}, {surface} | {errors(found.xyz[seen], exact.xyz[seen])} |", flush=True)
+                away = distances(found.xyz[seen], exact.xyz[seen])
+                print(
+                    f"| {degrees:g}° | {name}, {surface} | {percentiles(away)} |",
+                    flush=True,
+                )
 
 
 def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of environments against sums over directions, of ``across``² rays a pixel, for so many pixels."""
+    """Print errors of environments against sums over directions, of ``across``² rays a pixel or more, for some pixels.
+
+    Beside them are what the sums may err by, what ``image.error`` tells at the same percentiles, for how many of the
+    pixels that err by more than the tolerance it tells so, and a frame's time.
+    """
     rng = np.random.default_rng(seed + 1)
-    print("| sky | body, surface | pixels | by | median | P90 | P99 |\n" + "| --- " * 7 + "|")
+    print("| sky | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
     for name, grey, mesh, hf, view, sigma_um in drawn_cases(seed):
         window = wd.Coherence(sigma_um=sigma_um)
         sums = SkySums(mesh, hf, view, window)
-        chosen = sums.interior()
-        chosen = rng.permutation(chosen)[:pixels]
-        exact, again = (sums.colours(chosen, grey, across, each) for each in (seed, seed + 1))
-        directions = 2 * sums.directions(across)
-        exact = 0.5 * (exact + again)
-        print(f"| {name} | {len(chosen)} | {directions:,} against half | {errors(again, exact)} |", flush=True)
+        chosen = rng.permutation(sums.interior())[:pixels]
+        if not len(chosen):
+            print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
+            continue
+        exact, unsettled, directions = settled(sums, chosen, grey, across, seed, min(tolerances) / 3.0)
+        keeps = unsettled <= min(tolerances) / 3.0
+        left_out = np.count_nonzero(~keeps)
+        chosen, exact = chosen[keeps], exact[keeps]
+        of_sums = f"sums of {directions:,} directions or more, {left_out} do not settle and are left out"
+        print(f"| {name} | {len(keeps)} | {of_sums} | {percentiles(unsettled)} | | | |", flush=True)
         environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
+        options: dict[str, Any] = {"pigment": 0.0, "shadows": False, "coherence": window, "strict": False}
         for tolerance in tolerances:
-            image = wd.shade(
-                mesh, hf, environment, view, tolerance=tolerance, pigment=0.0, shadows=False, coherence=window
-            )
-            found = image.xyz[chosen[:, 0], chosen[:, 1]]
-            told = f"{tolerance:g}, {image.plan.lit_by:,}"
-            print(f"| {name} | {len(chosen)} | {told} | {errors(found, exact)} |", flush=True)
+            begin = time.perf_counter()
+            image = wd.shade(mesh, hf, environment, view, tolerance=tolerance, **options)
+            took = time.perf_counter() - begin
+            at = chosen[:, 0], chosen[:, 1]
+            found, expected = distances(image.xyz[at], exact), image.error[at]
+            wrong = found > tolerance
+            seen = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
+            print(
+                f"| {name} | {len(chosen)} | {tolerance:g}, {image.plan.lit_by:,} | {percentiles(found)} | "
+                f"{percentiles(expected, ' / ')} | {seen} | {took:.1f} s |", flush=True,
+            )  # fmt: skip
+
+
+def settled(
+    sums: SkySums, chosen: np.ndarray, grey: np.ndarray, across: int, seed: int, bound: float
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Means of four sums each, what they may err by, and of how many directions they are at least.
+
+    Where the four do not tell their mean well enough, there are four and sixteen times as many rays.
+    """
+    sets = np.zeros((4, len(chosen), 3))
+    unsettled = np.zeros(len(chosen))
+    again = np.arange(len(chosen))
+    for more in (1, 2, 4):
+        sets[:, again] = [sums.colours(chosen[again], grey, more * across, 4 * seed + each) for each in range(4)]
+        exact = sets.mean(axis=0)
+        unsettled = np.sqrt(sum(distances(each, exact) ** 2 for each in sets) / 12.0)
+        again = np.flatnonzero(unsettled > bound)
+    return exact, unsettled, len(sets) * sums.directions(across)
 
 
 def albedo(directions: int) -> None:
@@ -168,7 +208,7 @@ def albedo(directions: int) -> None:
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     square = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
     even = wd.Environment(np.ones((4, 8, 3)), directions=directions)
-    step = 1.0 / 160.0
+    step = 1.0 / 90.0
     u, v = np.meshgrid(np.arange(-1.0 + step / 2.0, 1.0, step), np.arange(-1.0 + step / 2.0, 1.0, step))
     inside = u**2 + v**2 < 1.0
     views = np.stack([u[inside], v[inside], np.sqrt(1.0 - u[inside] ** 2 - v[inside] ** 2)], axis=-1)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Rays along a side of a pixel, that ray casts are rounded to.
 _ACROSS = 16
-# Distance of a ray's directions, in deviations of the lobes.
-_STEP = 1.2
+# Distance of a ray's directions, in deviations of the lobes, and rays that are summed together.
+_STEP, _RAYS = 1.2, 16
 
 
 class SkySums:
@@ -43,7 +43,7 @@ class SkySums:
         axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
         self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)
         self._hf, self._coherence = hf, coherence
-        self._plan = wd.plan(hf, tolerance=3e-3, coherence=coherence)
+        self._plan = wd.plan(hf, tolerance=1e-2, coherence=coherence)
         nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
         d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
         self._light = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
@@ -64,27 +64,33 @@ class SkySums:
     def colours(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
         """XYZ of pixels under a sky (height, width), by ``across``² rays each, (n, 3)."""
         rng = np.random.default_rng(seed)
-        grid = np.arange(-1.0 - self._step, 1.0 + self._step, self._step)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
-        result = np.empty((len(pixels), 3))
+        result = np.zeros((len(pixels), 3))
         for index, pixel in enumerate(pixels):
             share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
             at = ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(int)
-            axes = self._axes[at[:, 0], at[:, 1]].astype(np.float64)
             # Whichever ray it is, all shifts of the grid are there.
             shift = (rng.permutation(cells) + rng.random(cells.shape)) / across * self._step
-            x = (grid + shift[:, :1])[:, :, None] + 0.0 * grid
-            y = (grid + shift[:, 1:])[:, None, :] + 0.0 * grid[:, None]
-            inside = x**2 + y**2 < 1.0 - 1e-6
-            ray = np.nonzero(inside)[0]
-            lights = np.stack([x[inside], y[inside], np.sqrt(1.0 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
-            along = np.einsum("nk,nkc->nc", lights, axes[ray, :3])
-            views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])[ray]
-            rho = wd.reflectance(
-                self._hf, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
-            )
-            result[index] = (radiance(sky, along) / lights[:, 2]) @ rho / len(cells)
+            for first in range(0, len(cells), _RAYS):
+                some = slice(first, first + _RAYS)
+                axes = self._axes[at[some, 0], at[some, 1]].astype(np.float64)
+                result[index] += self._sum(axes, shift[some], sky) / len(cells)
         return result * self._step**2 * self._scale
+
+    def _sum(self, axes: NDArray[np.float64], shift: NDArray[np.float64], sky: NDArray[np.float64]) -> NDArray[Any]:
+        """Sums over directions, of all rays, whose grids are shifted."""
+        grid = np.arange(-1.0 - self._step, 1.0 + self._step, self._step)
+        x = (grid + shift[:, :1])[:, :, None] + 0.0 * grid
+        y = (grid + shift[:, 1:])[:, None, :] + 0.0 * grid[:, None]
+        inside = x**2 + y**2 < 1.0 - 1e-6
+        ray = np.nonzero(inside)[0]
+        lights = np.stack([x[inside], y[inside], np.sqrt(1.0 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
+        along = np.einsum("nk,nkc->nc", lights, axes[ray, :3])
+        views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])[ray]
+        rho = wd.reflectance(
+            self._hf, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
+        )
+        return np.asarray((radiance(sky, along) / lights[:, 2]) @ rho)
 
     def directions(self, across: int) -> int:
         """Of how many a pixel's colour is summed."""

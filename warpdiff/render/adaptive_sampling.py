@@ -71,10 +71,12 @@ class LightRefinement:
 
     def estimate_errors(self, floor: wp.array, wanted: wp.array) -> KernelCall:
         """The call that estimates the error of every pixel by one ray, and says which are to be split."""
-        seen, view = self.frame.seen, self.frame.view
+        pixels, view = self.frame.seen, self.frame.view
+        seen = adaptive.Seen()
+        seen.deflections, seen.mirrored = pixels.deflections, pixels.to_lights
+        seen.estimates = self.frame.estimates_of(self.light_index)
         inputs = [
-            self.colours, seen.deflections, seen.pixels.hit, view.width, floor, self._bound_at(0), self.least > 0,
-            self.refine,
+            self.colours, seen, pixels.pixels.hit, view.width, floor, self._bound_at(0), self.least > 0, self.refine,
         ]  # fmt: skip
         return KernelCall(adaptive.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
 

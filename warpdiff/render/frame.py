@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +48,8 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 _MEAN_ERROR_PER_PLAN_ERROR = 0.48
 # What bounds 95 of 100 errors, over the root sum of squares of what cells and a table err by: see docs/decisions.md.
 _BOUND_OF_BOTH = 1.1
+# What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
+_ERROR_PER_COARSENESS = 0.7
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
 # Power of lights at a place, at a distance of the mesh's radius: squares of colours near them are float32.
@@ -106,6 +109,8 @@ class Frame:
         # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
+        # Under skies, what pixels' own rays err by; or empty.
+        self._estimates = self._no_estimates = wp.empty(0, dtype=wp.vec2f, device=device)
         # Through which pixels an edge passes, as cells have found.
         self._edges = wp.empty(0, dtype=wp.bool, device=device)
         self._refined = False
@@ -204,6 +209,8 @@ class Frame:
             for each in lights
         ]
         self._skies = [each.sky for each in lights]
+        if any(self._skies) and not len(self._estimates):
+            self._estimates = wp.zeros(self._size, dtype=wp.vec2f, device=self._device)
         # Those of before stay, where a recorded picture finds them.
         kept = self._sky_maps
         self._sky_maps = {
@@ -227,11 +234,12 @@ class Frame:
     def _sky_map(self, sky: SkyLight, solid_angle: NDArray[np.float64]) -> Any:
         """The struct ``SkyMap`` of a light."""
         result = sky_light.SkyMap()
-        result.texels = wp.array(sky.texels, dtype=wp.vec3f, device=self._device)
+        result.texels = wp.array(sky.texels, dtype=wp.vec4f, device=self._device)
         result.sides = wp.array(sky.sides, dtype=wp.int32, device=self._device)
         starts = np.cumsum([0, *((side + 2) ** 2 for side in sky.sides[:-1])])
         result.firsts = wp.array(starts, dtype=wp.int32, device=self._device)
         result.variance = sky.blur**2
+        result.turn = wp.vec2f(math.cos(sky.turn), math.sin(sky.turn))
         whites = [colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(each)) for each in sky.spectra]
         result.whites = wp.mat33f(*np.ravel(whites))
         return result
@@ -348,9 +356,10 @@ class Frame:
             inputs = [
                 self._sky_maps[sky], integrator.sky_table(self._lit[light_index], sky.directions), seen.pixels,
                 gains, footprints, self._lights, light_index, self._reflection,
-                self._grid_of(light_index).mesh_id if len(hidden) else 0,
+                self._grid_of(light_index).mesh_id if len(hidden) else 0, sky.directions,
             ]  # fmt: skip
-            return [KernelCall(sky_light.add_sky, inputs, [hidden, colours], in_runs=True)]
+            estimates = self._estimates if seen is self.seen else self._no_estimates
+            return [KernelCall(sky_light.add_sky, inputs, [hidden, estimates, colours], in_runs=True)]
         steps: list[KernelCall] = []
         for index, (lit,) in enumerate(self._lit[light_index]):
             if self.has_materials:
@@ -384,6 +393,7 @@ class Frame:
         errors = self._errors[several]
         self._errors[0].zero_()
         self._edges.zero_()
+        self._estimates.zero_()
         self._refined = refine
         if several:
             self._sums[0].zero_()
@@ -424,6 +434,10 @@ class Frame:
         if not len(self._colours):
             self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
         return self._colours
+
+    def estimates_of(self, light_index: int) -> wp.array:
+        """What the colours of pixels' own rays err by under a light, if it is a sky."""
+        return self._no_estimates if self._skies[light_index] is None else self._estimates
 
     def steps_of_cells(
         self,
@@ -568,6 +582,8 @@ class Frame:
         if self._errors:
             # Neither depends on the other.
             errors = _BOUND_OF_BOTH * np.hypot(errors, self._errors[0].numpy()[lit])
+        if any(self._skies):
+            errors = errors + _ERROR_PER_COARSENESS * self._estimates.numpy()[lit, 1]
         error = np.zeros(len(lit), dtype=np.float32)
         error[lit] = relative_errors(errors, seen)
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MOST_RADIANCE = 1e9
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Those of a tolerance of 1: what is left falls about as their number grows.
-_DIRECTIONS_AT_ONE = 410.0
+_DIRECTIONS_AT_ONE = 820.0
 _BYTES_A_PIXEL, _BYTES_SEEN = 24.0, 400.0
 _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
@@ -45,7 +45,7 @@ class Environment:
         rotation_deg: By so much the environment is turned about +y, counter-clockwise as seen from above [degrees].
         scale: Linear factor.
         directions: A pixel's colour is a sum over so many directions at most, 16 to 32768, of which some two thirds lie
-            above its horizon; they are close together near the mirror direction. None is 410 over the picture's
+            above its horizon; they are close together near the mirror direction. None is 820 over the picture's
             tolerance.
     """
 
@@ -135,22 +135,18 @@ class Environment:
         return np.asarray(self.scale * linear(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
     @functools.cached_property
-    def _grids(self) -> list[NDArray[np.float64]]:
-        """It takes half a second, and does not depend on how the environment is turned."""
-        return blurred_grids(np.asarray(self.radiance_rgb))
-
-    @functools.cached_property
     def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-        """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale."""
-        return maps_of(self._grids, math.radians(self.rotation_deg))
+        """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale.
+
+        They take a second, and do not depend on how the environment is turned.
+        """
+        return maps_of(blurred_grids(np.asarray(self.radiance_rgb)))
 
 
 def turned(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
     """The same radiances, otherwise turned, scaled and summed: what takes long is done once."""
     result = copy.copy(environment)
-    vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grids=environment._grids)
-    if rotation_deg != environment.rotation_deg:
-        vars(result).pop("_maps", None)
+    vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _maps=environment._maps)
     return result
 
 
@@ -167,15 +163,17 @@ def sky_of(environment: Environment, sigma_um: float, tolerance: float) -> Lobe:
     chosen = min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
     texels, sides, blur = environment._maps
     (red, green, blue), per_radiance = _spectra()
-    powers = texels * (environment.scale * 4.0 * math.pi * sigma_um**2 * per_radiance)
-    strongest = 4.0 * math.pi * float(powers.max())
+    of_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
+    powers = texels * (environment.scale * 4.0 * math.pi * sigma_um**2 * np.append(per_radiance, of_luminance))
+    strongest = 4.0 * math.pi * float(powers[:, :3].max())
     if strongest > MOST_POWER:
         raise ValueError(
             f"light: radiance_rgb times scale of an Environment is too bright: it has a power of up to "
             f"{strongest:g}, and {MOST_POWER:g} is the most; give a smaller scale"
         )
     count = environment.directions or chosen
-    sky = SkyLight((red, green, blue), powers.astype(np.float32), sides, blur, count)
+    turn = math.radians(environment.rotation_deg)
+    sky = SkyLight((red, green, blue), powers.astype(np.float32), sides, blur, turn, count)
     return Lobe((0.0, 1.0, 0.0), green, 1.0, sky=sky)
 
 

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.optics import colorimetry
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.optics.spectra import Spectrum
 
-# Rows of the grid of directions that is blurred: 0.7°. The first level is blurred by so much [rad], each next one by
+# Rows of the grid of directions that is blurred: 0.35°. The first level is blurred by so much [rad], each next one by
 # twice as much; grids of a level have steps of half its blur at most, and maps texels as wide as it, but for the last.
-_ROWS, _FIRST_BLUR, _LEVELS = 256, 0.0125, 7
-_STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 288, 12
+_ROWS, _FIRST_BLUR, _LEVELS = 512, 0.00625, 8
+_STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
 _TURNS = 40
 
 
@@ -26,10 +28,11 @@ class SkyLight:
 
     Attributes:
         spectra: Three illuminants, of which any colour is a sum.
-        texels: Power per solid angle by spectrum, (n, 3), level after level: those of a map, with a texel more on each
-            side of it, row by row.
+        texels: Power per solid angle by spectrum, and the deviation of their sum under the blur, (n, 4), level after
+            level: those of a map, with a texel more on each side of it, row by row.
         sides: Texels along a side of each level's map, without these.
         blur: What the first level is blurred by [rad]; each next one by twice as much.
+        turn: By how much the sky is turned about +y [rad].
         directions: From how many a pixel's colour is summed.
     """
 
@@ -37,6 +40,7 @@ class SkyLight:
     texels: NDArray[np.float32]
     sides: tuple[int, ...]
     blur: float
+    turn: float
     directions: int
 
 
@@ -55,8 +59,9 @@ def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -
 
 
 def blurred_grids(radiance: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-    """RGB over latitude and longitude, blurred more and more."""
+    """RGB, and the deviation of luminance from its mean, over latitude and longitude, blurred more and more."""
     grid, before = _on_grid(radiance), 0.0
+    grid = np.concatenate([grid, _luminance2(grid)], axis=2)
     result = []
     for level in range(_LEVELS):
         blur = _FIRST_BLUR * 2.0**level
@@ -64,14 +69,20 @@ def blurred_grids(radiance: NDArray[np.float32]) -> list[NDArray[np.float64]]:
             grid = _halved(grid)
         grid = _blurred(grid, math.sqrt(blur**2 - before**2))
         before = blur
-        result.append(grid)
+        deviation = np.sqrt(np.maximum(grid[..., 3:] - _luminance2(grid), 0.0))
+        result.append(np.concatenate([grid[..., :3], deviation], axis=2))
     return result
 
 
-def maps_of(grids: list[NDArray[np.float64]], turn: float) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids that are turned about +y [rad]."""
+def _luminance2(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squares of luminances, (height, width, 1)."""
+    return np.asarray((grid[..., :3] @ colorimetry.RGB_TO_XYZ[1, :, None]) ** 2)
+
+
+def maps_of(grids: list[NDArray[np.float64]]) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
+    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids."""
     sides = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
-    texels = [linear(grid, _directions(side), turn).reshape(-1, 3) for grid, side in zip(grids, sides, strict=True)]
+    texels = [linear(grid, _directions(side), 0.0).reshape(-1, 4) for grid, side in zip(grids, sides, strict=True)]
     return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
 
 
@@ -126,7 +137,7 @@ def _blurred(grid: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
         # What has gone over a pole is half a turn further.
         weights = scale[:, None] * (near + (-1.0) ** odd * over) * scale
         some = np.ascontiguousarray(waves[:, odd::2]).reshape(height, -1)
-        result[:, odd::2] = (weights @ some.real + 1j * (weights @ some.imag)).reshape(height, -1, 3)
+        result[:, odd::2] = (weights @ some.real + 1j * (weights @ some.imag)).reshape(height, -1, grid.shape[2])
     return np.asarray(np.fft.irfft(result, width, axis=1))
 
 

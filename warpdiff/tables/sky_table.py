@@ -58,7 +58,7 @@ def sky_table(
     places, footprints = cells(directions)
     phase = 2.0 * math.pi * height_range_um * 2e3 / LAMBDA_MIN_NM
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
-    count = len(places) + 1
+    count = len(tree(directions)[0]) + 1
     free_memory.require(
         _BYTES_A_ROW * count * entries * len(lit), f"light: an Environment of {directions} directions",
         "give {share} of them",
@@ -67,10 +67,16 @@ def sky_table(
     wide = np.zeros((1, 4), dtype=np.float32), np.diag([_WIDE, _WIDE]).reshape(1, 4)
     with_all, without = (look_up(each, *wide) for each in integrators)
     mirror = 2.0 * math.pi * _WIDE**2 * (with_all - without)
-    rows = np.concatenate([mirror, look_up(integrators[1], places, footprints)], axis=1)
+    nodes, spans, order = tree(directions)
+    rows = look_up(integrators[1], places, footprints)[:, order] * places[order, 3].reshape(-1, 1, 1, 1)
+    # Of each node the mean over its cells. One more is beyond the last.
+    rows = np.concatenate([rows, np.zeros_like(rows[:, :1])], axis=1)
+    rows = np.add.reduceat(rows, spans.ravel(), axis=1)[:, ::2] / nodes[:, 3].reshape(-1, 1, 1, 1)
+    ends = np.searchsorted(spans[:, 0], spans[:, 1])
     result = sky_light.SkyTable()
-    of_all = np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], places])
-    result.cells = wp.array(of_all, dtype=wp.vec4f, device=device)
+    result.nodes = wp.array(np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], nodes]), dtype=wp.vec4f, device=device)
+    result.ends = wp.array(np.concatenate([[1], ends + 1]), dtype=wp.int32, device=device)
+    rows = np.concatenate([mirror, rows], axis=1)
     result.rows = wp.array(rows.reshape(-1, 3, 3), dtype=wp.mat33f, device=device)
     result.entries = entries
     return result
@@ -101,6 +107,53 @@ def _looked_up(
             integrator.add(asked, to_lights, gains, each, colours, footprints=seen)
             result[material, ..., spectrum] = colours.numpy().reshape(len(places), entries, 3)
     return result
+
+
+@functools.lru_cache(maxsize=16)
+def tree(most: int) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Nodes of a tree of cells, parents first: (u, v), deviation and area, (n, 4).
+
+    Then where the cells of each begin and end, (n, 2), and in which order these are cells. Nodes have four children,
+    halves of halves across their longer axes, of as many cells.
+    """
+    places = cells(most)[0].astype(np.float64)
+    count = len(places)
+    order, starts = np.arange(count), np.zeros(1, dtype=np.int64)
+    spans = [np.stack([order, order + 1], axis=1)]
+    while len(starts) < count:
+        of_level = np.stack([starts, np.append(starts[1:], count)], axis=1)
+        spans.append(of_level[of_level[:, 1] - of_level[:, 0] > 1])
+        for _ in range(2):
+            order, starts = _halved(places[:, :2], order, starts)
+    found = np.concatenate(spans)
+    found = found[np.lexsort((-found[:, 1], found[:, 0]))]
+    own = places[order]
+    area = own[:, 3]
+    moments = np.stack([area, area * own[:, 0], area * own[:, 1], area * (own[:, 2] ** 2 + 0.5 * _square(own))], axis=1)
+    sums = np.concatenate([np.zeros((1, 4)), moments.cumsum(axis=0)])
+    total = sums[found[:, 1]] - sums[found[:, 0]]
+    middle = total[:, 1:3] / total[:, :1]
+    variance = total[:, 3] / total[:, 0] - 0.5 * _square(middle)
+    nodes = np.column_stack([middle, np.sqrt(variance), total[:, 0]]).astype(np.float32)
+    return nodes, found, order
+
+
+def _square(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """|(u, v)|²."""
+    return np.asarray(places[:, 0] ** 2 + places[:, 1] ** 2)
+
+
+def _halved(
+    places: NDArray[np.float64], order: NDArray[np.int64], starts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Runs of places, in order, halved across their longer axes where they have several; where these start."""
+    counts = np.diff(np.append(starts, len(order)))
+    run = np.repeat(np.arange(len(starts)), counts)
+    x, y = (places[order] - (np.add.reduceat(places[order], starts, axis=0) / counts[:, None])[run]).T
+    xx, xy, yy = (np.add.reduceat(each, starts) for each in (x * x, x * y, y * y))
+    angle = (0.5 * np.arctan2(2.0 * xy, xx - yy))[run]
+    order = order[np.lexsort((x * np.cos(angle) + y * np.sin(angle), run))]
+    return order, np.sort(np.concatenate([starts, (starts + (counts + 1) // 2)[counts > 1]]))
 
 
 @functools.lru_cache(maxsize=16)
