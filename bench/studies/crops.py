@@ -219,6 +219,30 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
                 yield crop(name, mesh, hf, distance, np.random.default_rng([seed, zlib.crc32(name.encode())]))
 
 
+def pictured(given: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
+    """A picture of what a crop is of, and whether it warns."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", wd.WarpdiffWarning)
+        image = wd.shade(
+            given.mesh, given.hf, given.light, view, tolerance=tolerance, samples_per_pixel=samples, pigment=0.0
+        )
+    return image, any(issubclass(one.category, wd.WarpdiffWarning) for one in caught)
+
+
+def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, tolerances: list[float]) -> None:
+    """Print which whole pictures, that look at what crops do, warn."""
+    print("| body | surface | distance | tolerance | unsettled | at edges | warns |\n" + "| --- " * 7 + "|")
+    found: list[bool] = []
+    for each in crops(names, fields, seed):
+        view = dataclasses.replace(each.view, fov_y_deg=FOV_DEG, width=WHOLE[0], height=WHOLE[1])
+        for tolerance in tolerances:
+            image, warns = pictured(each, view, tolerance)
+            found.append(warns)
+            shares = f"{100.0 * image.plan.unsettled:.2f} % | {100.0 * image.plan.unsettled_edges:.2f} %"
+            print(f"| {each.name} | {tolerance:g} | {shares} | {warns:d} |", flush=True)
+    print(f"\n{sum(found)} of {len(found)} whole pictures warn; seed {seed}.")
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -228,11 +252,15 @@ def main() -> None:
     parser.add_argument("--tolerances", nargs="+", type=float, default=[1e-1, 3e-2])
     parser.add_argument("--samples", nargs="+", type=int, default=[1, 4, 9], help="rays a pixel (1 4 9)")
     parser.add_argument("--seed", type=int, default=0, help="of where crops lie (0)")
+    parser.add_argument("--whole", action="store_true", help="whole pictures around crops instead: which of them warn")
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     names, fields = bodies(options.data, options.mesh), surfaces(options.data)
     names = {each: names[each] for each in options.bodies or names}
     fields = {each: fields[each] for each in options.surfaces or fields}
+    if options.whole:
+        print_warned(names, fields, options.seed, options.tolerances)
+        return
     heads = (
         "body | surface | distance | tolerance | rays | interior | settled | P50 / tolerance | P99 | silhouettes, P95 "
         "| shadow edges, P95 | ΔE2000, P99 | bounded | rank correlation | told / true | means | warned"
@@ -243,14 +271,8 @@ def main() -> None:
         exact = truth(each, min(options.tolerances))
         for tolerance in options.tolerances:
             for samples in options.samples:
-                with warnings.catch_warnings(record=True) as caught:
-                    warnings.simplefilter("always", wd.WarpdiffWarning)
-                    image = wd.shade(
-                        each.mesh, each.hf, each.light, each.view, tolerance=tolerance, samples_per_pixel=samples,
-                        pigment=0.0,
-                    )  # fmt: skip
+                image, told = pictured(each, each.view, tolerance, samples)
                 found = judged(each, exact, image)
-                told = sum(issubclass(one.category, wd.WarpdiffWarning) for one in caught)
                 p50, p99 = _percentiles(found.interior, 50.0, 99.0) / tolerance
                 everything += 1
                 within += bool(not len(found.interior) or (p99 <= 1.0 and p50 <= 0.25))
@@ -263,7 +285,7 @@ def main() -> None:
                     f"| {each.name} | {tolerance:g} | {samples} | {100.0 * exact.interior.mean():.0f} % "
                     f"| {_percentiles(found.settled, 99.0)[0] / tolerance:.2f} | {p50:.3f} | {p99:.2f} "
                     f"| {edges[0]:.2f} | {edges[1]:.2f} | {colours:.1f} | {_estimates(found)} "
-                    f"| {'blurs' if image.plan.blurs else 'points'} | {told} |",
+                    f"| {'blurs' if image.plan.blurs else 'points'} | {told:d} |",
                     flush=True,
                 )
     print(
