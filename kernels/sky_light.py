@@ -41,6 +41,8 @@ PHASE_AN_ENTRY = 0.08
 ALIKE = wp.constant(5.0)
 # ‖XYZ‖ over the luminance.
 PER_LUMINANCE = wp.constant(1.7)
+# What colours err by under any sky, an even one too, as cells together leave ripples.
+RIPPLE = wp.constant(0.02)
 open_t = wp.types.vector(length=_WORDS, dtype=wp.uint32)
 
 
@@ -490,7 +492,8 @@ def add_sky(
             scattered2 = wp.max(square / total - wp.length_sq(colour), 0.0)
             blurred2 = PER_LUMINANCE * PER_LUMINANCE * mean.blurred2 / total
             before = estimates_out[i][1]
-            coarse = PER_LUMINANCE * wp.sqrt(mean.coarse2 / total)
+            ripple2 = RIPPLE * RIPPLE * wp.length_sq(colour)
+            coarse = wp.sqrt(PER_LUMINANCE * PER_LUMINANCE * mean.coarse2 / total + ripple2)
             estimates_out[i] = wp.vec2f(wp.sqrt(wp.max(scattered2, blurred2)), before + coarse)
         if pigment > 0.0:
             below = mean.below / total

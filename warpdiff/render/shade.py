@@ -299,7 +299,8 @@ def warn_unsettled(plan: Plan) -> None:
         warnings.warn(
             f"{100.0 * plan.unsettled:.2g} % of the lit pixels are expected to err by more than "
             f"tolerance={plan.tolerance:g}, and of those at edges {100.0 * plan.unsettled_edges:.2g} % by three times "
-            "as much: see image.error, or render a larger picture, or look from closer",
+            "as much: see image.error, or render a larger picture, or look from closer, or give an Environment more "
+            "directions, and its sun as a light of its own",
             WarpdiffWarning,
             stacklevel=3,
         )
