@@ -395,7 +395,7 @@ def hides_any(seen: open_t) -> wp.bool:
     """Whether the sky is hidden in any direction."""
     result = wp.bool(False)
     for word in range(wp.static(_WORDS)):
-        result = result or seen[word] != wp.uint32(0xFFFFFFFF)
+        result = result or ~seen[word] != wp.uint32(0)
     return result
 
 
