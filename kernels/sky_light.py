@@ -2,7 +2,10 @@
 
 A table holds what a surface's colours are on average over a cell, by w. A cell's light comes from a direction that each
 pixel has for itself, and the sky there is taken from maps that are blurred as much as the cell and the pixel's
-footprint are wide.
+footprint are wide. Cells are leaves of a tree: ``sum_nodes`` walks it, parents first, and opens a node only where the
+sky, the gain or the row may vary below it by more than a share of the colour, which ``add_sky`` guesses beforehand.
+Where a footprint is long, ``add_sky`` sums for several rays along it, their frames turned; how these differ tells what
+the pixel errs by. See docs/decisions.md, "footprints that are streaks, and a tree of cells".
 """
 
 import math
@@ -35,7 +38,8 @@ PIGMENTED_PARTS = wp.constant(128)
 OPENED_SHARE = wp.constant(33.0)
 # From this deviation on a node may hide an edge of what the mesh leaves open.
 LEAST_HIDING = wp.constant(0.1)
-# By how much phases change, of an entry of w over half the range of w.
+# By how much phases change, of an entry of w over half the range of w: half of the root of what the table allows
+# (``sky_table._MOST_PHASE2``).
 PHASE_AN_ENTRY = 0.08
 # What errors count that all nodes have alike, of those that are as if by chance.
 ALIKE = wp.constant(5.0)

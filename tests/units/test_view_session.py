@@ -230,7 +230,7 @@ def test_what_moves_has_as_many_pixels_as_come_in_time():
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
     # Seconds of a picture, a part of them for whatever size; below 320 × 240 only where twelve a second are not kept.
     for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.06, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
-        studio._took, studio._pixels, sizes = deque(maxlen=5), math.inf, []
+        studio._took, studio._last_pixels, sizes = deque(maxlen=5), math.inf, []
         for index in range(16):
             view = studio._smaller(full)
             sizes.append(view.width)

@@ -56,9 +56,10 @@ def sky_table(
         device: Where.
     """
     places, footprints = cells(directions)
+    nodes, spans, order = tree(directions)
     phase = 2.0 * math.pi * height_range_um * 2e3 / LAMBDA_MIN_NM
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
-    count = len(tree(directions)[0]) + 1
+    count = len(nodes) + 1
     free_memory.require(
         _BYTES_A_ROW * count * entries * len(lit), f"light: an Environment of {directions} directions",
         "give {share} of them",
@@ -67,7 +68,6 @@ def sky_table(
     wide = np.zeros((1, 4), dtype=np.float32), np.diag([_WIDE, _WIDE]).reshape(1, 4)
     with_all, without = (look_up(each, *wide) for each in integrators)
     mirror = 2.0 * math.pi * _WIDE**2 * (with_all - without)
-    nodes, spans, order = tree(directions)
     rows = look_up(integrators[1], places, footprints)[:, order] * places[order, 3].reshape(-1, 1, 1, 1)
     # Of each node the mean over its cells. One more is beyond the last.
     rows = np.concatenate([rows, np.zeros_like(rows[:, :1])], axis=1)

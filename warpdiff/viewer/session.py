@@ -43,8 +43,8 @@ TOLERANCES = (0.1, 0.03)
 _REST_S = 0.15
 # Pictures that a page has not shown yet.
 _MOST_IN_FLIGHT = 2
-# A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels, and least
-# 320 × 240 as long as such a picture comes in time for twelve a second.
+# A picture while something moves is to take so long at most; where it would take longer, it has fewer pixels, but at
+# least 320 × 240 as long as such a picture comes in time for twelve a second.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 _SCALES = (1.0, 0.75, 0.5, 0.375)
 _LEAST_PIXELS = 320 * 240
@@ -157,7 +157,8 @@ class Studio:
         self._made = _Made()
         # What the last unrefined pictures took over the root of their pixels [s]: a part is the same for all sizes.
         self._took: deque[float] = deque(maxlen=_TIMED)
-        self._pixels = math.inf
+        # Of the last of them.
+        self._last_pixels = math.inf
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
 
@@ -373,13 +374,13 @@ class Studio:
         def is_in_time(scale: float) -> bool:
             most = _LEAST_MOVING_S
             if scale > least:
-                most = _MOVING_S * (_ROOM if scale**2 * pixels > self._pixels else 1.0)
+                most = _MOVING_S * (_ROOM if scale**2 * pixels > self._last_pixels else 1.0)
             return took * scale * math.sqrt(pixels) <= most
 
         scales = sorted({*_SCALES, least}, reverse=True)
         scale = next(filter(is_in_time, scales), scales[-1])
         width, height = (max(round(scale * each), 1) for each in (view.width, view.height))
-        self._pixels = width * height
+        self._last_pixels = width * height
         return dataclasses.replace(view, width=width, height=height)
 
     def _exposed(self, session: Session, wanted: Wanted, image: wd.Image, *, moving: bool) -> dict[str, Any]:
