@@ -101,6 +101,10 @@ def estimate_errors(
     thread, _ = wp.tid()
     height = hit.shape[0] // width
     for pixel in range(first + thread * run, first + (thread + 1) * run):
+        if hit[pixel] == 0 and not splits_rims and not all_of_them:
+            errors_out[pixel] = 0.0
+            wanted_out[pixel] = wp.uint8(0)
+            continue
         row = pixel // width
         column = pixel - row * width
         own = wp.where(hit[pixel] != 0, colours[pixel], wp.vec3f())

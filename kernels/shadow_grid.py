@@ -35,6 +35,7 @@ class ShadowGrid:
     per_step: wp.float64  # cells
     columns: wp.int32
     rows: wp.int32
+    is_closed: wp.bool  # so that faces that look away from the light need no lists: others lie beyond them
     corners: wp.array(dtype=wp.mat33f)  # of each face, a row each, counter-clockwise: across and up [steps], height
     starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and the last one ends; empty is no grid
     faces: wp.array(dtype=wp.int32)  # the lists
@@ -99,8 +100,8 @@ def project(
         c1 = wp.vec3f(p1)
         c2 = wp.vec3f(p2)
         if left_of(c0, c1, p2[0], p2[1]) < wp.float64(0.0):
-            c1 = wp.vec3f(p2)
-            c2 = wp.vec3f(p1)
+            c1 = wp.where(grid.is_closed, c0, wp.vec3f(p2))
+            c2 = wp.where(grid.is_closed, c0, wp.vec3f(p1))
         corners = wp.matrix_from_rows(c0, c1, c2)
         grid.corners[face] = corners
         cells = cells_of(grid, corners)

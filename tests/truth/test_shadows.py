@@ -52,12 +52,20 @@ def plates():
     return trimesh.util.concatenate([plane, lid().apply_translation((0.1, 0.2, 0.5))])
 
 
+def bodies():
+    """Bodies that cut through each other, and one that floats above them."""
+    one, other = (trimesh.creation.icosphere(subdivisions=3).apply_translation((x, 0.0, 0.0)) for x in (-0.4, 0.6))
+    above = trimesh.creation.box((0.8, 0.8, 0.2)).apply_translation((0.2, 0.1, 1.5))
+    return trimesh.util.concatenate([one, other, above])
+
+
 MESHES = {
     "tube": lambda: meshes.tube(segments_along=40, segments_around=24),
     "snake": lambda: meshes.snake(scale_rows=9, ventrals=20, segments=2),
     "sphere": lambda: trimesh.creation.icosphere(subdivisions=3),
     "large and tiny faces": box_on_floor,
     "plates": plates,
+    "bodies": bodies,
 }
 
 

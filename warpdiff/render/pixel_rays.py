@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 _SEED = 0
 # Of a slice: pixels whose rays are found, and faces.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
+# As many faces are made a grid of while a shadow ray goes through the hierarchy, beyond what it takes in the grid.
+_FACES_PER_RAY = 3
 
 
 class PixelRays:
@@ -146,7 +148,7 @@ class RasterizedRays(PixelRays):
         has no one direction, it is the hierarchy that is asked.
         """
         pixels = int(np.count_nonzero(self.seen.pixels.hit.numpy())) if pixels is None else pixels
-        # A face takes half as long in a grid as a ray does through the hierarchy.
-        if to_light is None or rays * pixels <= self._scene.face_count:
+        # A face takes a fifth of the time in a grid that a ray does through the hierarchy, and a ray a quarter.
+        if to_light is None or _FACES_PER_RAY * rays * pixels <= self._scene.face_count:
             return no_grid(self._scene)
         return grid_for(self._surface, self._scene, to_light, **self.options)

@@ -270,10 +270,17 @@ def _sides_of_edges(
 
 
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
-    """Whether the faces bound a body, and are wound counter-clockwise as seen from outside of it."""
+    """Whether the faces bound a body, and are wound counter-clockwise as seen from outside of it.
+
+    That is: as many go along each edge in the one direction as in the other. What a line from outside enters it leaves.
+    """
     first, second, third = (vertices.take(each, axis=1) for each in faces)
-    volume = np.sum(first * np.cross(second, third, axis=0))
-    return bool(volume > 0.0) and _sides_of_edges(faces, weld(vertices)[0]) is not None
+    if not np.sum(first * np.cross(second, third, axis=0)) > 0.0:
+        return False
+    welded = weld(vertices)[0]
+    start = welded.take(faces)
+    end, count = start[[1, 2, 0]], int(welded.max()) + 1
+    return np.array_equal(np.sort(start * count + end, axis=None), np.sort(end * count + start, axis=None))
 
 
 def is_convex(

@@ -5,6 +5,7 @@ Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with 
 
 from __future__ import annotations
 
+import functools
 import os
 import warnings
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from warpdiff.scene.mesh_geometry import (
     TextureGeometry,
     compacted,
     fill,
+    is_closed,
     is_convex,
     join_seams,
     tangential,
@@ -81,6 +83,11 @@ class Surface:
     centre: NDArray[np.float64]
     radius: float
     geometry_names: tuple[str, ...] = ("",)
+
+    @functools.cached_property
+    def is_closed(self) -> bool:
+        """Whether the mesh bounds a body and is wound outwards."""
+        return is_closed(self.vertices.T.astype(np.float64), self.faces.T)
 
 
 def prepare_surface(

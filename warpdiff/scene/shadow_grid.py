@@ -61,6 +61,7 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
     grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
     grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
+    grid.is_closed = surface.is_closed
     grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
     spans = wp.empty(faces, dtype=wp.int32, device=device)

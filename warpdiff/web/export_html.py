@@ -17,7 +17,6 @@ from warpdiff.image import display_transform
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.scene.camera import View
 from warpdiff.scene.lights import MOST_POWER, ONE_LOBE_DEG, DirectionalLight, PointLight, lobes_of
-from warpdiff.scene.mesh_geometry import is_closed
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.web.packing import Arrays, octahedral, quantised
 
@@ -186,10 +185,9 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
     arrays.add_differences("normals", octahedral(_defined_normals(surface)))
     arrays.add_differences("tangents", octahedral(surface.tangents))
     arrays.add_differences("faces", surface.faces.reshape(-1, 1))
-    closed = is_closed(surface.vertices.T.astype(np.float64), surface.faces.T)
     header: dict[str, Any] = {
         "vertices": count,
-        "closed": closed,
+        "closed": surface.is_closed,
         "radius": surface.radius,
         "centre": surface.centre.tolist(),
     }
