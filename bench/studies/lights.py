@@ -1,14 +1,16 @@
 """Lights of a size and environments: pictures against sums over directions, albedos, time a direction.
 
-``--sizes`` compares lights of a size with discs of points, ``--skies`` environments that are drawn by ``--seed`` with
-sums over at least 16 times as many directions, which share no code with them (``bench/truth/sky_sums.py``),
-``--albedo`` an even sky with the reflectance summed over directions, ``--mitsuba`` flat gold under a sky with Mitsuba's
-path tracer (``pip install 'warpdiff[bench]'``), and ``--times`` tells frames by the number of directions.
+``--sizes`` compares lights of a size, of cases that ``--seed`` draws, with sums over points of their discs, ``--skies``
+environments with sums over at least 16 times as many directions, which share no code with them
+(``bench/truth/sky_sums.py``), ``--albedo`` an even sky with the reflectance summed over directions, ``--mitsuba`` flat
+gold under a sky with Mitsuba's path tracer (``pip install 'warpdiff[bench]'``), and ``--times`` tells frames by the
+number of directions.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import sys
 import time
@@ -27,14 +29,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 WINDOW = wd.Coherence(sigma_um=8.0)
-VIEW = wd.View((0, 2, 4), (0, 0, 0), width=128, height=96)
-TOWARDS = (0.2, 0.5, 1.0)
+DIAMETERS = (1.0, 5.0, 10.0, 20.0, 60.0)
 SURFACES = {
     "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08),
     "blazed": lambda: wd.gratings.blazed(2.5, 0.25),
     "cd": lambda: wd.gratings.disc("CD", tracks=8, length_um=12.8, pitch_um=0.08),
 }
-BODIES = {"tube": wd.meshes.tube, "disc": wd.meshes.disc}
 
 
 def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth_deg: float = 1.0) -> np.ndarray:
@@ -103,19 +103,6 @@ def drawn_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFiel
         yield name, drawn_sky(kind, rng), mesh, surfaces[surface](), view, 16.25 if surface == "scan" else 8.0
 
 
-def disc_of_points(light: wd.DirectionalLight, count: int) -> list[wd.DirectionalLight]:
-    """Points that are even over a light's disc, by equal shares of its solid angle."""
-    axis = np.asarray(light.to_light)
-    aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    aside /= np.linalg.norm(aside)
-    other, radius = np.cross(axis, aside), math.radians(light.angular_diameter_deg / 2.0)
-    index = np.arange(count) + 0.5
-    cosine, around = 1.0 - index / count * (1.0 - math.cos(radius)), math.pi * (3.0 - math.sqrt(5.0)) * index
-    sine = np.sqrt(1.0 - cosine**2)[:, None]
-    found = cosine[:, None] * axis + sine * (np.cos(around)[:, None] * aside + np.sin(around)[:, None] * other)
-    return [wd.DirectionalLight(tuple(each), power=1.0 / count) for each in found]
-
-
 def distances(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """Errors of colours (n, 3), as ``tolerance`` has them."""
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
@@ -127,23 +114,23 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
     return between.join(f"{100.0 * value:.1f} %" for value in np.percentile(errors, [50.0, 90.0, 99.0]))
 
 
-def sizes(points: int) -> None:
-    """Print errors of lights of a size against discs of so many points."""
-    print("| light | body, surface | median | P90 | P99 |\n| --- | --- | --- | --- | --- |")
-    options: dict[str, Any] = {"tolerance": 3e-2, "pigment": 0.0, "shadows": False, "refine": False}
-    for degrees in (1.0, 3.0, 5.0, 10.0, 20.0, 40.0):
-        light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=degrees)
-        for name, make in BODIES.items():
-            for surface, grating in SURFACES.items():
-                hf = grating()
-                exact = wd.shade(make(), hf, disc_of_points(light, points), VIEW, coherence=WINDOW, **options)
-                found = wd.shade(make(), hf, light, VIEW, plan=exact.plan, **options)
-                seen = exact.lit & found.lit
-                away = distances(found.xyz[seen], exact.xyz[seen])
-                print(
-                    f"| {degrees:g}° | {name}, {surface} | {percentiles(away)} |",
-                    flush=True,
-                )
+def sizes(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
+    """Print errors of lights of a size, of cases that are drawn, against sums over rays from points of the disc."""
+    rng = np.random.default_rng(seed + 2)
+    print("| light | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
+    for index, (case, _, mesh, hf, view, sigma_um) in enumerate(drawn_cases(seed)):
+        window = wd.Coherence(sigma_um=sigma_um)
+        sums = SkySums(mesh, hf, view, window)
+        inside = rng.permutation(sums.interior())[:pixels]
+        # From where the eye is, or aside.
+        towards = np.asarray(view.eye) - np.asarray(view.target)
+        towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
+        degrees = DIAMETERS[index % len(DIAMETERS)]
+        light = wd.DirectionalLight(tuple(towards), angular_diameter_deg=degrees)
+        name = f"{degrees:g}° | {case.split(' | ')[1]}"
+        _judge(name, inside, functools.partial(sums.under_disc, light=light), across, seed, tolerances, options={
+            "mesh": mesh, "hf": hf, "light": light, "view": view, "coherence": window,
+        })  # fmt: skip
 
 
 def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
@@ -157,36 +144,45 @@ def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     for name, grey, mesh, hf, view, sigma_um in drawn_cases(seed):
         window = wd.Coherence(sigma_um=sigma_um)
         sums = SkySums(mesh, hf, view, window)
-        chosen = rng.permutation(sums.interior())[:pixels]
-        if not len(chosen):
-            print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
-            continue
-        exact, unsettled, directions = settled(sums, chosen, grey, across, seed, min(tolerances) / 3.0)
-        keeps = unsettled <= min(tolerances) / 3.0
-        left_out = np.count_nonzero(~keeps)
-        chosen, exact = chosen[keeps], exact[keeps]
-        of_sums = f"sums of {directions:,} directions or more, {left_out} do not settle and are left out"
-        print(f"| {name} | {len(keeps)} | {of_sums} | {percentiles(unsettled)} | | | |", flush=True)
         environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
-        options: dict[str, Any] = {"pigment": 0.0, "shadows": False, "coherence": window, "strict": False}
-        for tolerance in tolerances:
-            begin = time.perf_counter()
-            image = wd.shade(mesh, hf, environment, view, tolerance=tolerance, **options)
-            took = time.perf_counter() - begin
-            at = chosen[:, 0], chosen[:, 1]
-            found, expected = distances(image.xyz[at], exact), image.error[at]
-            wrong = found > tolerance
-            seen = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
-            print(
-                f"| {name} | {len(chosen)} | {tolerance:g}, {image.plan.lit_by:,} | {percentiles(found)} | "
-                f"{percentiles(expected, ' / ')} | {seen} | {took:.1f} s |", flush=True,
-            )  # fmt: skip
+        inside = rng.permutation(sums.interior())[:pixels]
+        _judge(name, inside, functools.partial(sums.under_sky, sky=grey), across, seed, tolerances, options={
+            "mesh": mesh, "hf": hf, "light": environment, "view": view, "coherence": window,
+        })  # fmt: skip
+
+
+def _judge(
+    name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
+    *, options: dict[str, Any],
+) -> None:  # fmt: skip
+    """Print what pixels of pictures with ``options`` err by against sums that settle, and what is told of it."""
+    if not len(chosen):
+        print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
+        return
+    exact, unsettled, rays = settled(summed, chosen, across, seed, min(tolerances) / 3.0)
+    keeps = (unsettled <= min(tolerances) / 3.0) & (exact[:, 1] > 0.0)
+    left_out = f"sums by {rays:,} rays or more, {np.count_nonzero(~keeps)} do not settle or are black, and are left out"
+    print(f"| {name} | {len(chosen)} | {left_out} | {percentiles(unsettled)} | | | |", flush=True)
+    if not keeps.any():
+        return
+    exact, at = exact[keeps], tuple(chosen[keeps].T)
+    for tolerance in tolerances:
+        begin = time.perf_counter()
+        image = wd.shade(**options, tolerance=tolerance, pigment=0.0, shadows=False, strict=False)
+        took = time.perf_counter() - begin
+        found, expected = distances(image.xyz[at], exact), image.error[at]
+        wrong = found > tolerance
+        seen = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
+        print(
+            f"| {name} | {len(exact)} | {tolerance:g}, {image.plan.lit_by:,} | {percentiles(found)} | "
+            f"{percentiles(expected, ' / ')} | {seen} | {took:.1f} s |", flush=True,
+        )  # fmt: skip
 
 
 def settled(
-    sums: SkySums, chosen: np.ndarray, grey: np.ndarray, across: int, seed: int, bound: float
+    summed: Callable[..., np.ndarray], chosen: np.ndarray, across: int, seed: int, bound: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Means of four sums each, what they may err by, and of how many directions they are at least.
+    """Means of four sums each, what they may err by, and of how many rays they are at least.
 
     Where the four do not tell their mean well enough, there are four and sixteen times as many rays.
     """
@@ -194,11 +190,11 @@ def settled(
     unsettled = np.zeros(len(chosen))
     again = np.arange(len(chosen))
     for more in (1, 2, 4):
-        sets[:, again] = [sums.colours(chosen[again], grey, more * across, 4 * seed + each) for each in range(4)]
+        sets[:, again] = [summed(chosen[again], across=more * across, seed=4 * seed + each) for each in range(4)]
         exact = sets.mean(axis=0)
         unsettled = np.sqrt(sum(distances(each, exact) ** 2 for each in sets) / 12.0)
         again = np.flatnonzero(unsettled > bound)
-    return exact, unsettled, len(sets) * sums.directions(across)
+    return exact, unsettled, len(sets) * across**2
 
 
 def albedo(directions: int) -> None:
@@ -313,21 +309,20 @@ def times(repeats: int) -> None:
 def main() -> int:
     """Print the tables that are asked for, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", action="store_true", help="lights of a size against discs of points")
+    parser.add_argument("--sizes", action="store_true", help="lights of a size against sums over points of the disc")
     parser.add_argument("--skies", action="store_true", help="drawn environments against sums")
     parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
     parser.add_argument("--mitsuba", action="store_true", help="flat gold under a sky against Mitsuba")
     parser.add_argument("--times", action="store_true", help="time a frame by the number of directions")
-    parser.add_argument("--points", type=int, default=400, help="of discs (400)")
-    parser.add_argument("--seed", type=int, default=0, help="of the cases of --skies (0)")
-    parser.add_argument("--pixels", type=int, default=150, help="that are judged of each case of --skies (150)")
+    parser.add_argument("--seed", type=int, default=0, help="of the cases of --sizes and --skies (0)")
+    parser.add_argument("--pixels", type=int, default=150, help="that are judged of each such case (150)")
     parser.add_argument("--across", type=int, default=3, help="rays along a side of these (3)")
     parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of environments (0.1 0.03)")
     parser.add_argument("--repeats", type=int, default=3, help="frames of each kind (3)")
     options = parser.parse_args()
     every = not (options.sizes or options.skies or options.albedo or options.mitsuba or options.times)
     if options.sizes or every:
-        sizes(options.points)
+        sizes(options.seed, options.pixels, 32 * options.across, options.tolerances)
     if options.skies or every:
         skies(options.seed, options.pixels, options.across, options.tolerances)
     if options.albedo or every:

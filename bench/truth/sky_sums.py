@@ -1,4 +1,6 @@
-"""Colours of pixels under a grey sky, by sums of the reflectance over directions: nothing of an Environment is used.
+"""Colours of pixels under a grey sky or a disc of light, by sums of the reflectance over directions.
+
+Nothing of an Environment, of a light of a size or of a footprint is used.
 
 A pixel's rays are spread over its filter (a Gaussian of 0.5 pixel, cut at 1.5). Each has directions of its own on a
 grid of (x, y) in its shading frame, the grids of a pixel shifted so that together they are finer. dω cos θ is dx dy,
@@ -61,14 +63,48 @@ class SkySums:
         windows = edges[width:, width:] - edges[:-width, width:] - edges[width:, :-width] + edges[:-width, :-width]
         return np.argwhere(windows[::_ACROSS, ::_ACROSS] == 0)
 
-    def colours(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
+    def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
+        """XYZ of pixels under a light of a size, by ``across``² rays each, every one from a point of the disc, (n, 3).
+
+        Rays are stratified over the filter, and points over the disc, in an order of their own.
+        """
+        rng = np.random.default_rng(seed)
+        cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
+        axis = np.asarray(light.to_light)
+        aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        aside /= np.linalg.norm(aside)
+        ends = np.stack([aside, np.cross(axis, aside), axis])
+        result = np.zeros((len(pixels), 3))
+        for index, pixel in enumerate(pixels):
+            at = self._rays(pixel, cells, across, rng)
+            axes = self._axes[at[:, 0], at[:, 1]].astype(np.float64)
+            share = (rng.permutation(cells) + rng.random(cells.shape)) / across
+            # Equal shares of the solid angle.
+            cosine = 1.0 - share[:, 0] * (1.0 - math.cos(math.radians(light.angular_diameter_deg / 2.0)))
+            sine, around = np.sqrt(1.0 - cosine**2), 2.0 * math.pi * share[:, 1]
+            along = np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=-1) @ ends
+            lights = np.einsum("nkc,nc->nk", axes[:, :3], along)
+            views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])
+            above = lights[:, 2] > 0.0
+            rho = wd.reflectance(self._hf, lights[above], views[above], coherence=self._coherence, plan=self._plan)
+            result[index] = rho.sum(axis=0) / len(cells)
+        return light.power * result
+
+    @staticmethod
+    def _rays(
+        pixel: NDArray[np.int64], cells: NDArray[np.int64], across: int, rng: np.random.Generator
+    ) -> NDArray[np.int64]:
+        """Where among the rays that were cast those of a pixel's filter are, one in each of its ``across``² parts."""
+        share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
+        return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
+
+    def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
         """XYZ of pixels under a sky (height, width), by ``across``² rays each, (n, 3)."""
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
         result = np.zeros((len(pixels), 3))
         for index, pixel in enumerate(pixels):
-            share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
-            at = ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(int)
+            at = self._rays(pixel, cells, across, rng)
             # Whichever ray it is, all shifts of the grid are there.
             shift = (rng.permutation(cells) + rng.random(cells.shape)) / across * self._step
             for first in range(0, len(cells), _RAYS):
@@ -91,10 +127,6 @@ class SkySums:
             self._hf, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
         )
         return np.asarray((radiance(sky, along) / lights[:, 2]) @ rho)
-
-    def directions(self, across: int) -> int:
-        """Of how many a pixel's colour is summed."""
-        return round(across**2 * math.pi / self._step**2)
 
 
 def radiance(sky: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -288,7 +288,7 @@ def test_a_window_on_a_tube_is_that_of_sums_over_directions():
     sums = SkySums(wd.meshes.tube(), hf, view, window)
     pixels = sums.interior()[::3]
     assert len(pixels) > 15
-    exact = sums.colours(pixels, grey, 9, 1)
+    exact = sums.under_sky(pixels, grey, 9, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
     for refine, median, most in ((False, 0.03, 1.0), (True, 0.025, 0.15)):
