@@ -14,6 +14,7 @@ PER_UNEVEN = wp.constant(wp.float32(cell_levels.PER_UNEVEN))
 PER_WIDE = wp.constant(wp.float32(cell_levels.PER_WIDE))
 TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
+ASLANT = wp.constant(wp.float32(cell_levels.FILTER_SHARES[0] / cell_levels.FILTER_SHARES[1]))
 
 
 @wp.struct
@@ -123,14 +124,16 @@ def estimate_errors(
                         met += 1
                         if line * side == 0 and line != side:
                             beside += 1
-                            contrast2 = wp.max(contrast2, wp.length_sq(colours[other] - own))
+                        # What is aslant has less of the filter than what is beside, and may be far brighter.
+                        share = wp.where(line * side == 0, 1.0, ASLANT)
+                        contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
             # Nothing tells of a pixel by itself.
             contrast2 = wp.length_sq(own)
-        share = wp.float32(1.0)
+        of_contrast = wp.float32(1.0)
         if met == 9:
-            share = share_of_contrast(seen, pixel, width)
-        error = share * wp.sqrt(contrast2)
+            of_contrast = share_of_contrast(seen, pixel, width)
+        error = of_contrast * wp.sqrt(contrast2)
         if seen.estimates.shape[0] > 0:
             error = wp.max(error, seen.estimates[pixel][0])
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)

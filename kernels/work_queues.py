@@ -94,20 +94,23 @@ def mark_around(
     marks: wp.array(dtype=wp.uint8),
     width: wp.int32,
     height: wp.int32,
+    if_all: wp.bool,
     first: wp.int32,
     run: wp.int32,
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
 ):
-    """Mark the pixels that are marked and those around them."""
+    """Mark the pixels of which any of the nine that they and those around are is marked, or all are."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         column = i % width
         row = i // width
-        mark = wp.uint8(0)
+        least = wp.uint8(1)
+        most = wp.uint8(0)
         for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
             for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                mark = wp.max(mark, marks[y * width + x])
-        marks_out[i] = mark
+                least = wp.min(least, marks[y * width + x])
+                most = wp.max(most, marks[y * width + x])
+        marks_out[i] = wp.where(if_all, least, most)
 
 
 @wp.kernel

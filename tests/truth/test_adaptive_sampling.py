@@ -268,6 +268,10 @@ def test_cells_stand_for_the_filter(level, means):
         np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
 
 
+# Of the filter, what a pixel that is aslant has over what one beside has.
+ASLANT = cell_levels.FILTER_SHARES[0] / cell_levels.FILTER_SHARES[1]
+
+
 def estimate_by_hand(colours, uv, hit, floor, bound):
     """What ``estimate`` finds of a picture, pixel by pixel."""
     height, width = hit.shape
@@ -278,10 +282,12 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
         hits = [hit[place] for place in near]
         rim = any(hits) and not all(hits)
         if hit[row, column]:
-            beside = [(y, x) for y, x in near if abs(y - row) + abs(x - column) == 1 and hit[y, x]]
-            # Nothing tells of a pixel by itself.
-            alone = size(colours[row, column])
-            contrast = max([size(colours[place] - colours[row, column]) for place in beside], default=alone)
+            steps = [(abs(y - row) + abs(x - column), size(colours[y, x] - colours[row, column])) for y, x in near
+                     if hit[y, x]]  # fmt: skip
+            contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
+            if all(away != 1 for away, _ in steps):
+                # Nothing tells of a pixel by itself.
+                contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):
                 d = uv[row - 1 : row + 2, column - 1 : column + 2] - uv[row, column]
