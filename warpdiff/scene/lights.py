@@ -98,6 +98,7 @@ class Lobe:
         position: Where it is, world frame, from where its power falls off by the square of the distance; None is
             infinitely far away. ``to_light`` is then of no account.
         sky: Light from all directions, in place of all of these; the power is 1.
+        is_rim: Whether it is one of a disc's that make its rim, which is softer than the disc's.
     """
 
     to_light: tuple[float, float, float]
@@ -106,6 +107,7 @@ class Lobe:
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
     sky: SkyLight | None = None
+    is_rim: bool = False
 
     @property
     def illuminants(self) -> tuple[str | Spectrum, ...]:
@@ -144,10 +146,15 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
         np.cos(around)[:, None] * aside + np.sin(around)[:, None] * other
     )
     power = light.power / count
+    # Those whose part of the disc reaches its rim: of a spiral the last ones.
+    inside = count - math.ceil(2.0 * math.sqrt(math.pi * count))
     return [
-        Lobe((float(each[0]), float(each[1]), float(each[2])), light.illuminant, power, spread * _aside(each))
-        for each in towards
-    ]
+        Lobe(
+            (float(each[0]), float(each[1]), float(each[2])), light.illuminant, power, spread * _aside(each),
+            is_rim=number >= inside,
+        )
+        for number, each in enumerate(towards)
+    ]  # fmt: skip
 
 
 def _aside(axis: NDArray[np.float64]) -> NDArray[np.float64]:
