@@ -34,7 +34,7 @@ _LEAST_W = 1e-3
 _MORE_LOOK_UPS = 10
 # Deviation of a footprint that holds all of the zeroth order's lobe.
 _WIDE = 0.5
-_BYTES_A_ROW = 180.0
+_BYTES_A_ROW = 120.0
 
 
 @on_one_thread()
