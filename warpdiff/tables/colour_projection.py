@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core.blas_threads import on_one_thread
+from warpdiff.fourier import chebyshev
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import VISIBLE_NM, LitMaterial, reflectance_at
 from warpdiff.plans.plan import FUNCTIONS, MOST_FUNCTIONS
@@ -35,6 +36,9 @@ _LEAST_SCALE = 0.005
 # Colour curves hold a material's reflectance at this cos θd. What it is elsewhere, relative to that, is a sum of
 # products of a function of |(u, v)| and of one of λ and w, which may leave out this share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
+# Polynomials of cos θd stand for a reflectance, and err by so much. Their roots: the fewest serve metals, and the most
+# films that resonate next to the horizon.
+_POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
 # They hold no less of it than this share of its largest value, as films reflect nothing at some wavelengths.
 _LEAST_SHARE = 0.3
 
@@ -96,13 +100,12 @@ def projection(plan: Plan, terms: Terms, lit: LitMaterial, layout: Layout) -> Pr
     """
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
-    ws = np.linspace(low, high, _ENTRIES_OVER_W)
+    ws, per_um = _places(plan.nodes, low, high)
     weights = colour_weights(plan.nodes, lit, lines=plan.coherence.kind == "source")
-    per_um = np.exp(LOG_RED + (np.arange(len(weights)) - 1.0) * math.log(2.0) / plan.nodes)
     count = len(terms.sizes)
     kappas = np.clip(ws[:, None] * per_um, *terms.kappas)
     basis = terms.basis_at(kappas.ravel()).reshape(len(ws), len(per_um), count)
-    parts = _material_products(lit.material, plan, layout, ws, per_um)
+    parts = _material_products(lit.material, plan.nodes, _PRODUCTS_SHARE * plan.tolerance, layout, low, high)
     # Octaves that share a product, as those of small |(u, v)| do, count once.
     each = {id(over_w): (over_w, size) for octave in parts for over_w, _, size in octave}
     sized = basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]
@@ -140,47 +143,73 @@ def _held(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np
 _Part = tuple["NDArray[np.float64]", "NDArray[np.float32] | None", float]
 
 
+# Those of the last plan serve all of its illuminants, and any number of functions.
+@functools.lru_cache(maxsize=1)
 def _material_products(
-    material: Material | None, plan: Plan, layout: Layout, ws: NDArray[np.float64], per_um: NDArray[np.float64]
-) -> list[list[_Part]]:
+    material: Material | None, nodes: int, share: float, layout: Layout, low: float, high: float
+) -> tuple[tuple[_Part, ...], ...]:
     """For each octave, functions of (w, λ), numbers for its nodes, and how large these are at most.
 
-    Their products add up to R relative to what colour curves hold of it.
+    Their products add up to R relative to what colour curves hold of it, but for a share, over a range of |w|.
     """
+    ws, per_um = _places(nodes, low, high)
     count = len(layout.spokes[0])
     if material is None:
         whole = np.ones((len(ws), len(per_um)))
-        return [[(whole, None, 1.0)]] * count
+        return (((whole, None, 1.0),),) * count
     wavelengths = np.clip(1e3 / per_um, colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
-    middle = _held(material, wavelengths)
+    at_roots = _at_roots(material, wavelengths)
 
     def ratio(uv: NDArray[np.float64]) -> NDArray[np.float64]:
         cosines = 0.5 * np.sqrt(uv[:, None] ** 2 + ws**2)
-        return np.asarray(reflectance_at(material, wavelengths, cosines[..., None]) / middle)
+        found = chebyshev.cardinals(cosines.ravel(), 0.0, 1.0, len(at_roots)) @ at_roots
+        return np.asarray(found.reshape(*cosines.shape, -1))
 
-    most = _PRODUCTS_SHARE * plan.tolerance
     centre: NDArray[np.float64] = ratio(np.zeros(1))[0]
-    result: list[list[_Part]] = []
+    result: list[tuple[_Part, ...]] = []
     for octave in range(count):
-        logs = layout.log_low - LOG_RED + (octave + np.arange(layout.nodes) / layout.nodes) * math.log(2.0)
+        logs = layout.log_low - LOG_RED + (octave + np.arange(nodes) / nodes) * math.log(2.0)
         # Beyond 2 there is no |(u, v)|.
         uv = np.minimum(np.exp(logs), 2.0)
-        if np.abs(ratio(uv[-1:]) - centre).max() <= most:
-            result.append([(centre, None, 1.0)])
+        if np.abs(ratio(uv[-1:]) - centre).max() <= share:
+            result.append(((centre, None, 1.0),))
             continue
         values = ratio(uv).reshape(len(uv), -1)
         # A singular value decomposition by the smaller side.
         left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
         right = left.T @ values
         taken = 1
-        while taken < len(uv) and np.abs(values - left[:, :taken] @ right[:taken]).max() > most:
+        while taken < len(uv) and np.abs(values - left[:, :taken] @ right[:taken]).max() > share:
             taken += 1
         result.append(
-            [
-                (right[j].reshape(centre.shape), left[:, j].astype(np.float32), float(np.abs(left[:, j]).max()))
+            tuple(
+                (right[j].reshape(centre.shape).copy(), left[:, j].astype(np.float32), float(np.abs(left[:, j]).max()))
                 for j in range(taken)
-            ]
+            )
         )
+    return tuple(result)
+
+
+def _places(nodes: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Entries of |w| of a range, and 1/λ at the nodes that a colour takes of so many an octave."""
+    per_um = np.exp(LOG_RED + (np.arange(node_count(nodes)) - 1.0) * math.log(2.0) / nodes)
+    return np.linspace(low, high, _ENTRIES_OVER_W), per_um
+
+
+def _at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A reflectance relative to what colour curves hold of it, at as many Chebyshev roots of cos θd as tell it all."""
+
+    def at_roots(count: int) -> NDArray[np.float64]:
+        roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
+        return np.asarray(reflectance_at(material, wavelengths_nm, roots) / _held(material, wavelengths_nm))
+
+    count = _FEWEST_ROOTS
+    result = at_roots(count)
+    while count < _MOST_ROOTS:
+        finer, between = at_roots(2 * count), chebyshev.nodes(0.0, 1.0, 2 * count)
+        if np.abs(chebyshev.cardinals(between, 0.0, 1.0, count) @ result - finer).max() <= _POLYNOMIALS_ERR:
+            break
+        count, result = 2 * count, finer
     return result
 
 

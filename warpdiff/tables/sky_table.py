@@ -10,6 +10,8 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core import free_memory
+from warpdiff.core.blas_threads import on_one_thread
+from warpdiff.fourier import chebyshev
 from warpdiff.kernels import sky_light
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
@@ -28,11 +30,14 @@ _NEAR, _WIDTH, _FARTHEST = 0.1, 0.5, 2.05
 # Squares of phases from entry to entry of w: a chord errs by an eighth of that. Entries of w, at least and at most.
 _MOST_PHASE2, _FEWEST_ENTRIES, _MOST_ENTRIES = 0.025, 24, 256
 _LEAST_W = 1e-3
+# Entries come from polynomials in w through look-ups: so many more than a height field's oscillations take, for a film.
+_MORE_LOOK_UPS = 10
 # Deviation of a footprint that holds all of the zeroth order's lobe.
 _WIDE = 0.5
-_BYTES_A_ROW = 180.0
+_BYTES_A_ROW = 120.0
 
 
+@on_one_thread()
 def sky_table(
     integrators: tuple[Integrator, Integrator],
     lit: Sequence[Sequence[LitMaterial]],
@@ -64,49 +69,57 @@ def sky_table(
         _BYTES_A_ROW * count * entries * len(lit), f"light: an Environment of {directions} directions",
         "give {share} of them",
     )  # fmt: skip
-    look_up = functools.partial(_looked_up, lit=lit, entries=entries, device=device)
-    wide = np.zeros((1, 4), dtype=np.float32), np.diag([_WIDE, _WIDE]).reshape(1, 4)
-    with_all, without = (look_up(each, *wide) for each in integrators)
-    mirror = 2.0 * math.pi * _WIDE**2 * (with_all - without)
-    rows = look_up(integrators[1], places, footprints)[:, order] * places[order, 3].reshape(-1, 1, 1, 1)
+    half = 0.5 * phase
+    count = min(math.ceil(half + 4.0 * half ** (1.0 / 3.0) + _MORE_LOOK_UPS), entries)
+    found = _looked_up(integrators, places, footprints, chebyshev.nodes(_LEAST_W, 2.0, count), lit, device=device)
+    rows = found[:, 1:][:, order] * places[order, 3].reshape(-1, 1, 1)
     # Of each node the mean over its cells. One more is beyond the last.
     rows = np.concatenate([rows, np.zeros_like(rows[:, :1])], axis=1)
-    rows = np.add.reduceat(rows, spans.ravel(), axis=1)[:, ::2] / nodes[:, 3].reshape(-1, 1, 1, 1)
+    rows = np.add.reduceat(rows, spans.ravel(), axis=1)[:, ::2] / nodes[:, 3].reshape(-1, 1, 1)
+    rows = np.concatenate([found[:, :1], rows], axis=1)
+    between = chebyshev.cardinals(np.linspace(0.0, 2.0, entries), _LEAST_W, 2.0, count).astype(np.float32)
+    rows = np.maximum(between @ rows, 0.0)
     ends = np.searchsorted(spans[:, 0], spans[:, 1])
     result = sky_light.SkyTable()
     result.nodes = wp.array(np.concatenate([[[0.0, 0.0, lobe_uv, 1.0]], nodes]), dtype=wp.vec4f, device=device)
     result.ends = wp.array(np.concatenate([[1], ends + 1]), dtype=wp.int32, device=device)
-    rows = np.concatenate([mirror, rows], axis=1)
     result.rows = wp.array(rows.reshape(-1, 3, 3), dtype=wp.mat33f, device=device)
     result.entries = entries
     return result
 
 
 def _looked_up(
-    integrator: Integrator,
+    integrators: tuple[Integrator, Integrator],
     places: NDArray[np.float32],
-    footprints: NDArray[Any],
-    *,
+    footprints: NDArray[np.float32],
+    ws: NDArray[np.float64],
     lit: Sequence[Sequence[LitMaterial]],
-    entries: int,
+    *,
     device: wp.Device,
 ) -> NDArray[np.float32]:
-    """Mean XYZ over cells at all entries of w, (materials, cells, entries, 3, spectra)."""
-    deflections = np.empty((len(places), entries, 3))
+    """Mean XYZ of the zeroth order and over cells at some |w|, (materials, 1 + cells, len(ws), 3 · spectra)."""
+    # The zeroth order is what comes with it of all that is near, without what comes without it.
+    places = np.concatenate([np.zeros((1, 4), dtype=np.float32), places])
+    footprints = np.concatenate([np.diag([_WIDE, _WIDE]).reshape(1, 4).astype(np.float32), footprints])
+    deflections = np.empty((len(places), len(ws), 3))
     deflections[:, :, :2] = places[:, None, :2]
-    deflections[:, :, 2] = -np.maximum(np.linspace(0.0, 2.0, entries), _LEAST_W)
-    count = len(places) * entries
-    seen = wp.array(np.repeat(footprints, entries, axis=0), dtype=Footprint, device=device)
+    deflections[:, :, 2] = -ws
+    count = len(places) * len(ws)
+    seen = wp.array(np.repeat(footprints, len(ws), axis=0), dtype=Footprint, device=device)
     asked = wp.array(deflections.reshape(-1, 3), dtype=wp.vec3d, device=device)
     to_lights = wp.zeros(count, dtype=wp.vec3f, device=device)
     gains = wp.full(count, 1.0, dtype=wp.float32, device=device)
-    result = np.empty((len(lit), len(places), entries, 3, len(lit[0])), dtype=np.float32)
+    result = np.empty((len(lit), *deflections.shape, len(lit[0])), dtype=np.float32)
     for material, spectra in enumerate(lit):
+        # Table by table, as not all of them may be kept.
         for spectrum, each in enumerate(spectra):
-            colours = wp.zeros(count, dtype=wp.vec3f, device=device)
-            integrator.add(asked, to_lights, gains, each, colours, footprints=seen)
-            result[material, ..., spectrum] = colours.numpy().reshape(len(places), entries, 3)
-    return result
+            near, colours = (wp.zeros(count, dtype=wp.vec3f, device=device) for _ in integrators)
+            integrators[0].add(asked, to_lights, gains, each, near, footprints=seen, among=range(len(ws)))
+            integrators[1].add(asked, to_lights, gains, each, colours, footprints=seen)
+            found = colours.numpy().reshape(deflections.shape)
+            found[0] = 2.0 * math.pi * _WIDE**2 * (near.numpy()[: len(ws)] - found[0])
+            result[material, ..., spectrum] = found
+    return result.reshape(*result.shape[:3], -1)
 
 
 @functools.lru_cache(maxsize=16)
