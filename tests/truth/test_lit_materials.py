@@ -55,6 +55,7 @@ def test_what_reflects_nothing_is_black_by_a_table_too(fingers, rng):
     air = wd.Material.from_nk([500.0], [1.0], [0.0])
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank/table")
+    # Polynomials of cos θd leave roundings of zero.
     assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-20
 
 
