@@ -248,7 +248,7 @@ def row_of(table: SkyTable, material: wp.int32, node: wp.int32, w: wp.float32) -
 def mirrored_near_horizon(
     sky: SkyMap, table: SkyTable, sight: Sight, reflection: Reflection, lobe: wp.float32, blur: wp.float32
 ) -> SkySum:
-    """What the zeroth order sends where its lobe, of such a deviation, is cut by the horizon or changes much towards it.
+    """What the zeroth order sends where the horizon cuts its lobe, of such a deviation, or is near.
 
     At several places that are even by the angle to the normal, by which 1/cos θ is smooth.
     """
