@@ -136,19 +136,18 @@ def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(mirror):
     offset = np.linspace(-1.0, 1.0, 26)[1:-1]
     down, right = np.meshgrid(offset, offset, indexing="ij")
     weight = (1.0 - np.abs(down)) * (1.0 - np.abs(right)) * (2.0 / 25.0) ** 2 * (math.pi / 128.0) ** 2
-    for turn_deg in (180.0, 150.0):
-        polar, azimuth = (row + 0.5 + down) / 128.0 * math.pi, ((column + 0.5 + right) / 128.0 - 1.0) * math.pi
-        azimuth = azimuth - math.radians(turn_deg)
-        along = np.stack(
-            [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=-1
-        ).reshape(-1, 3)
-        rho = wd.reflectance(
-            hf, along, np.array(view.eye) / 4.0, illuminant=spectrum, coherence=window, ior=math.inf, tolerance=3e-2
-        )
-        exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
-        sky = wd.Environment(radiance, rotation_deg=turn_deg, directions=256)
-        found = wd.shade(mirror, hf, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
-        assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
+    polar, azimuth = (row + 0.5 + down) / 128.0 * math.pi, ((column + 0.5 + right) / 128.0 - 1.0) * math.pi
+    azimuth = azimuth - math.radians(150.0)
+    along = np.stack(
+        [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=-1
+    ).reshape(-1, 3)
+    rho = wd.reflectance(
+        hf, along, np.array(view.eye) / 4.0, illuminant=spectrum, coherence=window, ior=math.inf, tolerance=3e-2
+    )
+    exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
+    sky = wd.Environment(radiance, rotation_deg=150.0, directions=256)
+    found = wd.shade(mirror, hf, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
+    assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize("degrees", [50.0])
