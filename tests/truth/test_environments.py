@@ -172,6 +172,24 @@ def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(degrees, mirror):
     assert colours["red"] == pytest.approx([0.8, 0.3, 0.1], abs=3e-3)
 
 
+def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(mirror):
+    flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
+    sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
+    found = wd.shade(mirror, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
+    # Its lobe is a Gaussian in (u, v); dω cos θ is du dv, and towards the horizon u is evenly walked by its angle.
+    nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
+    deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
+    step = math.pi / 2.0 / 4000.0
+    angle = (np.arange(4000) + 0.5) * step
+    u, w = np.sin(angle) - radius, np.cos(angle) + math.cos(math.radians(85.0))
+    gain = (0.5 * (u**2 + w**2) / w) ** 2 / math.cos(math.radians(85.0))
+    shares = (gain * np.exp(-0.5 * (u / deviation) ** 2)).sum(axis=1) * step / math.sqrt(2.0 * math.pi)
+    products = colorimetry.colour_products("D65")[:, 1]
+    exact = (shares / deviation[:, 0]) @ products / products.sum()
+    assert exact < 0.8
+    assert found == pytest.approx(exact, rel=0.02)
+
+
 def test_turning_the_sky_turns_what_a_mirror_sees(mirror):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view, along = seen_at(40.0), middles(32)[0]
