@@ -38,6 +38,11 @@ PIGMENTED_PARTS = wp.constant(128)
 OPENED_SHARE = wp.constant(33.0)
 # From this deviation on a node may hide an edge of what the mesh leaves open.
 LEAST_HIDING = wp.constant(0.1)
+# The zeroth order is summed over places from the normal to the horizon where that is nearer than so many deviations of
+# its lobe; how wide that is in X, Y and Z, over what it is at the middle wavelength.
+NEAR_HORIZON = wp.constant(8.0)
+PLACES = wp.constant(5)
+WIDTHS = wp.constant(wp.vec3f(1.03, 1.01, 0.83))
 # By how much phases change, of an entry of w over half the range of w: half of the root of what the table allows
 # (``sky_table._MOST_PHASE2``).
 PHASE_AN_ENTRY = 0.08
@@ -215,6 +220,75 @@ def gain_of(
 
 
 @wp.func
+def towards_world(sight: Sight, x: wp.float32, y: wp.float32, z: wp.float32) -> wp.vec3f:
+    """A direction of the frame in the world."""
+    return x * sight.tangent + y * sight.bitangent + z * sight.normal
+
+
+@wp.func
+def light_along(sky: SkyMap, along: wp.vec3f, variance: wp.float32) -> wp.vec4f:
+    """What comes from there, blurred by a variance."""
+    in_sky = wp.vec3f(
+        sky.turn[0] * along[0] - sky.turn[1] * along[2], along[1], sky.turn[1] * along[0] + sky.turn[0] * along[2]
+    )
+    return radiance_at(sky, on_octahedron(in_sky), variance)
+
+
+@wp.func
+def row_of(table: SkyTable, material: wp.int32, node: wp.int32, w: wp.float32) -> wp.mat33f:
+    """What a surface sends from a node, linear between entries of w."""
+    entry = 0.5 * w * wp.float32(table.entries - 1)
+    before = wp.min(wp.int32(entry), table.entries - 2)
+    t = entry - wp.float32(before)
+    at = (material * table.nodes.shape[0] + node) * table.entries + before
+    return (1.0 - t) * table.rows[at] + t * table.rows[at + 1]
+
+
+@wp.func
+def mirrored_near_horizon(
+    sky: SkyMap, table: SkyTable, sight: Sight, reflection: Reflection, lobe: wp.float32, blur: wp.float32
+) -> SkySum:
+    """What the zeroth order sends where the horizon cuts its lobe, of such a deviation, or is near.
+
+    At several places that are even by the angle to the normal, by which 1/cos θ is smooth.
+    """
+    result = SkySum()
+    radius = wp.sqrt(sight.view[0] * sight.view[0] + sight.view[1] * sight.view[1])
+    lowest = wp.asin(radius - REACH * lobe)
+    step = (wp.asin(wp.min(radius + REACH * lobe, 1.0)) - lowest) / wp.float32(PLACES)
+    variance = 0.5 * lobe * lobe + blur
+    total = wp.vec3f()
+    error = wp.float32(0.0)
+    for index in range(PLACES):
+        angle = lowest + (wp.float32(index) + 0.5) * step
+        z = wp.max(wp.cos(angle), wp.static(math.sqrt(limits.HORIZON + 1.0e-6)))
+        moved = wp.sin(angle) / radius
+        along = towards_world(sight, -moved * sight.view[0], -moved * sight.view[1], z)
+        light = light_along(sky, along, variance / wp.max(z, 0.1))
+        u = (moved - 1.0) * sight.view[0]
+        v = (moved - 1.0) * sight.view[1]
+        sent = gain_of(sight, reflection, u, v, z, 1.0)
+        if sight.hides:
+            sent *= share_open(sight.seen, on_octahedron(along))
+        row = sent * row_of(table, sight.material, 0, z + sight.view[2])
+        colour = row * wp.vec3f(light[0], light[1], light[2])
+        for channel in range(3):
+            off = (moved - 1.0) * radius / (WIDTHS[channel] * lobe)
+            share = z * wp.exp(-0.5 * off * off)
+            total[channel] = total[channel] + share
+            result.colour[channel] = result.colour[channel] + share * colour[channel]
+            if channel == 1:
+                error += share * (row[1, 0] + row[1, 1] + row[1, 2]) * wp.static(1.0 / 3.0) * light[3]
+    for channel in range(3):
+        above = 0.5 * wp.erfc(wp.static(-math.sqrt(0.5)) * (1.0 - radius) / (WIDTHS[channel] * lobe))
+        result.colour[channel] = result.colour[channel] * above / total[channel]
+    error /= total[1]
+    result.blurred2 = error * error * blur / wp.max(variance, sky.variance)
+    result.coarse2 = error * error * wp.max(sky.variance - variance, 0.0) / wp.max(variance, sky.variance)
+    return result
+
+
+@wp.func
 def sum_nodes(
     sky: SkyMap,
     table: SkyTable,
@@ -245,24 +319,23 @@ def sum_nodes(
         if end - node > 1 and end - node > size:
             node += 1
             continue
+        if node == 0 and 1.0 - radius < NEAR_HORIZON * place[2]:
+            mirrored = mirrored_near_horizon(sky, table, sight, reflection, place[2], blur)
+            result.colour += mirrored.colour
+            result.blurred2 += mirrored.blurred2
+            result.coarse2 += mirrored.coarse2
+            node = end
+            continue
         x *= above[1]
         y *= above[1]
         z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(limits.HORIZON) + 1.0e-6)))
-        along = x * sight.tangent + y * sight.bitangent + z * sight.normal
         weight = above[0] * place[3]
+        along = towards_world(sight, x, y, z)
         if sight.hides:
             weight *= share_open(sight.seen, on_octahedron(along))
-        in_sky = wp.vec3f(
-            sky.turn[0] * along[0] - sky.turn[1] * along[2], along[1], sky.turn[1] * along[0] + sky.turn[0] * along[2]
-        )
-        light = radiance_at(sky, on_octahedron(in_sky), variance / wp.max(z, 0.1))
-        w = z + sight.view[2]
+        light = light_along(sky, along, variance / wp.max(z, 0.1))
         gain = gain_of(sight, reflection, place[0], place[1], z, above[2])
-        entry = 0.5 * w * wp.float32(table.entries - 1)
-        before = wp.min(wp.int32(entry), table.entries - 2)
-        t = entry - wp.float32(before)
-        at = (sight.material * count + node) * table.entries + before
-        row = (gain * weight * (1.0 - t)) * table.rows[at] + (gain * weight * t) * table.rows[at + 1]
+        row = (gain * weight) * row_of(table, sight.material, node, z + sight.view[2])
         rgb = wp.vec3f(light[0], light[1], light[2])
         # Below a node gains bend, and rows as phases change with w: alike for many, so that it adds up.
         bend = place[2] / z

@@ -20,7 +20,7 @@ from warpdiff.plans.plan import AUTOMATIC, has_table
 from warpdiff.render.frame import Frame, load_kernels
 from warpdiff.render.layers import check_layers, layers_of
 from warpdiff.scene.camera import View
-from warpdiff.scene.environment import Environment, Light, sky_of
+from warpdiff.scene.environment import Environment, Light, lobes_of_sky
 from warpdiff.scene.lights import DirectionalLight, PointLight, lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import polar_layout
@@ -340,7 +340,7 @@ def lobes_for(light: Any, request: Request) -> list[Lobe]:
                 raise ValueError(
                     f"light[{index}]: an Environment takes coherence of kind='averaged', got kind={window.kind!r}"
                 )
-            result.append(sky_of(each, window.sigma_um, tolerance))
+            result += lobes_of_sky(each, window.sigma_um, tolerance)
             continue
         if not isinstance(each, PointLight):
             checks.instance(each, DirectionalLight, f"light[{index}]")

@@ -15,8 +15,8 @@ from warpdiff.core.file_reading import check_there
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
-from warpdiff.scene.lights import MOST_POWER, DirectionalLight, Lobe, PointLight
-from warpdiff.scene.sky_map import SkyLight, blurred_grids, linear, maps_of
+from warpdiff.scene.lights import MOST_POWER, DirectionalLight, Lobe, PointLight, at_right_angles
+from warpdiff.scene.sky_map import SkyLight, Sun, blurred_grids, linear, maps_of, suns_of
 
 if TYPE_CHECKING:
     import os
@@ -135,12 +135,13 @@ class Environment:
         return np.asarray(self.scale * linear(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
     @functools.cached_property
-    def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-        """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale.
+    def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float, list[Sun]]:
+        """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale, and suns.
 
         They take a second, and do not depend on how the environment is turned.
         """
-        return maps_of(blurred_grids(np.asarray(self.radiance_rgb)))
+        grid, suns = suns_of(np.asarray(self.radiance_rgb))
+        return *maps_of(blurred_grids(grid)), suns
 
 
 def turned(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
@@ -153,19 +154,21 @@ def turned(environment: Environment, rotation_deg: float, scale: float, directio
 Light = DirectionalLight | PointLight | Environment
 
 
-def sky_of(environment: Environment, sigma_um: float, tolerance: float) -> Lobe:
-    """An environment as a light of windows of a deviation, for pictures of a tolerance.
+def lobes_of_sky(environment: Environment, sigma_um: float, tolerance: float) -> list[Lobe]:
+    """An environment as lights of windows of a deviation, for pictures of a tolerance: the sky, and its suns.
 
     Of radiance L from a solid angle dω comes ρ L dω 4πσ²/λ² (the absolute reflectance over ρ), so that L/λ² is what
     a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
     (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
     chosen = min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
-    texels, sides, blur = environment._maps
+    texels, sides, blur, suns = environment._maps
     (red, green, blue), per_radiance = _spectra()
     of_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
-    powers = texels * (environment.scale * 4.0 * math.pi * sigma_um**2 * np.append(per_radiance, of_luminance))
-    strongest = 4.0 * math.pi * float(powers[:, :3].max())
+    scale = environment.scale * 4.0 * math.pi * sigma_um**2
+    powers = texels * (scale * np.append(per_radiance, of_luminance))
+    powers_of_suns = [scale * float(sun.rgb @ per_radiance) for sun in suns]
+    strongest = max([4.0 * math.pi * float(powers[:, :3].max()), *powers_of_suns])
     if strongest > MOST_POWER:
         raise ValueError(
             f"light: radiance_rgb times scale of an Environment is too bright: it has a power of up to "
@@ -174,7 +177,14 @@ def sky_of(environment: Environment, sigma_um: float, tolerance: float) -> Lobe:
     count = environment.directions or chosen
     turn = math.radians(environment.rotation_deg)
     sky = SkyLight((red, green, blue), powers.astype(np.float32), sides, blur, turn, count)
-    return Lobe((0.0, 1.0, 0.0), green, 1.0, sky=sky)
+    result = [Lobe((0.0, 1.0, 0.0), green, 1.0, sky=sky)]
+    for sun, power in zip(suns, powers_of_suns, strict=True):
+        x, y, z = (float(each) for each in sun.towards)
+        towards = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x
+        values = sum(float(c) * np.asarray(each.values) for c, each in zip(sun.rgb, (red, green, blue), strict=True))
+        illuminant = Spectrum(_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
+        result.append(Lobe(towards, illuminant, power, sun.deviation * at_right_angles(np.asarray(towards))))
+    return result
 
 
 @functools.cache

@@ -132,12 +132,19 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     if radius == 0.0:
         return [Lobe(light.to_light, light.illuminant, light.power)]
     if light.angular_diameter_deg <= ONE_LOBE_DEG:
-        return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0 * _aside(np.asarray(light.to_light)))]
+        return [
+            Lobe(
+                light.to_light,
+                light.illuminant,
+                light.power,
+                radius / 2.0 * at_right_angles(np.asarray(light.to_light)),
+            )
+        ]
     count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
     spread = _LOBE_WIDTH * radius / math.sqrt(count)
     inner = math.sqrt(radius**2 - 4.0 * spread**2)
     axis = np.asarray(light.to_light)
-    aside, other = _aside(axis)
+    aside, other = at_right_angles(axis)
     index = np.arange(count) + 0.5
     # Equal parts of the solid angle.
     cosine = 1.0 - index / count * (1.0 - math.cos(inner))
@@ -150,14 +157,14 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     inside = count - math.ceil(2.0 * math.sqrt(math.pi * count))
     return [
         Lobe(
-            (float(each[0]), float(each[1]), float(each[2])), light.illuminant, power, spread * _aside(each),
+            (float(each[0]), float(each[1]), float(each[2])), light.illuminant, power, spread * at_right_angles(each),
             is_rim=number >= inside,
         )
         for number, each in enumerate(towards)
     ]  # fmt: skip
 
 
-def _aside(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def at_right_angles(axis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Two unit vectors at right angles to one and to each other, (2, 3)."""
     aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     aside /= np.linalg.norm(aside)

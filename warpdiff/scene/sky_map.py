@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,18 @@ if TYPE_CHECKING:
 _ROWS, _FIRST_BLUR, _LEVELS = 512, 0.00625, 8
 _STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
 _TURNS = 40
+# Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
+# Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.
+_SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
+_AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
+
+
+class Sun(NamedTuple):
+    """What is bright and small in a sky."""
+
+    towards: NDArray[np.float64]
+    rgb: NDArray[np.float64]  # radiance times solid angle
+    deviation: float  # of its directions along an axis [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +70,40 @@ def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -
     return np.asarray((1.0 - down) * upper + down * lower)
 
 
-def blurred_grids(radiance: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+def suns_of(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
+    """A sky on the grid that is blurred, without its suns, which are lights of their own: cells are wider than they."""
+    grid = _on_grid(radiance)
+    height, width = grid.shape[:2]
+    reach = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
+    suns: list[Sun] = []
+    if reach > _FARTHEST_SUN_REACH:
+        return grid, suns
+    along = _grid_directions()
+    solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
+    for _ in range(_MOST_SUNS):
+        bright = grid @ colorimetry.RGB_TO_XYZ[1]
+        if not bright.any():
+            break
+        towards = along.reshape(-1, 3)[bright.argmax()]
+        for _ in range(2):
+            away = np.arccos(np.clip(along @ towards, -1.0, 1.0))
+            inside, around = away < reach, (away >= reach) & (away < 2.0 * reach)
+            beside = (bright * solid)[around].sum() / np.broadcast_to(solid, bright.shape)[around].sum()
+            power = np.where(inside, np.maximum(bright - beside, 0.0) * solid, 0.0)
+            towards = (power[..., None] * along).sum(axis=(0, 1))
+            towards /= max(float(np.linalg.norm(towards)), 1e-30)
+        if bright[around].max() > _AROUND_SUN * bright.max() or power.sum() < _SUN_SHARE * (bright * solid).sum():
+            break
+        kept = np.where(inside, np.minimum(beside / np.maximum(bright, 1e-30), 1.0), 1.0)[..., None]
+        rgb = ((1.0 - kept) * grid * solid[..., None]).sum(axis=(0, 1))
+        suns.append(Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())))
+        grid = kept * grid
+    return grid, suns
+
+
+def blurred_grids(grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """RGB, and the deviation of luminance from its mean, over latitude and longitude, blurred more and more."""
-    grid, before = _on_grid(radiance), 0.0
+    before = 0.0
     grid = np.concatenate([grid, _luminance2(grid)], axis=2)
     result = []
     for level in range(_LEVELS):
@@ -86,9 +129,20 @@ def maps_of(grids: list[NDArray[np.float64]]) -> tuple[NDArray[np.float32], tupl
     return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
 
 
+def _grid_directions() -> NDArray[np.float64]:
+    """Unit vectors to the middles of the grid's cells, (_ROWS, 2 _ROWS, 3)."""
+    polar = (np.arange(_ROWS) + 0.5) / _ROWS * math.pi
+    azimuth = ((np.arange(2 * _ROWS) + 0.5) / _ROWS - 1.0) * math.pi
+    level = np.sin(polar)[:, None]
+    along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
+    return np.stack(along, axis=-1)
+
+
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Means of the radiance over the cells of a grid of the same directions, (_ROWS, 2 _ROWS, 3)."""
+    """Radiance on a grid, (_ROWS, 2 _ROWS, 3): its means over cells, or linear between pixels that are larger."""
     result = radiance.astype(np.float64)
+    if len(result) < _ROWS:
+        return linear(result, _grid_directions(), 0.0)
     for axis, count in enumerate((_ROWS, 2 * _ROWS)):
         given = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         wanted = np.linspace(0.0, 1.0, count + 1)
