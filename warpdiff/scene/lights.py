@@ -132,14 +132,8 @@ def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
     if radius == 0.0:
         return [Lobe(light.to_light, light.illuminant, light.power)]
     if light.angular_diameter_deg <= ONE_LOBE_DEG:
-        return [
-            Lobe(
-                light.to_light,
-                light.illuminant,
-                light.power,
-                radius / 2.0 * at_right_angles(np.asarray(light.to_light)),
-            )
-        ]
+        deviations = radius / 2.0 * at_right_angles(np.asarray(light.to_light))
+        return [Lobe(light.to_light, light.illuminant, light.power, deviations)]
     count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
     spread = _LOBE_WIDTH * radius / math.sqrt(count)
     inner = math.sqrt(radius**2 - 4.0 * spread**2)
