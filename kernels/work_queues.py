@@ -94,23 +94,20 @@ def mark_around(
     marks: wp.array(dtype=wp.uint8),
     width: wp.int32,
     height: wp.int32,
-    if_all: wp.bool,
     first: wp.int32,
     run: wp.int32,
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
 ):
-    """Mark the pixels of which any of the nine that they and those around are is marked, or all are."""
+    """Mark the pixels that are marked and those around them."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         column = i % width
         row = i // width
-        least = wp.uint8(1)
-        most = wp.uint8(0)
+        mark = wp.uint8(0)
         for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
             for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                least = wp.min(least, marks[y * width + x])
-                most = wp.max(most, marks[y * width + x])
-        marks_out[i] = wp.where(if_all, least, most)
+                mark = wp.max(mark, marks[y * width + x])
+        marks_out[i] = mark
 
 
 @wp.kernel

@@ -72,10 +72,8 @@ class DeviceSchedule:
 
     def _split_all(self, light: LightRefinement) -> None:
         view = light.frame.view
-        self._launch(work_queues.mark_around, [self._wanted, view.width, view.height, False], [self._chosen])
-        # Those in between, all of whose cells are there anyway, are told by them, too.
-        self._launch(work_queues.mark_around, [self._chosen, view.width, view.height, True], [self._wanted])
         self._launch(work_queues.count_up, [self._wanted], [self._found])
+        self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
         for level in cell_levels.LEVELS:
             self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
             self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))

@@ -149,9 +149,6 @@ class _Splitting:
         pixels = np.flatnonzero(self._wanted).astype(np.int32)
         if not light.splits or not len(pixels):
             return 0
-        # Those in between, all of whose cells are there anyway, are told by them, too.
-        self._wanted[:] = pixel_filters.closed(pixels, self._width, self._height).ravel()
-        pixels = np.flatnonzero(self._wanted).astype(np.int32)
         light.frame.expect_cells(light.light_index, len(pixels))
         if len(pixels) > _MOST_PIXELS:
             # Tiles between parts see what the part before has changed.

@@ -137,12 +137,6 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
     return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
 
 
-def closed(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.bool_]:
-    """Pixels that have all of what is :func:`around` some about them, these among them, as a mask of the picture."""
-    away = np.flatnonzero(~around(pixels, width, height))
-    return ~around(away, width, height)
-
-
 def beside_quadrants(quadrants: NDArray[np.uint8], width: int, height: int) -> NDArray[np.bool_]:
     """Pixels that have a quadrant or touch one, as a mask of the picture; bits of ``quadrants`` go row by row."""
     wide = np.zeros((2 * height + 2, 2 * width + 2), dtype=np.bool_)
