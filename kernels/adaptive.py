@@ -6,7 +6,8 @@ from warpdiff.kernels import cell_levels, compile_options
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels that are to be split, and of those that were and need not be again; 0 is for all others.
+# Marks of pixels that are to be split, and of those that need not be but have cells, their own and all around; 0 is for
+# all others.
 WANTED = wp.constant(wp.uint8(1))
 SETTLED = wp.constant(wp.uint8(2))
 SMOOTH = wp.constant(wp.float32(cell_levels.SMOOTH))
@@ -268,6 +269,7 @@ def resolve_pixels(
     height: wp.int32,
     floor: wp.array(dtype=wp.float32),
     bound: wp.float32,
+    settled_bound: wp.float32,
     level: wp.int32,
     goes_on: wp.bool,
     rim_level: wp.int32,
@@ -285,11 +287,12 @@ def resolve_pixels(
 
     Args:
         given: What the cells give.
-        pixels: Those that were split at first; empty is all of the picture that are marked.
+        pixels: Those that are marked; empty is all of the picture.
         width: Pixels in a row.
         height: Rows.
         floor: What errors are relative to at least.
         bound: As ``estimate_errors`` has it.
+        settled_bound: The same of those that had settled.
         level: The last one.
         goes_on: Whether all of them are split again.
         rim_level: To which those that are covered in part are split at least.
@@ -300,7 +303,7 @@ def resolve_pixels(
         coverage_out: Shares of cells that meet the mesh.
         lit_out: Set where any cell has a colour.
         edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
-        wanted_out: ``WANTED`` for those to be split again, ``SETTLED`` for others that were.
+        wanted_out: ``WANTED`` for those to be split again, ``SETTLED`` for others that are marked.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -351,7 +354,10 @@ def resolve_pixels(
                 wp.static(wp.float32(cell_levels.LEAST_ERROR_PER_LAST)) * errors_out[pixel],
             ),
         )
+        limit = bound
         if mark == SETTLED:
+            limit = settled_bound
+        if mark == SETTLED and levels[0] < level:
             # Parts of it are as they were.
             error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
         colours_out[pixel] = colour
@@ -362,7 +368,7 @@ def resolve_pixels(
             edges_out[pixel] = edges_out[pixel] or given.crossed[rank_of(given.ranks, pixel)]
         rim = level < rim_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
         # What has settled may be told to err by more when it takes such cells, and goes on then.
-        if error > bound * wp.max(wp.length(colour), floor[0]):
+        if error > limit * wp.max(wp.length(colour), floor[0]):
             wanted_out[pixel] = WANTED
         elif not goes_on and not rim:
             wanted_out[pixel] = SETTLED

@@ -3,6 +3,7 @@
 import warp as wp
 
 from warpdiff.kernels import cell_levels, compile_options, limits
+from warpdiff.kernels.adaptive import SETTLED
 from warpdiff.kernels.atomics import take_number
 
 wp.set_module_options(compile_options.options("atomics.h"))
@@ -108,6 +109,29 @@ def mark_around(
             for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
                 mark = wp.max(mark, marks[y * width + x])
         marks_out[i] = mark
+
+
+@wp.kernel
+def mark_surrounded(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    width: wp.int32,
+    height: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    wanted_out: wp.array(dtype=wp.uint8),
+):
+    """Mark as settled the pixels that are not wanted but marked with all around them."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        column = i % width
+        row = i // width
+        mark = wp.uint8(1)
+        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+                mark = wp.min(mark, marks[y * width + x])
+        if mark != wp.uint8(0) and wanted_out[i] == wp.uint8(0):
+            wanted_out[i] = SETTLED
 
 
 @wp.kernel

@@ -1,8 +1,9 @@
 """Flicker: how much more pixels change from frame to frame than they should, as the camera moves towards a body.
 
-Frames are crops, see ``crops``, each nearer than the last by a hundredth, and each with a plan of its own. Pixels show
-display values at the exposure that brings the white of the whole picture to 1. What they change by differs from what
-the truth's change by; percentile 99 of that is to be a fifth at most of percentile 99 of the truth's own changes.
+Frames are crops, see ``crops``, each nearer than the last by a hundredth, drawn by one renderer, as sequences are: by
+plans of their own they would flicker more. Pixels show display values at the exposure that brings the white of the
+whole picture to 1. What they change by differs from what the truth's change by; percentile 99 of that is to be a fifth
+at most of percentile 99 of the truth's own changes.
 
 Points on a grid flicker themselves where edges of shadows pass: a truth of fewer points is judged in the same way over
 the first frames, which bounds what the truth's own share of a ratio can be.
@@ -24,6 +25,8 @@ from warpdiff.bench.studies import crops
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 SURFACE = "fingers 25.6 µm"
@@ -81,7 +84,7 @@ def main() -> None:
             few = [crops.filtered(each, TOLERANCE, FEWER).xyz for each in moving[:FRAMES_OF_FEWER]]
             own = _flicker(np.array([shown(each, 1.0 / first.white) for each in few]), true[:FRAMES_OF_FEWER])
             for tolerance in options.tolerances:
-                drawn = np.array([shown(picture(each, tolerance), 1.0 / first.white) for each in moving])
+                drawn = np.array([shown(each, 1.0 / first.white) for each in pictures(moving, tolerance)])
                 strip.append(drawn[::APART])
                 beside = _flicker(drawn, true)
                 name = f"{body}, {number + 1}"
@@ -93,11 +96,14 @@ def main() -> None:
                 _save(strip, options.strips / f"dolly-{body}-{number + 1}.png")
 
 
-def picture(given: crops.Crop, tolerance: float) -> NDArray[np.float64]:
-    """The colours of a crop as it is rendered, of what is covered."""
-    inner = (slice(crops.MARGIN, -crops.MARGIN),) * 2
-    image = wd.shade(given.mesh, given.hf, given.light, given.view, tolerance=tolerance, pigment=0.0)
-    return np.asarray(image.xyz[inner] / np.maximum(image.coverage[inner], 1e-6)[..., None])
+def pictures(moving: list[crops.Crop], tolerance: float) -> Iterator[NDArray[np.float64]]:
+    """The colours of frames as a sequence renders them, by one plan, of what is covered."""
+    inner, first = (slice(crops.MARGIN, -crops.MARGIN),) * 2, moving[0]
+    renderer = wd.Renderer(first.mesh, first.hf, first.light, first.view, tolerance=tolerance, pigment=0.0)
+    for each in moving:
+        renderer.draw(view=each.view)
+        image = renderer.image()
+        yield np.asarray(image.xyz[inner] / np.maximum(image.coverage[inner], 1e-6)[..., None])
 
 
 def _flicker(drawn: NDArray[np.float64], true: NDArray[np.float64]) -> float:

@@ -48,7 +48,17 @@ KERNELS = {
     "sky_light": {"add_sky", "mirror_directions"},
     "adaptive": {"accumulate", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
     "spectral_sum": {"integrate", "sample"},
-    "work_queues": {"count_up", "find_floor", "go_on", "keep_larger", "list_up", "mark_around", "take", "tally"},
+    "work_queues": {
+        "count_up",
+        "find_floor",
+        "go_on",
+        "keep_larger",
+        "list_up",
+        "mark_around",
+        "mark_surrounded",
+        "take",
+        "tally",
+    },
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }

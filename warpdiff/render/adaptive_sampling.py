@@ -60,10 +60,12 @@ class LightRefinement:
         """Whether any pixels are split."""
         return self.refine or self.least > 0
 
-    def _bound_at(self, level: int) -> float:
-        """From which errors pixels at a level are split."""
+    def _bound_at(self, level: int, *, settled: bool = False) -> float:
+        """From which errors pixels at a level are split, or those that had settled and take cells of others."""
         last = cell_levels.MOST_LEVEL - (self.tolerance >= cell_levels.COARSE_TOLERANCE)
-        return pixel_filters.bound_at(level, self.tolerance) if self.refine and level < last else np.inf
+        if not self.refine or level >= last:
+            return np.inf
+        return self.tolerance if settled else pixel_filters.bound_at(level, self.tolerance)
 
     def _goes_on(self, level: int) -> tuple[bool, int]:
         """Whether all pixels are split beyond a level, and to which the rims are."""
@@ -98,7 +100,10 @@ class LightRefinement:
     def resolve_pixels(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> KernelCall:
         """The call that sets pixels to the sums of the cells around, and compares these with the level before."""
         view = self.frame.view
-        inputs = [given, pixels, view.width, view.height, floor, self._bound_at(level), level, *self._goes_on(level)]
+        inputs = [
+            given, pixels, view.width, view.height, floor, self._bound_at(level), self._bound_at(level, settled=True),
+            level, *self._goes_on(level),
+        ]  # fmt: skip
         return KernelCall(
             adaptive.resolve_pixels, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True
         )

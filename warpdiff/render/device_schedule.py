@@ -74,6 +74,7 @@ class DeviceSchedule:
         view = light.frame.view
         self._launch(work_queues.count_up, [self._wanted], [self._found])
         self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
+        self._launch(work_queues.mark_surrounded, [self._chosen, view.width, view.height], [self._wanted])
         for level in cell_levels.LEVELS:
             self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
             self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))

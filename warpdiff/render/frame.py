@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 # Samples of a pixel that are measured; rays of means, whose cells see more than pixels' centres do, and of a pixel.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most, where its contrast with those
-# beside it is as large as its colour: a table errs where colours change, and by the cube root of how much they do.
-_MEAN_ERROR_PER_PLAN_ERROR = 0.48
+# beside it is as large as its colour: a table errs where colours change, and by the eighth root of how much they do.
+_MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # What bounds 95 of 100 errors, over the root sum of squares of what cells and a table err by: see docs/decisions.md.
 _BOUND_OF_BOTH = 1.1
 # What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
@@ -586,7 +586,7 @@ class Frame:
         errors = plan.error * size
         if self._means:
             contrasts = pixel_filters.contrasts(xyz.reshape(*shape, 3)).ravel()[lit]
-            errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.cbrt(size**2 * contrasts)
+            errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.sqrt(np.sqrt(np.sqrt(size**7 * contrasts)))
         if self._errors:
             # Neither depends on the other.
             errors = _BOUND_OF_BOTH * np.hypot(errors, self._errors[0].numpy()[lit])

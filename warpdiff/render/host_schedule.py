@@ -10,7 +10,7 @@ import warp as wp
 
 from warpdiff.compute.pipeline import KernelCall, Pipeline, launch_pipeline
 from warpdiff.core.thread_pool import part_of
-from warpdiff.kernels import cell_levels
+from warpdiff.kernels import adaptive, cell_levels
 from warpdiff.render import pixel_filters
 from warpdiff.render.adaptive_sampling import SLICE
 from warpdiff.render.gbuffer import SharedTileBuffers
@@ -72,8 +72,8 @@ class _Part:
     """Pixels that are split together.
 
     Attributes:
-        pixels: Those that were to be told better at first.
-        tiles: Those whose cells tell them: they, and those around.
+        pixels: Those that were to be told better at first, and others that are between their tiles.
+        tiles: Pixels whose cells tell these better: they, and those around.
         given: What cells give, the struct ``Shares`` of the kernels.
         ranks: Where in it each pixel of the picture comes.
         chosen: By pixel of the picture, whether it is among the tiles.
@@ -157,8 +157,8 @@ class _Splitting:
         if kind not in buffers:
             buffers[kind] = SharedTileBuffers(self._threads, kind=kind, device=self._device)
         for first in range(0, len(pixels), _MOST_PIXELS):
-            part = self._part(pixels[first : first + _MOST_PIXELS])
-            together = len(part.pixels)
+            together = min(len(pixels) - first, _MOST_PIXELS)
+            part = self._part(pixels[first : first + together])
             for level in cell_levels.LEVELS:
                 ends = (level - 1) / cell_levels.MOST_LEVEL, level / cell_levels.MOST_LEVEL
                 begin, end = ((first + share * together) / len(pixels) for share in ends)
@@ -169,7 +169,13 @@ class _Splitting:
         return len(pixels)
 
     def _part(self, pixels: NDArray[np.int32]) -> _Part:
-        tiles = np.flatnonzero(pixel_filters.around(pixels, self._width, self._height)).astype(np.int32)
+        has_cells = pixel_filters.around(pixels, self._width, self._height)
+        tiles = np.flatnonzero(has_cells).astype(np.int32)
+        # What needs no cells takes those that are there for the sake of others.
+        touched = pixel_filters.around(np.flatnonzero(~has_cells), self._width, self._height).ravel()
+        between = np.flatnonzero(~touched & (self._wanted == 0)).astype(np.int32)
+        self._wanted[between] = adaptive.SETTLED
+        pixels = np.concatenate([pixels, between])
         ranks = np.empty_like(self._wanted, dtype=np.int32)
         ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
         given = self._light.empty_shares(len(tiles))
