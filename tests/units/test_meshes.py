@@ -107,6 +107,11 @@ def test_bodies_are_told_from_sheets():
     box.invert()
     assert not is_closed_body(box), "its faces look inwards"
     box.invert()
+    larger = trimesh.creation.icosphere(subdivisions=2, radius=3.0).apply_translation((9.0, 0.0, 0.0))
+    assert is_closed_body(trimesh.util.concatenate([larger, box]))
+    box.invert()
+    assert not is_closed_body(trimesh.util.concatenate([larger, box])), "a part of it looks inwards"
+    box.invert()
     box.update_faces(np.arange(12) != 3)
     assert not is_closed_body(box)
 

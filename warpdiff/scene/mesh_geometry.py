@@ -270,17 +270,22 @@ def _sides_of_edges(
 
 
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
-    """Whether the faces bound a body, and are wound counter-clockwise as seen from outside of it.
+    """Whether the faces bound bodies, and are wound counter-clockwise as seen from outside of each.
 
     That is: as many go along each edge in the one direction as in the other. What a line from outside enters it leaves.
     """
-    first, second, third = (vertices.take(each, axis=1) for each in faces)
-    if not np.sum(first * np.cross(second, third, axis=0)) > 0.0:
-        return False
     welded = weld(vertices)[0]
     start = welded.take(faces)
     end, count = start[[1, 2, 0]], int(welded.max()) + 1
-    return np.array_equal(np.sort(start * count + end, axis=None), np.sort(end * count + start, axis=None))
+    if not np.array_equal(np.sort(start * count + end, axis=None), np.sort(end * count + start, axis=None)):
+        return False
+    from scipy.sparse import coo_array, csgraph
+
+    ends = start[:2].ravel(), end[:2].ravel()
+    parts, part_of = csgraph.connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(count, count)))
+    first, second, third = (vertices.take(each, axis=1) for each in faces)
+    sixfold = np.bincount(part_of[start[0]], dot(first, np.cross(second, third, axis=0)), parts)
+    return bool(np.all(sixfold[np.unique(part_of[start[0]])] > 0.0))
 
 
 def is_convex(

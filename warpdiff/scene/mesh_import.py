@@ -86,7 +86,7 @@ class Surface:
 
     @functools.cached_property
     def is_closed(self) -> bool:
-        """Whether the mesh bounds a body and is wound outwards."""
+        """Whether the mesh bounds bodies, each wound outwards."""
         return is_closed(self.vertices.T.astype(np.float64), self.faces.T)
 
 

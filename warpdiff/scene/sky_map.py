@@ -73,32 +73,41 @@ def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -
 def suns_of(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
     """A sky on the grid that is blurred, without its suns, which are lights of their own: cells are wider than they."""
     grid = _on_grid(radiance)
-    height, width = grid.shape[:2]
     reach = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []
     if reach > _FARTHEST_SUN_REACH:
         return grid, suns
-    along = _grid_directions()
-    solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
     for _ in range(_MOST_SUNS):
-        bright = grid @ colorimetry.RGB_TO_XYZ[1]
-        if not bright.any():
+        found = _sun_in(grid, reach)
+        if found is None:
             break
-        towards = along.reshape(-1, 3)[bright.argmax()]
-        for _ in range(2):
-            away = np.arccos(np.clip(along @ towards, -1.0, 1.0))
-            inside, around = away < reach, (away >= reach) & (away < 2.0 * reach)
-            beside = (bright * solid)[around].sum() / np.broadcast_to(solid, bright.shape)[around].sum()
-            power = np.where(inside, np.maximum(bright - beside, 0.0) * solid, 0.0)
-            towards = (power[..., None] * along).sum(axis=(0, 1))
-            towards /= max(float(np.linalg.norm(towards)), 1e-30)
-        if bright[around].max() > _AROUND_SUN * bright.max() or power.sum() < _SUN_SHARE * (bright * solid).sum():
-            break
-        kept = np.where(inside, np.minimum(beside / np.maximum(bright, 1e-30), 1.0), 1.0)[..., None]
-        rgb = ((1.0 - kept) * grid * solid[..., None]).sum(axis=(0, 1))
-        suns.append(Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())))
-        grid = kept * grid
+        suns.append(found[0])
+        grid = found[1]
     return grid, suns
+
+
+def _sun_in(grid: NDArray[np.float64], reach: float) -> tuple[Sun, NDArray[np.float64]] | None:
+    """What is brightest in a sky, and the sky without it, if it is small and far brighter than what is around."""
+    height, width = grid.shape[:2]
+    bright, along = grid @ colorimetry.RGB_TO_XYZ[1], _grid_directions()
+    solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
+    solid = np.broadcast_to(solid, bright.shape)
+    towards = along.reshape(-1, 3)[bright.argmax()]
+    for _ in range(2):
+        away = np.arccos(np.clip(along @ towards, -1.0, 1.0))
+        inside, around = away < reach, (away >= reach) & (away < 2.0 * reach)
+        beside = np.average(bright[around], weights=solid[around])
+        power = np.where(inside, np.maximum(bright - beside, 0.0) * solid, 0.0)
+        if power.sum() <= _SUN_SHARE * (bright * solid).sum():
+            return None
+        towards = (power[..., None] * along).sum(axis=(0, 1))
+        towards /= np.linalg.norm(towards)
+    if bright[around].max() > _AROUND_SUN * bright.max():
+        return None
+    # What is left of it is as bright as what is around.
+    kept = np.where(inside, np.minimum(beside / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
+    rgb = ((1.0 - kept) * grid * solid[..., None]).sum(axis=(0, 1))
+    return Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())), kept * grid
 
 
 def blurred_grids(grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
