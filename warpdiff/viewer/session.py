@@ -431,7 +431,7 @@ class Studio:
         """What renderers of any size share; its plan is found again on disk, as to make one takes seconds."""
         say()
         hf, surface, options = self._height_field(scene), self._surface(scene), scene.shading
-        # Of an environment its spectra alone are asked for, in which all are alike.
+        # Of lights their spectra alone are asked for.
         lights = self._lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
@@ -518,9 +518,9 @@ def _behind(scene: Scene, lights: list[Any], view: wd.View) -> dict[str, Any]:
 
 
 def _illuminants(scene: Scene) -> tuple[str, ...]:
-    """What light a scene has; all environments are of the same spectra."""
+    """What light a scene has; an environment's suns have spectra of their own."""
     named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    return named if scene.sky is None else (*named, "environment")
+    return named if scene.sky is None else (*named, *map(str, scene.sky.operands))
 
 
 def _is_let_go(session: Session, wanted: Wanted) -> bool:
