@@ -357,9 +357,9 @@ def resolve_pixels(
         limit = bound
         if mark == SETTLED:
             limit = settled_bound
-        if mark == SETTLED and levels[0] < level:
-            # Parts of it are as they were.
-            error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
+            if levels[0] < level:
+                # Parts of it are as they were.
+                error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
         colours_out[pixel] = colour
         errors_out[pixel] = error
         coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))

@@ -91,7 +91,7 @@ def project(
     # Out:
     cells_out: wp.array(dtype=wp.int32),
 ):
-    """Each face's corners as the light sees them, and how many cells its box overlaps."""
+    """Each face's corners as the light sees them, and how many cells its box overlaps; none if it needs no lists."""
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         p0 = seen(grid, positions[faces[face, 0]])
         p1 = seen(grid, positions[faces[face, 1]])

@@ -89,6 +89,20 @@ def keep_larger(
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
+@wp.func
+def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2ub:
+    """The least and the largest mark of a pixel and those around it."""
+    column = pixel % width
+    row = pixel // width
+    least = marks[pixel]
+    most = marks[pixel]
+    for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+        for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+            least = wp.min(least, marks[y * width + x])
+            most = wp.max(most, marks[y * width + x])
+    return wp.vec2ub(least, most)
+
+
 @wp.kernel
 def mark_around(
     # In:
@@ -102,13 +116,7 @@ def mark_around(
 ):
     """Mark the pixels that are marked and those around them."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        column = i % width
-        row = i // width
-        mark = wp.uint8(0)
-        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                mark = wp.max(mark, marks[y * width + x])
-        marks_out[i] = mark
+        marks_out[i] = marks_around(marks, i, width, height)[1]
 
 
 @wp.kernel
@@ -124,13 +132,7 @@ def mark_surrounded(
 ):
     """Mark as settled the pixels that are not wanted but marked with all around them."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        column = i % width
-        row = i // width
-        mark = wp.uint8(1)
-        for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-            for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                mark = wp.min(mark, marks[y * width + x])
-        if mark != wp.uint8(0) and wanted_out[i] == wp.uint8(0):
+        if wanted_out[i] == wp.uint8(0) and marks_around(marks, i, width, height)[0] != wp.uint8(0):
             wanted_out[i] = SETTLED
 
 

@@ -112,7 +112,7 @@ class Frame:
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
         # ‖XYZ‖ of what lobes at the rims of discs add, and its squares; or empty.
-        self._rims = wp.empty(0, dtype=wp.vec2f, device=self._device)
+        self._rims = wp.empty(0, dtype=wp.vec2f, device=device)
         # Under skies, what pixels' own rays err by; or empty.
         self._estimates = self._no_estimates = wp.empty(0, dtype=wp.vec2f, device=device)
         # Through which pixels an edge passes, as cells have found.
@@ -259,8 +259,8 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
-        sizes, places, skies = tuple(self._have_sizes), tuple(self._at_places), tuple(self._skies)
-        return skies, sizes, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
+        sizes, rims, places = tuple(self._have_sizes), tuple(self._are_rims), tuple(self._at_places)
+        return tuple(self._skies), sizes, rims, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(self, hf: HeightField, window: Coherence) -> tuple[DirectionRange, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them.

@@ -77,8 +77,9 @@ def suns_of(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Su
     suns: list[Sun] = []
     if reach > _FARTHEST_SUN_REACH:
         return grid, suns
+    along = _grid_directions()
     for _ in range(_MOST_SUNS):
-        found = _sun_in(grid, reach)
+        found = _sun_in(grid, along, reach)
         if found is None:
             break
         suns.append(found[0])
@@ -86,10 +87,15 @@ def suns_of(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Su
     return grid, suns
 
 
-def _sun_in(grid: NDArray[np.float64], reach: float) -> tuple[Sun, NDArray[np.float64]] | None:
-    """What is brightest in a sky, and the sky without it, if it is small and far brighter than what is around."""
+def _sun_in(
+    grid: NDArray[np.float64], along: NDArray[np.float64], reach: float
+) -> tuple[Sun, NDArray[np.float64]] | None:
+    """What is brightest in a sky, and the sky without it, if it is small and far brighter than what is around.
+
+    ``along`` are the directions to the grid's cells.
+    """
     height, width = grid.shape[:2]
-    bright, along = grid @ colorimetry.RGB_TO_XYZ[1], _grid_directions()
+    bright = grid @ colorimetry.RGB_TO_XYZ[1]
     solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
     solid = np.broadcast_to(solid, bright.shape)
     towards = along.reshape(-1, 3)[bright.argmax()]
