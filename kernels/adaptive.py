@@ -213,7 +213,7 @@ def splat_cells(
         means_out: Means over the cells, those of the level before.
         changes_out: How far these are apart; at first, from the pixel's one ray.
         levels_out: Set to ``level``.
-        dark_out: A bit for each quadrant, row by row: 1 if the light is hidden from any of its cells.
+        dark_out: A bit for each quadrant, row by row: 1 if any of its cells is not lit.
         crossed_out: Whether any cell meets nothing or is not lit.
     """
     thread, _ = wp.tid()

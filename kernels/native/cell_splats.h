@@ -7,8 +7,8 @@
 namespace warpdiff {
 
 // Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
-// weights, and that of the weights; the mean colour; a bit for each quadrant that the light is hidden from; and whether
-// any cell meets nothing or is not lit.
+// weights, and that of the weights; the mean colour; a bit for each quadrant of which a part is not lit; and whether any
+// cell meets nothing or is not lit.
 struct CellSums {
     float shares[3][3][4] = {}, mean[3] = {};
     unsigned char dark = 0;
@@ -29,7 +29,7 @@ WARPDIFF_INLINE CellSums sum_cells(
             if (hit[cell] == 0) continue;
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
             const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
-            sums.dark |= (hidden && hidden[cell]) << quadrant;
+            sums.dark |= (hidden && !(gains[cell] > 0.0f)) << quadrant;
             for (int c = 0; c < 3; ++c) sums.mean[c] += value[c];
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < 4; ++c) of_row[k][c] += along[k * across + column] * value[c];

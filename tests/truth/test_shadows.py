@@ -239,3 +239,16 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     np.testing.assert_array_equal(found.lit, expected.lit)
     unhidden = wd.shade(mesh, hf, lights, view, shadows=False, **options)
     assert np.any(unhidden.xyz != found.xyz)
+
+
+def test_what_faces_away_may_have_a_part_from_which_the_light_is_hidden():
+    # Below a snake, lit from behind: no first cell faces the light, and those of the next level that do are in shadow.
+    hf, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.5, 0.75, -0.8))
+    eye, along = np.array([0.0, 3.4, 4.0]), unit((0.08311891, -0.69686178, -0.71237273))
+    view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)
+    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 0.1, "pigment": 0.0, "strict": False}
+    many = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=96, height=96)
+    points = wd.shade(meshes.snake(), hf, light, many, footprint=False, **options)
+    assert points.mask.sum() > 1000
+    assert not points.lit.any()
+    assert not wd.shade(meshes.snake(), hf, light, view, refine=False, **options).lit.any()

@@ -130,7 +130,7 @@ class _Splitting:
         self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._wanted = np.zeros(size, dtype=np.uint8)
         self._wanted_out = self._array(self._wanted, wp.uint8)
-        # Of pixels, the quadrants in which the light is hidden from any cell.
+        # Of pixels, the quadrants in which any cell is not lit.
         self._dark = np.zeros(size, dtype=np.uint8)
         # A bit for each level at whose cells shadow rays were sent.
         self._shadowed = np.zeros(size, dtype=np.uint8)
@@ -188,8 +188,8 @@ class _Splitting:
         self, level: int, part: _Part, shared: SharedTileBuffers, progress: Callable[[float], None] | None
     ) -> None:
         """Shade the cells of a part at a level, and add them up for the pixels around."""
-        # The first cells tell whether a shadow's edge passes: it does not where no light is hidden from them, nor from
-        # those beside them. Those together that take shadow rays.
+        # The first cells tell whether a shadow's edge passes: it does not where all of them are lit, and those beside
+        # them. What faces away may have a part that does not, from which the light is hidden.
         beside_dark = np.full(self._wanted.shape, self._light.frame.casts_shadows)
         if level > 1:
             self._dark[part.tiles] |= part.given.dark.numpy()[part.ranks[part.tiles]]
