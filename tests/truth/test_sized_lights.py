@@ -127,14 +127,15 @@ def test_a_rim_that_is_softer_than_the_discs_is_told():
     flat, light = wd.HeightField(np.zeros((32, 32)), 0.09), wd.DirectionalLight((0, 0, 1), angular_diameter_deg=20.0)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=24.0, width=48, height=36)
     image = wd.shade(a_mirror(), flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
-    places = np.array([[18, column] for column in range(24, 46)])
+    # All of whose filters lie on the square.
+    places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(a_mirror(), flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
     told = image.error[tuple(places.T)]
     # Just outside there is nothing but the window's lobe, and what is drawn there is all wrong.
-    assert np.count_nonzero(errors[:-1] > 1.0) >= 4
-    assert np.all(told[:-1][errors[:-1] > 1.0] > 0.4)
+    assert np.count_nonzero(errors > 1.0) >= 4
+    assert np.all(told[errors > 1.0] > 0.4)
     assert np.all(told[:8] < 0.3)
 
 
