@@ -6,6 +6,7 @@ import functools
 import importlib
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -131,6 +132,13 @@ def test_forks_while_other_threads_draw():
         ended.set()
         for each in threads:
             each.join()
+
+
+def test_no_cached_property_has_a_lock_of_its_own():
+    """Python 3.11's has one for all objects: a child whose parent's threads were computing would wait for ever."""
+    sources = sorted(Path(wd.__file__).parent.rglob("*.py"))
+    found = [each for each in sources if re.search(r"functools\b.*cached_property", each.read_text(encoding="utf-8"))]
+    assert found == [Path(fork_safety.__file__)]
 
 
 _WHILE_COMPILING = """

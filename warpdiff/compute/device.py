@@ -127,17 +127,25 @@ def codegen_lock() -> Any:
 
 # Warp's lock, in a fork.
 _held: list[Any] = []
+# For a child, what had been loaded before a fork: each future has a lock, which another thread may hold just then.
+_loaded: dict[Any, Future[Any]] = {}
 
 
 def _before_fork() -> None:
     """Wait a little for what is being loaded."""
-    wait(_loading.values(), timeout=_MOST_WAIT_S)
+    done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
+    for module, loading in _loading.items():
+        if loading in done:
+            _loaded[module] = Future()
+            # Without one it is done.
+            _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
         _held.append(lock)
 
 
 def _release() -> None:
+    _loaded.clear()
     while _held:
         _held.pop().release()
 
@@ -146,9 +154,11 @@ def _in_child() -> None:
     """Keep what is loaded, and know what is not."""
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in fork_safety.importing())
+    is_all_loaded = len(_loaded) == len(_loading)
+    _loading.update(_loaded)
     _release()
     lock = codegen_lock()
-    if not all(loaded.done() for loaded in _loading.values()) or (lock and not lock.acquire(blocking=False)):
+    if not is_all_loaded or (lock and not lock.acquire(blocking=False)):
         _cut_off.append("compiled kernels")
     elif lock:
         lock.release()

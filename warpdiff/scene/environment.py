@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks, free_memory, image_library
+from warpdiff.core import checks, fork_safety, free_memory, image_library
 from warpdiff.core.file_reading import check_there
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
@@ -134,7 +134,7 @@ class Environment:
         along = -frame.back + (0.0 if frame.orthographic else 1.0) * across
         return np.asarray(self.scale * linear(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
-    @functools.cached_property
+    @fork_safety.cached_property
     def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float, list[Sun]]:
         """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale, and suns.
 

@@ -7,11 +7,11 @@ across them.
 from __future__ import annotations
 
 import warnings
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.core import fork_safety
 from warpdiff.core.errors import WarpdiffWarning
 
 if TYPE_CHECKING:
@@ -54,12 +54,12 @@ class FaceGeometry:
         longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
         return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
 
-    @cached_property
+    @fork_safety.cached_property
     def normals(self) -> NDArray[np.float64]:
         """Unit normals on the side from which corners run counter-clockwise, shape (3, m); zero without an area."""
         return np.asarray(self.cross / np.where(self.twice_area > 0.0, self.twice_area, 1.0))
 
-    @cached_property
+    @fork_safety.cached_property
     def angles(self) -> NDArray[np.float64]:
         """Angles at the corners [radians], shape (3, m)."""
         return np.asarray(np.arctan2(self.twice_area, self.products))

@@ -5,7 +5,6 @@ Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with 
 
 from __future__ import annotations
 
-import functools
 import os
 import warnings
 from dataclasses import dataclass, replace
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import checks
+from warpdiff.core import checks, fork_safety
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.optics.colorimetry import srgb_decode
@@ -84,7 +83,7 @@ class Surface:
     radius: float
     geometry_names: tuple[str, ...] = ("",)
 
-    @functools.cached_property
+    @fork_safety.cached_property
     def is_closed(self) -> bool:
         """Whether the mesh bounds bodies, each wound outwards."""
         return is_closed(self.vertices.T.astype(np.float64), self.faces.T)
