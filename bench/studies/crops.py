@@ -3,8 +3,8 @@
 A crop is a picture of 24 × 18 pixels of the size that one of 640 × 480 has, around a lit pixel of that, which a seed
 draws. Its truth is a picture of points as many times as fine, under the pixels' Gaussian filter (half a pixel, cut at
 one and a half); a coarser one shows how far it has settled. Errors are the design's, f of the whole picture, over
-interior pixels: every point of their own square hits and is lit, edges between parts of a body among them. Take a seed
-that was not worked with.
+interior pixels: every point of their own square hits and is lit, edges between parts of a body among them. The
+outermost pixels are judged as all others. Take a seed that was not worked with.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+# Of a crop, and what the filter of its outermost pixels reaches into.
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
 WHOLE = (640, 480)
 # Points along a side of a pixel: of the truth, and of what shows that it has settled.
@@ -56,13 +57,13 @@ class Crop(NamedTuple):
     mesh: Any
     hf: wd.HeightField
     light: wd.DirectionalLight
-    view: wd.View  # of the crop and its margin
+    view: wd.View
     white: float  # Y* of the whole picture
     brightest: float  # Y that a thousandth of its pixels exceed, for the exposure of colour differences
 
 
 class Truth(NamedTuple):
-    """What the pixels of a crop, without its margin, are; all of shape (HEIGHT, WIDTH)."""
+    """What the pixels of a crop are; all of shape (HEIGHT, WIDTH)."""
 
     xyz: np.ndarray  # (…, 3)
     interior: np.ndarray
@@ -148,10 +149,14 @@ def crop(
     away = intersect(origins, directions, body.vertices, body.faces, 1)[0]
     target = (origins + away[:, None] * directions)[0]
     eye = target + distance * (eye - target)
-    rows = HEIGHT + 2 * MARGIN
-    fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(FOV_DEG) / 2.0) * rows / height))
-    view = wd.View(tuple(eye), tuple(target), fov_y_deg=fov, width=WIDTH + 2 * MARGIN, height=rows)
+    fov = _scaled(FOV_DEG, HEIGHT / height)
+    view = wd.View(tuple(eye), tuple(target), fov_y_deg=fov, width=WIDTH, height=HEIGHT)
     return Crop(name, mesh, hf, light, view, white, brightest)
+
+
+def _scaled(fov_deg: float, factor: float) -> float:
+    """The angle of a picture so many times as high."""
+    return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
 
 
 def truth(given: Crop, tolerance: float) -> Truth:
@@ -162,7 +167,9 @@ def truth(given: Crop, tolerance: float) -> Truth:
 
 def filtered(given: Crop, tolerance: float, points: int) -> Truth:
     """A crop by so many points along a side of a pixel."""
-    view = dataclasses.replace(given.view, width=given.view.width * points, height=given.view.height * points)
+    width, height = WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN
+    fov = _scaled(given.view.fov_y_deg, height / HEIGHT)
+    view = dataclasses.replace(given.view, fov_y_deg=fov, width=width * points, height=height * points)
     image = wd.shade(
         given.mesh, given.hf, given.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
         pigment=0.0,
@@ -191,20 +198,18 @@ def _filter(size: int, points: int) -> np.ndarray:
 
 
 def judged(given: Crop, exact: Truth, image: wd.Image) -> Errors:
-    """The errors of a picture of a crop and its margin."""
-    inner = image.xyz[MARGIN:-MARGIN, MARGIN:-MARGIN].astype(np.float64)
-    covered = np.maximum(image.coverage[MARGIN:-MARGIN, MARGIN:-MARGIN], 1e-6)[..., None]
+    """The errors of a picture of a crop."""
+    xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * given.white)
-    error = np.linalg.norm(inner / covered - exact.xyz, axis=2) / size
+    error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
     # Relative to what the crop's own white tells.
-    told = image.error[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    own = np.maximum(np.linalg.norm(inner, axis=2), FLOOR * brightness(image.xyz[image.lit][:, 1].astype(np.float64)))
+    own = np.maximum(np.linalg.norm(xyz, axis=2), FLOOR * brightness(image.xyz[image.lit][:, 1].astype(np.float64)))
     return Errors(
         error[exact.interior],
         error[exact.silhouette],
         error[exact.shadowed],
         (exact.settled / size)[exact.interior],
-        (told * own / size)[exact.interior],
+        (image.error * own / size)[exact.interior],
     )
 
 
@@ -276,7 +281,7 @@ def main() -> None:
                 p50, p99 = _percentiles(found.interior, 50.0, 99.0) / tolerance
                 everything += 1
                 within += bool(not len(found.interior) or (p99 <= 1.0 and p50 <= 0.25))
-                inner = image.xyz[MARGIN:-MARGIN, MARGIN:-MARGIN][exact.interior]
+                inner = image.xyz[exact.interior]
                 colours = math.nan
                 if len(inner) > 1:
                     colours = colour_difference(inner, exact.xyz[exact.interior], each.brightest)

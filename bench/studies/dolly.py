@@ -98,12 +98,12 @@ def main() -> None:
 
 def pictures(moving: list[crops.Crop], tolerance: float) -> Iterator[NDArray[np.float64]]:
     """The colours of frames as a sequence renders them, by one plan, of what is covered."""
-    inner, first = (slice(crops.MARGIN, -crops.MARGIN),) * 2, moving[0]
+    first = moving[0]
     renderer = wd.Renderer(first.mesh, first.hf, first.light, first.view, tolerance=tolerance, pigment=0.0)
     for each in moving:
         renderer.draw(view=each.view)
         image = renderer.image()
-        yield np.asarray(image.xyz[inner] / np.maximum(image.coverage[inner], 1e-6)[..., None])
+        yield np.asarray(image.xyz / np.maximum(image.coverage, 1e-6)[..., None])
 
 
 def _flicker(drawn: NDArray[np.float64], true: NDArray[np.float64]) -> float:

@@ -73,12 +73,13 @@ class LightRefinement:
 
     def estimate_errors(self, floor: wp.array, wanted: wp.array) -> KernelCall:
         """The call that estimates the error of every pixel by one ray, and says which are to be split."""
-        pixels, view = self.frame.seen, self.frame.view
+        pixels = self.frame.seen
         seen = adaptive.Seen()
         seen.deflections, seen.mirrored = pixels.deflections, pixels.to_lights
         seen.estimates = self.frame.estimates_of(self.light_index)
         inputs = [
-            self.colours, seen, pixels.pixels.hit, view.width, floor, self._bound_at(0), self.least > 0, self.refine,
+            self.colours, seen, pixels.pixels.hit, self.frame.rays.width, floor, self._bound_at(0), self.least > 0,
+            self.refine,
         ]  # fmt: skip
         return KernelCall(adaptive.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
 
@@ -99,9 +100,9 @@ class LightRefinement:
 
     def resolve_pixels(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> KernelCall:
         """The call that sets pixels to the sums of the cells around, and compares these with the level before."""
-        view = self.frame.view
+        rays = self.frame.rays
         inputs = [
-            given, pixels, view.width, view.height, floor, self._bound_at(level), self._bound_at(level, settled=True),
+            given, pixels, rays.width, rays.height, floor, self._bound_at(level), self._bound_at(level, settled=True),
             level, *self._goes_on(level),
         ]  # fmt: skip
         return KernelCall(
@@ -112,9 +113,9 @@ class LightRefinement:
         self, level: int, given: Any, tiles: wp.array, floor: wp.array, wanted: wp.array, chosen: wp.array
     ) -> KernelCall:
         """The call that says which pixels are split again."""
-        view = self.frame.view
+        rays = self.frame.rays
         inputs = [
-            given, tiles, wanted, self.colours, self.others[0], view.width, view.height, floor,
+            given, tiles, wanted, self.colours, self.others[0], rays.width, rays.height, floor,
             self._bound_at(level), level, *self._goes_on(level),
         ]  # fmt: skip
         return KernelCall(adaptive.select_cells, inputs, [chosen], in_runs=True)

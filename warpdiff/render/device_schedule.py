@@ -71,10 +71,10 @@ class DeviceSchedule:
         wp.launch(work_queues.keep_larger, dim=1, inputs=inputs, outputs=[self._most_found], device=self._device)
 
     def _split_all(self, light: LightRefinement) -> None:
-        view = light.frame.view
+        shape = [light.frame.rays.width, light.frame.rays.height]
         self._launch(work_queues.count_up, [self._wanted], [self._found])
-        self._launch(work_queues.mark_around, [self._wanted, view.width, view.height], [self._chosen])
-        self._launch(work_queues.mark_surrounded, [self._chosen, view.width, view.height], [self._wanted])
+        self._launch(work_queues.mark_around, [self._wanted, *shape], [self._chosen])
+        self._launch(work_queues.mark_surrounded, [self._chosen, *shape], [self._wanted])
         for level in cell_levels.LEVELS:
             self._meet(level, light.splat_cells(level, self._buffers, self._given, shadows=True))
             self._launch_step(light.resolve_pixels(level, self._given, self._of_all, self._floor, self._wanted))

@@ -78,12 +78,15 @@ class Frame:
         smooth: bool = True,
         samples: int = 1,
         means: bool = False,
+        margin: int = 0,
         materials_of_faces: NDArray[np.int32] | None = None,
         device_driven: bool | None = None,
         device: wp.Device,
         threads: int,
     ) -> None:
         """A frame of so many samples a pixel, or of means over pixels that are split into at least as many cells.
+
+        A ``margin`` of so many pixels on each side is rendered, too, and is not shown: what filters reach there.
 
         ``materials_of_faces`` says which of several materials each face is of; None is that there is one.
 
@@ -93,15 +96,17 @@ class Frame:
         # Means begin with one ray a pixel.
         self._samples, self._least = 1 if means else samples, samples
         self._device, self._surface, self._means = device, surface, means
-        self._size = size = view.width * view.height
         self.has_materials = materials_of_faces is not None
         self._of_faces = wp.array(
             [] if materials_of_faces is None else materials_of_faces, dtype=wp.int32, device=device
         )
         options: dict[str, Any] = {"smooth": smooth, "means": means, "device": device, "threads": threads}
-        options["materials"] = self.has_materials
+        options |= {"materials": self.has_materials, "margin": margin}
         on_device = not device.is_cpu if device_driven is None else device_driven
         self.rays = (PixelRays if on_device else RasterizedRays)(surface, view, **options)
+        self._size = size = self.rays.width * self.rays.height
+        self._inner = (slice(margin, margin + view.height), slice(margin, margin + view.width))
+        self._shown: wp.array | None = None
         self.invalidate_gbuffer()
         self._none_hidden = wp.empty(0, dtype=wp.bool, device=device)
         # XYZ, coverage, and what any light reaches.
@@ -571,32 +576,43 @@ class Frame:
 
     @property
     def xyz(self) -> wp.array:
-        """The colours, (height, width), where they are."""
-        return self._sums[0].reshape((self.view.height, self.view.width))
+        """The colours, (height, width), where they are or, from within a margin, in an array that stays the same."""
+        colours = self._sums[0].reshape((self.rays.height, self.rays.width))
+        if self._size == self.view.width * self.view.height:
+            return colours
+        if self._shown is None:
+            self._shown = wp.empty((self.view.height, self.view.width), dtype=wp.vec3f, device=self._device)
+        wp.copy(self._shown, colours[self._inner])
+        return self._shown
+
+    def _seen_of(self, values: Any) -> NDArray[Any]:
+        """What the view shows of values of pixels, an array on the device or on the host, (height, width, …)."""
+        values = values.numpy() if isinstance(values, wp.array) else values
+        return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
 
     @np.errstate(under="ignore")
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
-        shape = (self.view.height, self.view.width)
-        xyz, coverage, lit = (sums.numpy() for sums in self._sums)
-        coverage = coverage.astype(np.float32).reshape(shape)
+        xyz, coverage, lit = (self._seen_of(each) for each in self._sums)
+        coverage = coverage.astype(np.float32)
         seen = xyz[lit]
         # That of a table, or of sums over wavelengths, is in proportion to the colour.
         size = lengths(seen).astype(np.float64)
         errors = plan.error * size
         if self._means:
-            contrasts = pixel_filters.contrasts(xyz.reshape(*shape, 3)).ravel()[lit]
+            whole = self._sums[0].numpy().reshape(self.rays.height, self.rays.width, 3)
+            contrasts = self._seen_of(pixel_filters.contrasts(whole).ravel())[lit]
             errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.sqrt(np.sqrt(np.sqrt(size**7 * contrasts)))
         if self._errors:
             # Neither depends on the other.
-            errors = _BOUND_OF_BOTH * np.hypot(errors, self._errors[0].numpy()[lit])
+            errors = _BOUND_OF_BOTH * np.hypot(errors, self._seen_of(self._errors[0])[lit])
         if any(self._skies):
-            errors = errors + _ERROR_PER_COARSENESS * self._estimates.numpy()[lit, 1]
+            errors = errors + _ERROR_PER_COARSENESS * self._seen_of(self._estimates)[lit, 1]
         if count := sum(self._are_rims):
             # A rim of lobes is softer than the disc's, which shows where one of them adds more than others do.
-            total, squares = self._rims.numpy()[lit].T
+            total, squares = self._seen_of(self._rims)[lit].T
             errors = np.hypot(errors, _ERROR_PER_RIM * np.sqrt(np.maximum(squares - total**2 / count, 0.0)))
-        error = np.zeros(len(lit), dtype=np.float32)
+        error = np.zeros(lit.shape, dtype=np.float32)
         error[lit] = relative_errors(errors, seen)
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)
         found = 0 if self._schedule is None else self._schedule.count
@@ -604,16 +620,16 @@ class Frame:
         split = min(found / max(int(np.count_nonzero(coverage)), 1), 1.0)
         inside, at_edges = 0.0, 0.0
         if self._refined:
-            edges = self._edges.numpy()
+            edges = self._seen_of(self._edges)
             inside = share_beyond(error[lit & ~edges], plan.tolerance)
             at_edges = share_beyond(error[lit & edges], EDGES_PER_TOLERANCE * plan.tolerance)
         lit_by = sum(1 if each is None else each.directions for each in self._skies)
         return Image(
-            xyz=xyz.reshape(*shape, 3),
+            xyz=xyz,
             mask=coverage > 0.0,
-            lit=lit.reshape(shape),
+            lit=lit,
             coverage=coverage,
-            error=error.reshape(shape),
+            error=error,
             plan=replace(
                 plan,
                 lit_by=lit_by,

@@ -124,7 +124,7 @@ class _Splitting:
 
     def __init__(self, light: LightRefinement, rays: RasterizedRays, kept: _KeptCells | None) -> None:
         self._light, self._rays, self._kept, self._device = light, rays, kept, rays.options["device"]
-        self._width, self._height = rays.view.width, rays.view.height
+        self._width, self._height = rays.width, rays.height
         size = self._width * self._height
         floor = pixel_filters.floor_of(light.colours, rays.seen.gains)
         self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)

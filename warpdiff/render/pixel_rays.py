@@ -33,6 +33,9 @@ class PixelRays:
     """Rays through the pixels of a picture of a surface, cast through a hierarchy by the device alone.
 
     Attributes:
+        view: The last view.
+        width: Pixels in a row, with those of the margin.
+        height: Rows, likewise.
         options: The device and the number of threads of launches.
         seen: The G-buffer of the pixels' own rays, under the last light.
     """
@@ -45,14 +48,18 @@ class PixelRays:
         smooth: bool,
         means: bool,
         materials: bool,
+        margin: int,
         device: wp.Device,
         threads: int,
     ) -> None:
         """Rays of a view, and of others of as many pixels.
 
-        They have footprints if they show ``means``, and gains of one of several ``materials``.
+        They have footprints if they show ``means``, gains of one of several ``materials``, and so many pixels more on
+        each side as the ``margin`` is wide.
         """
-        self._surface, self._size = surface, view.width * view.height
+        self._surface, self._margin = surface, margin
+        self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
+        self._size = self.width * self.height
         self._scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
         # Where rays of a sample lie, if each pixel's lies elsewhere.
@@ -65,7 +72,7 @@ class PixelRays:
     def set_view(self, view: View) -> None:
         """Set the view, of the same size as any before."""
         self.view = view
-        self._camera = device_mesh.camera(view, self._surface, axes=self._axes)
+        self._camera = device_mesh.camera(view, self._surface, axes=self._axes, margin=self._margin)
         self.may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
 
     def cast(self, sample: int, samples: int) -> list[KernelCall]:

@@ -229,8 +229,10 @@ class PictureRequest:
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
         """The arrays of a picture."""
+        # Cells beyond its edge are in the filters of its outermost pixels.
+        margin = int(self.request.footprint and (self.refine or self.samples > 1))
         return Frame(
-            surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint,
+            surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint, margin=margin,
             materials_of_faces=self.materials_of_faces(surface), device=self.request.device,
             threads=self.request.threads, **options,
         )  # fmt: skip

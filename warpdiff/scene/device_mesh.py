@@ -84,21 +84,24 @@ def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
     return kept.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
 
-def camera(view: View, surface: Surface, *, axes: wp.array) -> Any:
+def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Any:
     """The :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
-    Its ``axes``, (5,) of ``wp.vec3d``, are set.
+    It has a ``margin`` of so many more pixels on each side. Its ``axes``, (5,) of ``wp.vec3d``, are set.
     """
     frame = view.frame()
     result = Camera()
     scale = surface.radius if frame.orthographic else 1.0
-    halves = (frame.half_width / scale, frame.half_height / scale, 0.0)
+    result.width, result.height = view.width + 2 * margin, view.height + 2 * margin
+    halves = (
+        frame.half_width / scale * (result.width / view.width),
+        frame.half_height / scale * (result.height / view.height),
+        0.0,
+    )
     origin = (frame.origin - surface.centre) / surface.radius
     axes.assign(np.array([origin, frame.right, frame.up, frame.back, halves]))
     result.axes = axes
     result.orthographic = frame.orthographic
-    result.width = view.width
-    result.height = view.height
     return result
 
 
