@@ -137,7 +137,7 @@ def _before_fork() -> None:
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # Without one it is done.
+            # None is no error: it is then done, with no result.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):

@@ -593,14 +593,16 @@ class Frame:
     @np.errstate(under="ignore")
     def image(self, plan: Plan) -> Image:
         """The finished picture."""
-        xyz, coverage, lit = (self._seen_of(each) for each in self._sums)
+        sums = [each.numpy() for each in self._sums]
+        xyz, coverage, lit = (self._seen_of(each) for each in sums)
         coverage = coverage.astype(np.float32)
         seen = xyz[lit]
         # That of a table, or of sums over wavelengths, is in proportion to the colour.
         size = lengths(seen).astype(np.float64)
         errors = plan.error * size
         if self._means:
-            whole = self._sums[0].numpy().reshape(self.rays.height, self.rays.width, 3)
+            # Beside the outermost ones are those of the margin.
+            whole = sums[0].reshape(self.rays.height, self.rays.width, 3)
             contrasts = self._seen_of(pixel_filters.contrasts(whole).ravel())[lit]
             errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.sqrt(np.sqrt(np.sqrt(size**7 * contrasts)))
         if self._errors:
