@@ -34,6 +34,8 @@ class Reflection:
     per_light_cosine: wp.bool  # for a light of a size
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
     materials: wp.array(dtype=wp.int32)  # of each face; empty where there is one
+    # What makes energy whole, by angles from the normal and around it; empty leaves Stam's as it is.
+    energy: wp.array2d(dtype=wp.float32)
 
 
 @wp.func_native(
@@ -133,6 +135,48 @@ def scattering_vectors(
             if place[3] != wp.float64(0.0):
                 left = left / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
             xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * left * colour)
+
+
+@wp.func
+def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
+    """The factor a of a direction in the surface's frame, linear between the angles that there are."""
+    rows = reflection.energy.shape[0]
+    columns = reflection.energy.shape[1]
+    if rows == 0:
+        return 1.0
+    # √(1 − cos θ) is nearly even in θ, and so are shares of |x| + |y| in the angle around: neither takes a sine.
+    place = wp.sqrt(wp.min((1.0 - direction[2]) * wp.static(1.0 / (1.0 - limits.LOWEST)), 1.0)) * wp.float32(rows - 1)
+    share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), limits.TINY)
+    turn = wp.where(direction[0] < 0.0, 2.0 - share, wp.where(share < 0.0, 4.0 + share, share))
+    around = 0.25 * turn * wp.float32(columns)
+    row = wp.clamp(wp.int32(place), 0, rows - 2)
+    column = wp.clamp(wp.int32(around), 0, columns - 1)
+    after = (column + 1) % columns
+    s = place - wp.float32(row)
+    t = around - wp.float32(column)
+    upper = (1.0 - t) * reflection.energy[row, column] + t * reflection.energy[row, after]
+    lower = (1.0 - t) * reflection.energy[row + 1, column] + t * reflection.energy[row + 1, after]
+    return (1.0 - s) * upper + s * lower
+
+
+@wp.kernel
+def balance_energy(
+    # In:
+    deflections: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    reflection: Reflection,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """Multiply gains by a(ωi) a(ωr)."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if gains_out[i] > 0.0:
+            light = to_lights[i]
+            both = energy_factor(reflection, light) * energy_factor(reflection, -wp.vec3f(deflections[i]) - light)
+            gains_out[i] = both * gains_out[i]
 
 
 @wp.kernel

@@ -14,7 +14,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, limits
 from warpdiff.kernels.bvh import FAR, occluded
-from warpdiff.kernels.scattering import Lights, Reflection, transmittance
+from warpdiff.kernels.scattering import Lights, Reflection, energy_factor, transmittance
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
 
@@ -86,6 +86,7 @@ class Sight:
     normal: wp.vec3f
     view: wp.vec3f  # the direction to it, in this frame
     blur: wp.float32  # variance of (u, v) for light by way of a mirror
+    energy: wp.float32  # of the directions to it, 1 as Stam has it
     material: wp.int32
     hides: wp.bool  # whether the mesh hides any of the sky
     seen: open_t  # where it does not
@@ -203,9 +204,10 @@ def share_above(radius: wp.float32, deviation: wp.float32) -> wp.vec3f:
 
 @wp.func
 def gain_of(
-    sight: Sight, reflection: Reflection, u: wp.float32, v: wp.float32, z: wp.float32, beyond: wp.float32
+    sight: Sight, reflection: Reflection, u: wp.float32, v: wp.float32, light: wp.vec3f, beyond: wp.float32
 ) -> wp.float32:
     """The gain of ``scattering.h``, over the cosine that dω has: dω cos θi is du dv."""
+    z = light[2]
     w = z + sight.view[2]
     overlap = 0.5 * (u * u + v * v + w * w)
     cosine = wp.sqrt(0.5 * overlap)
@@ -214,6 +216,8 @@ def gain_of(
         gain *= wp.min(wp.min(z, sight.view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
     else:
         gain *= beyond
+    if reflection.energy.shape[0] > 0:
+        gain *= sight.energy * energy_factor(reflection, light)
     rest = 1.0 - wp.min(cosine, 1.0)
     beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
     return gain * (1.0 + beyond_normal * rest * rest * rest * rest * rest)
@@ -267,7 +271,7 @@ def mirrored_near_horizon(
         light = light_along(sky, along, variance / wp.max(z, 0.1))
         u = (moved - 1.0) * sight.view[0]
         v = (moved - 1.0) * sight.view[1]
-        sent = gain_of(sight, reflection, u, v, z, 1.0)
+        sent = gain_of(sight, reflection, u, v, wp.vec3f(-moved * sight.view[0], -moved * sight.view[1], z), 1.0)
         if sight.hides:
             sent *= share_open(sight.seen, on_octahedron(along))
         row = sent * row_of(table, sight.material, 0, z + sight.view[2])
@@ -334,7 +338,7 @@ def sum_nodes(
         if sight.hides:
             weight *= share_open(sight.seen, on_octahedron(along))
         light = light_along(sky, along, variance / wp.max(z, 0.1))
-        gain = gain_of(sight, reflection, place[0], place[1], z, above[2])
+        gain = gain_of(sight, reflection, place[0], place[1], wp.vec3f(x, y, z), above[2])
         row = (gain * weight) * row_of(table, sight.material, node, z + sight.view[2])
         rgb = wp.vec3f(light[0], light[1], light[2])
         # Below a node gains bend, and rows as phases change with w: alike for many, so that it adds up.
@@ -362,7 +366,7 @@ def sum_nodes(
 
 
 @wp.func
-def turned_by(sight: Sight, x: wp.float32, y: wp.float32) -> Sight:
+def turned_by(sight: Sight, reflection: Reflection, x: wp.float32, y: wp.float32) -> Sight:
     """What a ray beside it has met, where the normal has turned by (x, y) in the frame."""
     result = sight
     towards = sight.view[0] * sight.tangent + sight.view[1] * sight.bitangent + sight.view[2] * sight.normal
@@ -379,6 +383,7 @@ def turned_by(sight: Sight, x: wp.float32, y: wp.float32) -> Sight:
             wp.max(wp.dot(normal, towards), wp.static(LEAST_COSINE)),
         )
     )
+    result.energy = energy_factor(reflection, result.view)
     return result
 
 
@@ -489,6 +494,7 @@ def sight_of(
     result.view = wp.normalize(
         wp.vec3f(wp.dot(result.tangent, view), wp.dot(result.bitangent, view), wp.dot(result.normal, view))
     )
+    result.energy = energy_factor(reflection, result.view)
     if reflection.materials.shape[0] > 0:
         result.material = reflection.materials[pixels.face[i]]
     if shadows:
@@ -556,7 +562,7 @@ def add_sky(
             off = (wp.float32(tap) + 0.5) * apart - SPAN
             share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
             per_normal = 0.5 * off / sight.view[2]
-            beside = turned_by(sight, per_normal * axes[2], per_normal * axes[3])
+            beside = turned_by(sight, reflection, per_normal * axes[2], per_normal * axes[3])
             found = sum_nodes(sky, table, beside, reflection, limit, size, pigment > 0.0)
             total += share
             mean.colour += share * found.colour

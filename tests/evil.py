@@ -264,7 +264,7 @@ KIND_OF = {
 _IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
 _NUMBER_NAMES = {"tolerance", "ior", "pigment", "power", "exposure", "duty", "waves", "threshold", "split", "unsettled"}
 _NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
-_NUMBER_NAMES |= {"temperature_k", "scale", "unsettled_edges"}
+_NUMBER_NAMES |= {"temperature_k", "scale", "unsettled_edges", "energy_spread"}
 _NUMBER_NAMES |= {"turns", "frames_per_second", "radiance"}
 
 

@@ -2,9 +2,9 @@
 
 ``--sizes`` compares lights of a size, of cases that ``--seed`` draws, with sums over points of their discs, ``--skies``
 environments with sums over at least 16 times as many directions, which share no code with them
-(``bench/truth/sky_sums.py``), ``--albedo`` an even sky with the reflectance summed over directions, ``--mitsuba`` flat
-gold under a sky with Mitsuba's path tracer (``pip install 'warpdiff[bench]'``), and ``--times`` tells frames by the
-number of directions.
+(``bench/truth/sky_sums.py``), ``--albedo`` an even sky with the reflectance summed over directions, and with a sphere
+that is a perfect mirror, ``--mitsuba`` flat gold under a sky with Mitsuba's path tracer (``pip install
+'warpdiff[bench]'``), and ``--times`` tells frames by the number of directions.
 """
 
 from __future__ import annotations
@@ -199,7 +199,8 @@ def settled(
 
 def albedo(directions: int) -> None:
     """Print what an even sky shows on a flat square against the reflectance summed over all directions."""
-    print("| surface | angle | picture, Y | sum of the BRDF, Y |\n| --- | --- | --- | --- |")
+    print("| surface | angle | picture, Y | sum of the BRDF, Y | normalised picture | its sum |")
+    print("| --- | --- | --- | --- | --- | --- |")
     texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     square = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
@@ -208,7 +209,7 @@ def albedo(directions: int) -> None:
     u, v = np.meshgrid(np.arange(-1.0 + step / 2.0, 1.0, step), np.arange(-1.0 + step / 2.0, 1.0, step))
     inside = u**2 + v**2 < 1.0
     views = np.stack([u[inside], v[inside], np.sqrt(1.0 - u[inside] ** 2 - v[inside] ** 2)], axis=-1)
-    surfaces = {"flat": wd.HeightField(np.zeros((32, 32)), 0.09), "fingers": SURFACES["fingers"]()}
+    surfaces = {"flat": wd.HeightField(np.zeros((32, 32)), 0.09)} | _mirrors()
     for name, hf in surfaces.items():
         for degrees in (20.0, 45.0, 75.0):
             angle = math.radians(degrees)
@@ -216,15 +217,46 @@ def albedo(directions: int) -> None:
             view = wd.View.orthographic(
                 4.0 * np.array(towards), (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3
             )
-            image = wd.shade(
-                square, hf, even, view, coherence=WINDOW, tolerance=3e-2, ior=math.inf, masking=False, refine=False
-            )
             # dω cos θ is du dv, and the BRDF is reciprocal; the sum is weighted by what the eye sees of D65.
             nm = np.arange(400.0, 701.0, 20.0)
             bright = np.exp(-0.5 * ((nm - 556.0) / 42.0) ** 2)
-            brdf = wd.brdf(hf, towards, views, nm, coherence=WINDOW, ior=math.inf, tolerance=1e-2)
-            total = step**2 * brdf.sum(axis=0) @ bright / bright.sum()
-            print(f"| {name} | {degrees:g}° | {image.xyz[1, 1, 1]:.3f} | {total:.3f} |", flush=True)
+            told = []
+            for energy in ("stam", "normalised"):
+                image = wd.shade(
+                    square, hf, even, view, coherence=WINDOW, tolerance=3e-2, ior=math.inf, masking=False,
+                    energy=energy, refine=False,
+                )  # fmt: skip
+                brdf = wd.brdf(hf, towards, views, nm, coherence=WINDOW, ior=math.inf, energy=energy)
+                total = step**2 * brdf.sum(axis=0) @ bright / bright.sum()
+                told += [f"{image.xyz[1, 1, 1]:.3f} | {total:.3f}"]
+            print(f"| {name} | {degrees:g}° | {' | '.join(told)} |", flush=True)
+
+
+def _mirrors() -> dict[str, wd.HeightField]:
+    """What is shown as a perfect mirror; the scan, where there is one."""
+    scan = inputs.scan()
+    return {name: make() for name, make in SURFACES.items()} | ({} if scan is None else {"scan": scan})
+
+
+def furnace(directions: int) -> None:
+    """Print how far a sphere that is a perfect mirror is from the even sky around it, with both forms of energy."""
+    ball = trimesh.creation.icosphere(4)
+    tangents = np.cross([0.0, 1.0, 0.01], ball.vertex_normals)
+    even = wd.Environment(np.ones((4, 8, 3)), directions=directions)
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.02, width=48, height=48)
+    radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(np.arange(48) + 0.5) / 24.0 - 1.0]))
+    rings = [(radius >= low) & (radius < high) for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 0.985))]
+    print("\n| sphere | energy | sin θr to 0.5 | to 0.8 | to 0.95 | to 0.985 | told |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for name, hf in _mirrors().items():
+        for energy in ("stam", "normalised"):
+            image = wd.shade(
+                ball, hf, even, view, coherence=WINDOW, tolerance=5e-2, ior=math.inf, masking=False, energy=energy,
+                refine=False, tangents=tangents, shadows=False,
+            )  # fmt: skip
+            off = [math.sqrt(np.mean((image.xyz[ring, 1] - 1.0) ** 2)) for ring in rings]
+            told = " | ".join(f"{each:.3f}" for each in (*off, image.plan.energy_spread))
+            print(f"| {name} | {energy} | {told} |", flush=True)
 
 
 def against_mitsuba(counts: list[int]) -> None:
@@ -327,6 +359,7 @@ def main() -> int:
         skies(options.seed, options.pixels, options.across, options.tolerances)
     if options.albedo or every:
         albedo(4096)
+        furnace(1024)
     if options.mitsuba or every:
         against_mitsuba([256, 4096])
     if options.times or every:

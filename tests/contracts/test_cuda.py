@@ -39,6 +39,7 @@ KERNELS = {
     "ray_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_grid": {"count", "fill", "trace_shadow_rays", "project"},
     "scattering": {
+        "balance_energy",
         "pixel_footprints",
         "scattering_vectors",
         "select_material",

@@ -457,6 +457,9 @@ def _evaluation_options() -> argparse.ArgumentParser:
     group.add_argument("--copies", type=int, nargs=2, metavar=("NY", "NX"), help="copies of the patch, for replicas")
     _add_material(group)
     group.add_argument(
+        "--energy", default="stam", help="stam, or normalised: what comes in is sent back, in place of masking"
+    )
+    group.add_argument(
         "--illuminant",
         default="D65",
         help="a CIE illuminant or light source by name, a temperature of a black body, such as 2856K, or a CSV file of "
@@ -598,6 +601,7 @@ def _shared(options: argparse.Namespace) -> dict[str, Any]:
         "ior": options.ior,
         "material": _material(options),
         "masking": not options.no_masking,
+        "energy": options.energy,
         "device": options.device,
         "threads": options.threads,
     }

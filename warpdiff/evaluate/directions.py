@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,6 +112,7 @@ def reflectance(
     ior: float | None = None,
     material: Material | None = None,
     masking: bool = True,
+    energy: str = "stam",
     plan: Plan | None = None,
     strict: bool = True,
     device: Any = None,
@@ -132,7 +134,10 @@ def reflectance(
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
             relative to what it reflects at normal incidence.
         material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
-        masking: Whether V-cavity masking and shadowing is included.
+        masking: Whether V-cavity masking and shadowing is included, where ``energy`` is ``"stam"``.
+        energy: ``"stam"``, or ``"normalised"``, in place of masking: times a(ωi) a(ωr), the factors of
+            :func:`order_efficiencies` with which a perfect mirror sends back what comes in, the same at all
+            wavelengths, which send it back together; :func:`brdf` has those of each.
         plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
         strict: Raise where the tolerance cannot be met, rather than warn.
         device: ``"cpu"`` (None) or a CUDA device.
@@ -145,7 +150,7 @@ def reflectance(
     """
     request = Request.checked(
         hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        masking=masking, energy=energy, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
         illuminants=(illuminant,),
     )  # fmt: skip
     with allocations.named("reflectance()", _REMEDY):
@@ -165,6 +170,7 @@ def brdf_map(
     ior: float | None = None,
     material: Material | None = None,
     masking: bool = True,
+    energy: str = "stam",
     samples_per_pixel: int = 1,
     plan: Plan | None = None,
     strict: bool = True,
@@ -187,6 +193,7 @@ def brdf_map(
         ior: As in :func:`reflectance`.
         material: As in :func:`reflectance`.
         masking: As in :func:`reflectance`.
+        energy: As in :func:`reflectance`.
         samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
         plan: As in :func:`reflectance`.
         strict: As in :func:`reflectance`.
@@ -203,7 +210,7 @@ def brdf_map(
     """
     request = Request.checked(
         hf, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        masking=masking, energy=energy, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
         illuminants=(illuminant,),
     )  # fmt: skip
     light, single = checks.directions(to_light, "to_light")
@@ -325,6 +332,9 @@ class _Call:
             per_light_cosine=request.coherence.kind == "source",
         )  # fmt: skip
         lit = self._gains > 0.0
+        energy = request.energy_factors
+        if energy is not None:
+            self._gains[lit] *= energy.between(self._lights[lit], self._views[lit])
         self._scope = DirectionRange.of(
             request.hf, request.coherence, self._deflections, self._lights, lit, request.wavelengths_nm
         )
@@ -334,6 +344,7 @@ class _Call:
         else:
             self.plan = request.plan
             warn_outside(self.plan, request.hf, self._scope)
+        self.plan = replace(self.plan, energy_spread=0.0 if energy is None else energy.spread)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
         """The values of a pair of single directions without the axis of directions."""

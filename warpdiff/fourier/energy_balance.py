@@ -19,7 +19,8 @@ import numpy as np
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.lru_cache import LruCache
 from warpdiff.fourier import chebyshev
-from warpdiff.kernels.limits import HORIZON
+from warpdiff.kernels.limits import HORIZON, LOWEST, TINY
+from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,14 +30,17 @@ if TYPE_CHECKING:
 # Orders of a family whose sums are made 1 by themselves; the factors of more come from a grid of directions.
 MOST_EXACT = 600
 FORMS = ("stam", "normalised")
-# That grid: angles from the normal and around it, and how wide orders that go together are, in parts of directions.
+# That grid: from the normal and around it, and how wide orders that go together are, in parts of directions.
 _POLAR, _AROUND, _BIN = 16, 16, 0.08
-# A grid's last angle: beyond, factors are those there.
-_STEEPEST = math.radians(88.0)
 _SWEEPS, _SETTLED = 200, 1e-10
 # Entries over |κ| for each half radian that a power turns by, between which it is a parabola.
 _PER_RADIAN = 6.0
 _KEPT = 8
+# How many lights the grid's factors are from, of one wavelength and of colours, and the shortest and longest wavelength
+# [nm] of these; the ratio of Roberts' recurrence.
+_LIGHTS_OF_WAVELENGTH, _LIGHTS_OF_COLOURS, _SEEN_NM, _PLASTIC = 1024, 4096, (400.0, 700.0), 1.22074408460575947536
+# Up to which angle from the normal it is told what factors leave out.
+_STEEPEST_TOLD = math.radians(80.0)
 # Of wavelengths that are asked for: nodes of the grid's factors at most; and lights whose sums are made 1 exactly.
 _MOST_NODES, _MOST_LIGHTS = 5, 64
 # A share of the light that no sum is divided by less than: no order propagates whose coefficient does not vanish.
@@ -106,7 +110,7 @@ class EnergyFactors:
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
-        values: At angles from the normal, 0 to 88°, and around it, from x on, a turn twice, shape (k, n, m).
+        values: On the grid of ``grid_weights``, shape (k, n, m).
     """
 
     wavelengths_nm: NDArray[np.float64]
@@ -124,11 +128,60 @@ class EnergyFactors:
         return np.asarray((1.0 - t) * at_nodes[:, before] + t * at_nodes[:, after])
 
 
+@dataclass(frozen=True)
+class AchromaticFactors:
+    """The factor a of directions alone, for colours: with it what is seen of all wavelengths together is sent back.
+
+    Attributes:
+        values: On the grid of ``grid_weights``, float32, shape (n, m).
+        spread: By how much what single wavelengths and directions send back differs from what comes in, relative to
+            it: a root mean square, weighed by the cosine, up to 80° from the normal.
+    """
+
+    values: NDArray[np.float32]
+    spread: float
+
+    def between(self, lights: NDArray[np.float64], views: NDArray[np.float64]) -> NDArray[np.float64]:
+        """a(ωi) a(ωr) of pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
+        found = []
+        for directions in (lights, views):
+            nodes, weights = grid_weights(directions)
+            found.append(np.sum(weights * self.values.ravel()[nodes], axis=1))
+        return np.asarray(found[0] * found[1])
+
+
+@on_one_thread()
+def achromatic_factors(hf: HeightField) -> AchromaticFactors:
+    """The factors of a height field for colours, from lights of all wavelengths; kept for the next call."""
+
+    def make() -> AchromaticFactors:
+        lights, shares = _lights(_LIGHTS_OF_COLOURS)
+        wavelengths_um = 1e-3 * _seen_nm(shares)
+        powers = Powers(hf, 2.0 / float(wavelengths_um.min()), _BIN / float(wavelengths_um.max()))
+        values, sent = _solved(powers, lights, wavelengths_um)
+        told = lights[:, 2] > math.cos(_STEEPEST_TOLD)
+        spread = math.sqrt(np.average((sent[told] - 1.0) ** 2, weights=_flux(lights[told])))
+        return AchromaticFactors(values.astype(np.float32), spread)
+
+    return _kept_achromatic.get_or_make((hf.heights_um.tobytes(), hf.shape, hf.pitch_um), make)
+
+
+def _seen_nm(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Wavelengths [nm] up to which such shares of all that is seen lie, of all three channels together, (n,)."""
+    seen = np.cumsum(colorimetry.colour_products().sum(axis=1))
+    nm = np.interp(shares, seen / seen[-1], np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1.0))
+    return np.asarray(np.clip(nm, *_SEEN_NM))
+
+
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The grid's four nodes around unit vectors (n, 3), and their weights, both (n, 4)."""
-    polar = np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2])
-    row = np.minimum(polar / _STEEPEST, 1.0) * (_POLAR - 1)
-    column = (np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * math.pi) % 1.0) * _AROUND
+    """The grid's four nodes around unit vectors (n, 3), and their weights, both (n, 4).
+
+    Rows are even in √(1 − cos θ), nearly so in θ, columns in the share that y has of |x| + |y|, quadrant by quadrant.
+    """
+    x, y, z = directions.T
+    row = np.sqrt(np.clip((1.0 - z) / (1.0 - LOWEST), 0.0, 1.0)) * (_POLAR - 1)
+    share = y / np.maximum(np.abs(x) + np.abs(y), TINY)
+    column = np.where(x < 0.0, 2.0 - share, share) % 4.0 / 4.0 * _AROUND
     r = np.minimum(row.astype(np.int64), _POLAR - 2)
     c = np.minimum(column.astype(np.int64), _AROUND - 1)
     s, t = row - r, column - c
@@ -137,13 +190,20 @@ def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
     return np.concatenate([nodes, nodes + _AROUND], axis=1), weights
 
 
-def _grid() -> NDArray[np.float64]:
-    """The grid's directions, (n, 3)."""
-    polar, around = np.meshgrid(
-        np.linspace(0.0, _STEEPEST, _POLAR), 2.0 * math.pi * np.arange(_AROUND) / _AROUND, indexing="ij"
-    )
+def _lights(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions that fill the hemisphere evenly by both angles, (n, 3), and a third number of each, 0 to 1, (n,).
+
+    By the additive recurrence of Roberts (2018) in three dimensions.
+    """
+    places = (0.5 + np.outer(np.arange(count), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
+    polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
     sine = np.sin(polar)
-    return np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=-1).reshape(-1, 3)
+    return np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=1), places[:, 2]
+
+
+def _flux(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What each of these stands for: dω cos θ, (n,)."""
+    return np.asarray(lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2))
 
 
 def _leaving(
@@ -168,24 +228,41 @@ def factors_of(hf: HeightField, wavelengths_nm: tuple[float, ...]) -> EnergyFact
     def make() -> EnergyFactors:
         shortest = 1e-3 * min(wavelengths_nm)
         powers = Powers(hf, 2.0 / shortest, _BIN / (1e-3 * max(wavelengths_nm)))
-        values = [_balanced(_on_grid(powers, 1e-3 * each)) for each in wavelengths_nm]
-        return EnergyFactors(np.array(wavelengths_nm), np.stack(values).reshape(-1, _POLAR, _AROUND))
+        lights, _ = _lights(_LIGHTS_OF_WAVELENGTH)
+        values = [_solved(powers, lights, np.full(len(lights), 1e-3 * each))[0] for each in wavelengths_nm]
+        return EnergyFactors(np.array(wavelengths_nm), np.stack(values))
 
     return _kept.get_or_make(key, make)
 
 
 _kept: LruCache[EnergyFactors] = LruCache(_KEPT)
+_kept_achromatic: LruCache[AchromaticFactors] = LruCache(_KEPT)
 
 
-def _on_grid(powers: Powers, wavelength_um: float) -> NDArray[np.float64]:
-    """K from each of the grid's directions to each other, which orders are shared out to, (n, n)."""
-    directions = _grid()
-    result = np.zeros((len(directions), len(directions)))
-    for row, light in enumerate(directions):
+def _solved(
+    powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The factor a on the grid, (n, m), and what lights, each of a wavelength, then send back of what comes in, (k,).
+
+    Sums from single directions jump where orders pass the horizon, so that the grid's are means of many lights, each
+    shared out to the nodes around it, as what leaves is.
+    """
+    nodes, weights = grid_weights(lights)
+    entering, leaving = np.zeros((2, len(lights), _POLAR * _AROUND))
+    np.put_along_axis(entering, nodes, weights, axis=1)
+    for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, found = _leaving(powers, light, wavelength_um)
-        nodes, weights = grid_weights(views)
-        result[row] = np.bincount(nodes.ravel(), (weights * found[:, None]).ravel(), len(directions))
-    return result
+        at, shares = grid_weights(views)
+        leaving[row] = np.bincount(at.ravel(), (shares * found[:, None]).ravel(), leaving.shape[1])
+    # The normal is one direction, whatever the angle around it.
+    entering, leaving = (
+        np.column_stack([each[:, :_AROUND].sum(axis=1), each[:, _AROUND:]]) for each in (entering, leaving)
+    )
+    incoming = entering * _flux(lights)[:, None]
+    exchanged = incoming.T @ leaving
+    factors = _balanced((exchanged + exchanged.T) / (2.0 * incoming.sum(axis=0)[:, None]))
+    values = np.concatenate([np.full(_AROUND, factors[0]), factors[1:]]).reshape(_POLAR, _AROUND)
+    return values, (entering @ factors) * (leaving @ factors)
 
 
 def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -201,7 +278,7 @@ def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factors a with a (K a) = 1 of a matrix that is symmetric but for what quadratures leave, (n,)."""
+    """The factors a with a (K a) = 1 of a matrix whose rows are those of a symmetric one, (n,)."""
     factors = np.ones(len(matrix))
     for _ in range(_SWEEPS):
         before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))

@@ -368,6 +368,7 @@ def _ample(
         unsettled=0.0,
         unsettled_edges=0.0,
         errors=(0.0, 0.0),
+        energy_spread=0.0,
         max_uv=scope.max_uv,
         max_lateral=scope.max_lateral,
         min_w=scope.min_w,

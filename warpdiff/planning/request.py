@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.core import checks
+from warpdiff.core import checks, fork_safety
+from warpdiff.fourier import energy_balance
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import LitMaterial, check_materials
@@ -34,6 +35,7 @@ class Request:
         normal_reflectance: R(0) of the index of refraction; 1 of a material.
         materials: Those by name of a geometry; one has none, ``""``, and None is that of the index of refraction.
         masking: Whether V-cavity masking is included.
+        energy: One of ``energy_balance.FORMS``.
         plan: An explicit plan.
         strict: Whether a tolerance that cannot be met is an error.
         device: The Warp device.
@@ -57,6 +59,7 @@ class Request:
     lit: tuple[LitMaterial, ...] = (LitMaterial("D65"),)
     wavelengths_nm: NDArray[Any] | None = None
     footprint: bool = False
+    energy: str = "stam"
 
     @classmethod
     def checked(
@@ -77,6 +80,7 @@ class Request:
         by_geometry: bool = False,
         illuminants: tuple[Any, ...] = (),
         wavelengths_nm: NDArray[np.float64] | None = None,
+        energy: Any = "stam",
     ) -> Request:
         """Refuse what is no such thing, before anything is computed; wavelengths are checked by who takes them.
 
@@ -89,6 +93,7 @@ class Request:
         check_method(method, coherence or Coherence())
         checks.flag(strict, "strict")
         checks.flag(masking, "masking")
+        checks.choice(energy, "energy", energy_balance.FORMS)
         checks.callback(progress, "progress")
         workers = resolve_threads(threads)
         on = resolve_device(device)
@@ -104,9 +109,14 @@ class Request:
         return cls(
             hf=hf, tolerance=tolerance, method=method,
             coherence=plan.coherence if plan is not None else coherence or Coherence(), normal_reflectance=normal,
-            materials=materials, masking=masking, plan=plan, strict=strict, device=on, threads=workers, lit=lit,
-            wavelengths_nm=wavelengths_nm,
+            materials=materials, masking=masking and energy == "stam", plan=plan, strict=strict, device=on,
+            threads=workers, lit=lit, wavelengths_nm=wavelengths_nm, energy=energy,
         )  # fmt: skip
+
+    @fork_safety.cached_property
+    def energy_factors(self) -> energy_balance.AchromaticFactors | None:
+        """What colours are multiplied by where energy is normalised."""
+        return None if self.energy == "stam" else energy_balance.achromatic_factors(self.hf)
 
     @property
     def integrates(self) -> bool:

@@ -47,8 +47,8 @@ _NUMBERS = (
 )
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 _FINDINGS = (
-    *("lit_by", "split", "unsettled", "unsettled_edges", "errors", "aliasing", "scalar_error", "multiply_adds"),
-    *("table_multiply_adds", "searched", "judged"),
+    *("lit_by", "split", "unsettled", "unsettled_edges", "errors", "energy_spread", "aliasing", "scalar_error"),
+    *("multiply_adds", "table_multiply_adds", "searched", "judged"),
 )
 
 
@@ -84,6 +84,8 @@ class Plan:
             errors tell, of those that no edge passes; 0 of one that is not refined, which promises nothing.
         unsettled_edges: The same of those that an edge passes, of the mesh or of what is lit, and of three tolerances.
         errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
+        energy_spread: Where energy is normalised, by how much what single wavelengths and directions send back differs
+            from what comes in (root mean square); no part of ``error``. 0 of what is as Stam has it.
         max_uv: Largest |(u, v)| of the directions that the numbers hold for.
         max_lateral: Largest lateral of these.
         min_w: Smallest |w| of these.
@@ -123,6 +125,7 @@ class Plan:
     unsettled: float
     unsettled_edges: float
     errors: tuple[float, float]
+    energy_spread: float
     max_uv: float
     max_lateral: float
     min_w: float
@@ -275,6 +278,11 @@ class Plan:
         text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
         if any(self.errors):
             text += " Estimated errors of the lit pixels: median {:.1e}, 99th percentile {:.1e}.".format(*self.errors)
+        if self.energy_spread:
+            text += (
+                " Energy is normalised over all wavelengths together; single ones send back what comes in within "
+                f"{self.energy_spread:.2g}."
+            )
         text += f" Some {self.multiply_adds:.2g} multiply-adds a direction, {self.microseconds:.2g} µs of a core"
         return text + (f", after {self.table_seconds:.2g} s for the table" if self.nodes else "") + f". {self._scalar}"
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.fourier.energy_balance import AchromaticFactors
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
@@ -130,6 +131,8 @@ class Frame:
         self._skies: list[SkyLight | None] = []
         self._sky_maps: dict[SkyLight, Any] = {}
         self._transmittances: wp.array | None = None
+        self._energy: wp.array | None = None
+        self._energy_spread = 0.0
         self._to_lights: list[tuple[float, float, float]] = []
         self._have_sizes: list[bool] = []
         self._are_rims: list[bool] = []
@@ -166,6 +169,7 @@ class Frame:
         normal: float,
         materials: Sequence[Material | None] = (None,),
         masking: bool = True,
+        energy: AchromaticFactors | None = None,
         pigment: float = 0.0,
         shadows: bool = True,
     ) -> None:
@@ -178,6 +182,7 @@ class Frame:
             normal: R(0).
             materials: Those of faces; None is one by Schlick's reflectance of ``normal``.
             masking: Whether V-cavity masking is included.
+            energy: Factors that make energy whole, the same every time; None leaves Stam's as it is.
             pigment: Its strength.
             shadows: Whether the mesh may hide the lights.
         """
@@ -232,6 +237,11 @@ class Frame:
         self._reflection = scattering.Reflection()
         self._reflection.normal_reflectance = normal
         self._reflection.masking = masking
+        if self._energy is None:
+            values = np.zeros((0, 0), dtype=np.float32) if energy is None else energy.values
+            self._energy = wp.array(values, dtype=wp.float32, device=self._device)
+            self._energy_spread = 0.0 if energy is None else energy.spread
+        self._reflection.energy = self._energy
         self._reflection.per_light_cosine = window.kind == "source"
         through = [transmittances(normal, each) for each in materials] if self.pigmented else np.zeros((0, 0, 3))
         if self._transmittances is None or self._transmittances.shape != np.shape(through)[:2]:
@@ -558,6 +568,10 @@ class Frame:
             return [KernelCall(sky_light.mirror_directions, inputs, [*seen.directions, *sums], in_runs=True)]
         inputs = [seen.pixels, self._lights, light_index, self._reflection, weight, counted, begins, resets, hidden]
         steps = [KernelCall(scattering.scattering_vectors, inputs, [*seen.directions, *sums], in_runs=True)]
+        if len(self._reflection.energy):
+            deflections, to_lights, gains = seen.directions
+            inputs = [deflections, to_lights, self._reflection]
+            steps.append(KernelCall(scattering.balance_energy, inputs, [gains], in_runs=True))
         if shadows:
             inputs = [self._grid_of(light_index), self._lights.places, light_index, seen.pixels]
             steps.insert(0, KernelCall(trace_shadow_rays, inputs, [hidden], in_runs=True))
@@ -639,5 +653,6 @@ class Frame:
                 unsettled=inside,
                 unsettled_edges=at_edges,
                 errors=(told[0], told[1]),
+                energy_spread=self._energy_spread,
             ),
         )

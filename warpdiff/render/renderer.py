@@ -79,6 +79,7 @@ class Renderer:
         ior: float | None = None,
         material: Material | Mapping[str, Material] | None = None,
         masking: bool = True,
+        energy: str = "stam",
         pigment: float = 1.0,
         shadows: bool = True,
         smooth: bool = True,
@@ -98,7 +99,7 @@ class Renderer:
         """
         wanted = PictureRequest.checked(
             hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-            masking=masking, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
+            masking=masking, energy=energy, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
             samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device,
             threads=threads,
         )  # fmt: skip

@@ -54,6 +54,7 @@ def shade(
     ior: float | None = None,
     material: Material | Mapping[str, Material] | None = None,
     masking: bool = True,
+    energy: str = "stam",
     pigment: float = 1.0,
     shadows: bool = True,
     smooth: bool = True,
@@ -87,7 +88,11 @@ def shade(
             Pictures are relative to what it reflects at normal incidence.
         material: What the mesh is made of, in place of ``ior``, or a mapping from the names of its geometries, each
             with its material; pictures are then relative to a perfect mirror. Below metals no pigment is seen.
-        masking: Whether V-cavity masking and shadowing is included.
+        masking: Whether V-cavity masking and shadowing is included, where ``energy`` is ``"stam"``.
+        energy: ``"stam"``, or ``"normalised"``, in place of masking: times a(ωi) a(ωr), the factors of
+            :func:`order_efficiencies` with which a perfect mirror sends back what comes in. In pictures they are the
+            same at all wavelengths, which send it back together; ``image.plan`` says how far from that single ones are,
+            which ``image.error`` leaves out. It takes two seconds or more, once for a surface.
         pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
         shadows: Whether lights are hidden by the mesh itself.
         smooth: Whether vertex normals are interpolated; otherwise facets are seen.
@@ -121,7 +126,7 @@ def shade(
     layers = check_layers(layers)
     wanted = PictureRequest.checked(
         hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
+        masking=masking, energy=energy, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
         samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device, threads=threads,
         progress=progress,
     )  # fmt: skip
@@ -263,7 +268,7 @@ class PictureRequest:
         picture.set_lights(
             lights, request.coherence, request.hf.size_um[0] * request.hf.size_um[1],
             normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
-            pigment=self.pigment, shadows=self.shadows,
+            energy=request.energy_factors, pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
 
 
