@@ -20,7 +20,7 @@ LEAST_LEVEL_OF_POINTS = 2
 # What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
 # where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
-# itself, relative to |(u, v)|. See docs/decisions.md.
+# itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
 SMOOTH, PER_UNEVEN, PER_WIDE = 0.008, 0.52, 0.55
 # Of others: over the difference of their last two levels; at least so much of what they were said to err by before, and
 # of what the nine pixels' cells change by, as if these did not depend on each other, for levels may agree by chance.

@@ -5,7 +5,7 @@ pixel has for itself, and the sky there is taken from maps that are blurred as m
 footprint are wide. Cells are leaves of a tree: ``sum_nodes`` walks it, parents first, and opens a node only where the
 sky, the gain or the row may vary below it by more than a share of the colour, which ``add_sky`` guesses beforehand.
 Where a footprint is long, ``add_sky`` sums for several rays along it, their frames turned; how these differ tells what
-the pixel errs by. See docs/decisions.md, "footprints that are streaks, and a tree of cells".
+the pixel errs by. See "footprints that are streaks, and a tree of cells" in docs/decisions/environments.md.
 """
 
 import math

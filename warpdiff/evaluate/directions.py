@@ -63,8 +63,8 @@ def spectral_reflectance(
 ) -> NDArray[Any]:
     """Relative reflectance ρ(λ): 1 for a flat mirror seen in the mirror direction at normal incidence.
 
-    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions.md``). It is a ratio of radiances,
-    without a further cosine, and is not bounded by 1.
+    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). It is a
+    ratio of radiances, without a further cosine, and is not bounded by 1.
 
     Args:
         hf: The height field.

@@ -47,7 +47,8 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 # What a mean over a pixel errs by, of what 99 of 100 directions of a plan err by at most, where its contrast with those
 # beside it is as large as its colour: a table errs where colours change, and by the eighth root of how much they do.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
-# What bounds 95 of 100 errors, over the root sum of squares of what cells and a table err by: see docs/decisions.md.
+# What bounds 95 of 100 errors, over the root sum of squares of what cells and a table err by: see
+# docs/decisions/error_estimates.md.
 _BOUND_OF_BOTH = 1.1
 # What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
 _ERROR_PER_COARSENESS = 0.7
