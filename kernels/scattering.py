@@ -145,7 +145,8 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
     if rows == 0:
         return 1.0
     # √(1 − cos θ) is nearly even in θ, and so are shares of |x| + |y| in the angle around: neither takes a sine.
-    place = wp.sqrt(wp.min((1.0 - direction[2]) * wp.static(1.0 / (1.0 - limits.LOWEST)), 1.0)) * wp.float32(rows - 1)
+    from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - limits.LOWEST)), 0.0, 1.0)
+    place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), limits.TINY)
     turn = wp.where(direction[0] < 0.0, 2.0 - share, wp.where(share < 0.0, 4.0 + share, share))
     around = 0.25 * turn * wp.float32(columns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 import trimesh
 
 import warpdiff as wd
@@ -82,6 +83,34 @@ def test_normalised_maps_are_reciprocal_and_say_what_they_are():
     ratio = normalised.xyz[seen, 1] / stam.xyz[seen, 1]
     assert ratio.max() - ratio.min() > 0.1
     assert 0.0 == stam.plan.energy_spread < normalised.plan.energy_spread
+
+
+def test_gentle_surfaces_keep_their_orders():
+    """Where one order has nearly all of the light, that it is sent back leaves factors free that make others wrong."""
+    x = np.arange(64) / 64.0
+    sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
+    factors = energy_balance.achromatic_factors(sine)
+    np.testing.assert_allclose(factors.values[:12], 1.0, atol=3e-3)
+    assert factors.spread < 1e-3
+    for energy in energy_balance.FORMS:
+        both = wd.brdf(sine, (0, 0, 1), [at(16.0, 0.0), at(16.0, 180.0)], 550.0, ior=math.inf, energy=energy)
+        np.testing.assert_allclose(both[0], both[1], rtol=1e-3)
+
+
+def test_the_last_order_of_an_even_number_of_samples_is_on_both_sides():
+    steps = wd.HeightField(np.array([[0.0, 0.14]]), 0.5)
+    options = MIRROR | {"energy": "normalised"}
+    with pytest.warns(wd.WarpdiffWarning, match="pitch"):
+        rho = wd.reflectance(steps, (0, 0, 1), [at(33.0, 0.0), at(33.0, 180.0)], **options)
+    np.testing.assert_allclose(rho[0], rho[1], rtol=1e-3)
+
+
+def test_heights_of_another_unit_are_refused_before_their_energy_is_summed(monkeypatch):
+    monkeypatch.setattr(energy_balance, "Powers", None)
+    deep = wd.HeightField.of_known_scale(np.random.default_rng(0).uniform(0.0, 1e3, (256, 256)), 0.1)
+    for call in (wd.reflectance, wd.brdf):
+        with pytest.raises(ValueError, match="wavelengths of path"):
+            call(deep, (0, 0, 1), (0.1, 0, 1), *([[550.0]] if call is wd.brdf else []), energy="normalised")
 
 
 def test_masking_gives_way_to_normalised_energy():

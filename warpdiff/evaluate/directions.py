@@ -285,7 +285,9 @@ def brdf(
         ior: As in :func:`spectral_reflectance`.
         material: As in :func:`spectral_reflectance`.
         energy: ``"stam"``, or ``"normalised"``, where orders of a perfect mirror sum to 1 from everywhere, as in
-            :func:`order_efficiencies`; it is reciprocal, too, but for what interpolation leaves.
+            :func:`order_efficiencies`; it is reciprocal, too, but for what interpolation leaves. Of more than 64 lights
+            sums are 1 but for that, which is much at grazing angles, and factors of more than five wavelengths are
+            linear between those of five.
         plan: As in :func:`spectral_reflectance`.
         strict: As in :func:`spectral_reflectance`.
         device: As in :func:`spectral_reflectance`.

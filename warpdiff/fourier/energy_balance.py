@@ -10,6 +10,7 @@ which does both.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ import numpy as np
 from warpdiff.core.blas_threads import on_one_thread
 from warpdiff.core.lru_cache import LruCache
 from warpdiff.fourier import chebyshev
+from warpdiff.fourier.phase_series import check_cycles
 from warpdiff.kernels.limits import HORIZON, LOWEST, TINY
 from warpdiff.optics import colorimetry
 
@@ -36,9 +38,8 @@ _SWEEPS, _SETTLED = 200, 1e-10
 # Entries over |κ| for each half radian that a power turns by, between which it is a parabola.
 _PER_RADIAN = 6.0
 _KEPT = 8
-# How many lights the grid's factors are from, of one wavelength and of colours, and the shortest and longest wavelength
-# [nm] of these; the ratio of Roberts' recurrence.
-_LIGHTS_OF_WAVELENGTH, _LIGHTS_OF_COLOURS, _SEEN_NM, _PLASTIC = 1024, 4096, (400.0, 700.0), 1.22074408460575947536
+# Of colours: lights that factors are of, their shortest and longest wavelength [nm]; the ratio of Roberts' recurrence.
+_LIGHTS, _SEEN_NM, _PLASTIC = 4096, (400.0, 700.0), 1.22074408460575947536
 # Up to which angle from the normal it is told what factors leave out.
 _STEEPEST_TOLD = math.radians(80.0)
 # Of wavelengths that are asked for: nodes of the grid's factors at most; and lights whose sums are made 1 exactly.
@@ -60,19 +61,22 @@ class Powers:
         argument = math.pi * highest_kappa * hf.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = hf.heights_um - (hf.heights_um.max() + hf.heights_um.min()) / 2.0
+        # An even number of samples has an order as far out as any on one side, which is on the other as well.
+        counts = [n + 1 - n % 2 if n > 1 else 1 for n in hf.shape]
         starts = [
-            _around(n, max(1, min(round(bin_um * length), n))) for length, n in zip(hf.size_um, hf.shape, strict=True)
+            _around(n, max(1, min(round(bin_um * length), n))) for length, n in zip(hf.size_um, counts, strict=True)
         ]
         sums = []
         for kappa in chebyshev.nodes(0.0, highest_kappa, count):
             # κ is negative.
             power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
+            power = np.pad(power, [(0, k - n) for k, n in zip(counts, hf.shape, strict=True)], mode="wrap")
             sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
         dense = math.ceil(_PER_RADIAN * argument) + 32
         self._per_kappa = (dense - 1) / highest_kappa
         places = [
             ((first + np.append(first[1:], n) - 1) / 2.0 - n // 2) / length * (n > 1)
-            for first, n, length in zip(starts, hf.shape, hf.size_um, strict=True)
+            for first, n, length in zip(starts, counts, hf.size_um, strict=True)
         ]
         v, u = np.meshgrid(*places, indexing="ij")
         # As |(u, v)| and |w| are at most 2, no order beyond the largest |κ| is ever seen.
@@ -152,18 +156,55 @@ class AchromaticFactors:
 
 @on_one_thread()
 def achromatic_factors(hf: HeightField) -> AchromaticFactors:
-    """The factors of a height field for colours, from lights of all wavelengths; kept for the next call."""
+    """The factors of a height field for colours; kept for the next call.
+
+    Sums from single directions jump where orders pass the horizon, so that the grid's are means over lights from
+    everywhere, each of a wavelength and shared out to the nodes around it, as what leaves is.
+    """
+    check_cycles(hf, 2e3 / _SEEN_NM[0])
 
     def make() -> AchromaticFactors:
-        lights, shares = _lights(_LIGHTS_OF_COLOURS)
-        wavelengths_um = 1e-3 * _seen_nm(shares)
+        lights, wavelengths_um = _seen_lights()
         powers = Powers(hf, 2.0 / float(wavelengths_um.min()), _BIN / float(wavelengths_um.max()))
-        values, sent = _solved(powers, lights, wavelengths_um)
+        nodes, weights = grid_weights(lights)
+        entering = np.zeros((len(lights), _POLAR * _AROUND))
+        np.put_along_axis(entering, nodes, weights, axis=1)
+        # The normal is one direction, whatever the angle around it.
+        entering, leaving = (
+            np.column_stack([each[:, :_AROUND].sum(axis=1), each[:, _AROUND:]])
+            for each in (entering, _shared_out(powers, lights, wavelengths_um))
+        )
+        # dω cos θ of each light.
+        flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
+        incoming = entering * flux[:, None]
+        exchanged = incoming.T @ leaving
+        factors = _balanced((exchanged + exchanged.T) / (2.0 * incoming.sum(axis=0)[:, None]))
+        sent = (entering @ factors) * (leaving @ factors)
         told = lights[:, 2] > math.cos(_STEEPEST_TOLD)
-        spread = math.sqrt(np.average((sent[told] - 1.0) ** 2, weights=_flux(lights[told])))
+        spread = math.sqrt(np.average((sent[told] - 1.0) ** 2, weights=flux[told]))
+        values = np.concatenate([np.full(_AROUND, factors[0]), factors[1:]]).reshape(_POLAR, _AROUND)
         return AchromaticFactors(values.astype(np.float32), spread)
 
-    return _kept_achromatic.get_or_make((hf.heights_um.tobytes(), hf.shape, hf.pitch_um), make)
+    return _kept_achromatic.get_or_make(_key_of(hf), make)
+
+
+def _key_of(hf: HeightField) -> tuple[object, ...]:
+    """What factors depend on; a hash of the heights, which may be large."""
+    return hashlib.sha256(np.ascontiguousarray(hf.heights_um).data).digest(), hf.shape, hf.pitch_um
+
+
+def _seen_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions that fill the hemisphere evenly by both angles, (n, 3), and a wavelength of each [µm], (n,).
+
+    By the additive recurrence of Roberts (2018) in three dimensions; wavelengths are as many as is seen of them. Each
+    light has a twin in its mirror direction: what one order sends back fixes but the product of both factors there, and
+    theirs are then alike.
+    """
+    places = (0.5 + np.outer(np.arange(_LIGHTS // 2), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
+    polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
+    sine = np.sin(polar)
+    lights = np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=1)
+    return np.concatenate([lights, lights * (-1.0, -1.0, 1.0)]), np.tile(1e-3 * _seen_nm(places[:, 2]), 2)
 
 
 def _seen_nm(shares: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -190,20 +231,15 @@ def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
     return np.concatenate([nodes, nodes + _AROUND], axis=1), weights
 
 
-def _lights(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions that fill the hemisphere evenly by both angles, (n, 3), and a third number of each, 0 to 1, (n,).
-
-    By the additive recurrence of Roberts (2018) in three dimensions.
-    """
-    places = (0.5 + np.outer(np.arange(count), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
-    polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
-    sine = np.sin(polar)
-    return np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=1), places[:, 2]
-
-
-def _flux(lights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What each of these stands for: dω cos θ, (n,)."""
-    return np.asarray(lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2))
+def _grid() -> NDArray[np.float64]:
+    """The grid's directions, (n, 3), with each also its mirror direction."""
+    z = 1.0 - (1.0 - LOWEST) * (np.arange(_POLAR)[:, None] / (_POLAR - 1.0)) ** 2
+    turn = 4.0 * np.arange(_AROUND) / _AROUND
+    # The inverse of ``grid_weights``: y's share of |x| + |y|, and x's.
+    y = np.abs((turn + 1.0) % 4.0 - 2.0) * -1.0 + 1.0
+    x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
+    level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
+    return np.stack([level * x, level * y, z + 0.0 * x], axis=-1).reshape(-1, 3)
 
 
 def _leaving(
@@ -223,14 +259,15 @@ def _leaving(
 @on_one_thread()
 def factors_of(hf: HeightField, wavelengths_nm: tuple[float, ...]) -> EnergyFactors:
     """The factors of a height field on a grid of directions, at some wavelengths; kept for the next call."""
-    key = hf.heights_um.tobytes(), hf.shape, hf.pitch_um, wavelengths_nm
+    check_cycles(hf, 2e3 / min(wavelengths_nm))
+    key = *_key_of(hf), wavelengths_nm
 
     def make() -> EnergyFactors:
         shortest = 1e-3 * min(wavelengths_nm)
         powers = Powers(hf, 2.0 / shortest, _BIN / (1e-3 * max(wavelengths_nm)))
-        lights, _ = _lights(_LIGHTS_OF_WAVELENGTH)
-        values = [_solved(powers, lights, np.full(len(lights), 1e-3 * each))[0] for each in wavelengths_nm]
-        return EnergyFactors(np.array(wavelengths_nm), np.stack(values))
+        grid = _grid()
+        values = [_balanced(_shared_out(powers, grid, np.full(len(grid), 1e-3 * each))) for each in wavelengths_nm]
+        return EnergyFactors(np.array(wavelengths_nm), np.stack(values).reshape(-1, _POLAR, _AROUND))
 
     return _kept.get_or_make(key, make)
 
@@ -239,30 +276,16 @@ _kept: LruCache[EnergyFactors] = LruCache(_KEPT)
 _kept_achromatic: LruCache[AchromaticFactors] = LruCache(_KEPT)
 
 
-def _solved(
+def _shared_out(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The factor a on the grid, (n, m), and what lights, each of a wavelength, then send back of what comes in, (k,).
-
-    Sums from single directions jump where orders pass the horizon, so that the grid's are means of many lights, each
-    shared out to the nodes around it, as what leaves is.
-    """
-    nodes, weights = grid_weights(lights)
-    entering, leaving = np.zeros((2, len(lights), _POLAR * _AROUND))
-    np.put_along_axis(entering, nodes, weights, axis=1)
+) -> NDArray[np.float64]:
+    """K from lights (n, 3), of a wavelength each, to the grid's directions, which orders are shared out to, (n, m)."""
+    result = np.empty((len(lights), _POLAR * _AROUND))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, found = _leaving(powers, light, wavelength_um)
-        at, shares = grid_weights(views)
-        leaving[row] = np.bincount(at.ravel(), (shares * found[:, None]).ravel(), leaving.shape[1])
-    # The normal is one direction, whatever the angle around it.
-    entering, leaving = (
-        np.column_stack([each[:, :_AROUND].sum(axis=1), each[:, _AROUND:]]) for each in (entering, leaving)
-    )
-    incoming = entering * _flux(lights)[:, None]
-    exchanged = incoming.T @ leaving
-    factors = _balanced((exchanged + exchanged.T) / (2.0 * incoming.sum(axis=0)[:, None]))
-    values = np.concatenate([np.full(_AROUND, factors[0]), factors[1:]]).reshape(_POLAR, _AROUND)
-    return values, (entering @ factors) * (leaving @ factors)
+        nodes, weights = grid_weights(views)
+        result[row] = np.bincount(nodes.ravel(), (weights * found[:, None]).ravel(), result.shape[1])
+    return result
 
 
 def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -278,7 +301,7 @@ def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factors a with a (K a) = 1 of a matrix whose rows are those of a symmetric one, (n,)."""
+    """The factors a with a (K a) = 1 of a matrix that is symmetric but for what quadratures leave, (n,)."""
     factors = np.ones(len(matrix))
     for _ in range(_SWEEPS):
         before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))
