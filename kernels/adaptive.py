@@ -450,18 +450,18 @@ def accumulate(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     errors: wp.array(dtype=wp.float32),
-    is_rim: wp.bool,
+    is_part: wp.bool,
     first: wp.int32,
     run: wp.int32,
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f),
     errors_out: wp.array(dtype=wp.float32),
-    rims_out: wp.array(dtype=wp.vec2f),
+    parts_out: wp.array(dtype=wp.vec2f),
 ):
-    """Add a light's colours, and what they err by, to others; of a lobe at a disc's rim also ‖XYZ‖ and its square."""
+    """Add a light's colours, and what they err by, to others; of a lobe of a disc also ‖XYZ‖ and its square."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]
         errors_out[i] = errors_out[i] + errors[i]
-        if is_rim:
-            rims_out[i] = rims_out[i] + wp.vec2f(wp.length(colours[i]), wp.length_sq(colours[i]))
+        if is_part:
+            parts_out[i] = parts_out[i] + wp.vec2f(wp.length(colours[i]), wp.length_sq(colours[i]))

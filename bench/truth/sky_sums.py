@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 _ACROSS = 16
 # Distance of a ray's directions, in deviations of the lobes, and rays that are summed together.
 _STEP, _RAYS = 1.2, 16
+# The share of directions by way of a mirror that lie within its lobe.
+_CORE = 0.25
 
 
 class SkySums:
@@ -64,9 +66,11 @@ class SkySums:
         return np.argwhere(windows[::_ACROSS, ::_ACROSS] == 0)
 
     def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
-        """XYZ of pixels under a light of a size, by ``across``² rays each, every one from a point of the disc, (n, 3).
+        """XYZ of pixels under a light of a size, by ``across``² rays each, (n, 3).
 
-        Rays are stratified over the filter, and points over the disc, in an order of their own.
+        Rays are stratified over the filter, and so are directions, in an order of their own: a point of the disc for
+        one half of the rays, and for the other a direction by way of a mirror, as far from its own as that has digits.
+        Points of the disc alone tell of a mirror that all of it is dark, but for one in ten thousand.
         """
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
@@ -74,21 +78,55 @@ class SkySums:
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         aside /= np.linalg.norm(aside)
         ends = np.stack([aside, np.cross(axis, aside), axis])
+        narrowest = math.cos(math.radians(light.angular_diameter_deg / 2.0))
+        whole = 2.0 * math.pi * (1.0 - narrowest)
         result = np.zeros((len(pixels), 3))
         for index, pixel in enumerate(pixels):
             at = self._rays(pixel, cells, across, rng)
             axes = self._axes[at[:, 0], at[:, 1]].astype(np.float64)
             share = (rng.permutation(cells) + rng.random(cells.shape)) / across
+            views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])
             # Equal shares of the solid angle.
-            cosine = 1.0 - share[:, 0] * (1.0 - math.cos(math.radians(light.angular_diameter_deg / 2.0)))
+            cosine = 1.0 - share[:, 0] * (1.0 - narrowest)
             sine, around = np.sqrt(1.0 - cosine**2), 2.0 * math.pi * share[:, 1]
             along = np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=-1) @ ends
             lights = np.einsum("nkc,nc->nk", axes[:, :3], along)
-            views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])
-            above = lights[:, 2] > 0.0
-            rho = wd.reflectance(self._hf, lights[above], views[above], coherence=self._coherence, plan=self._plan)
-            result[index] = rho.sum(axis=0) / len(cells)
+            mirrored = rng.random(len(cells)) < 0.5
+            aside_xy = self._far_from_mirror(share)
+            lights[mirrored, :2] = -views[mirrored, :2] + aside_xy[mirrored]
+            level2 = np.sum(lights[mirrored, :2] ** 2, axis=1)
+            lights[mirrored, 2] = np.sqrt(np.maximum(1.0 - level2, 0.0))
+            inside = np.einsum("nk,nkc,c->n", lights, axes[:, :3], axis) >= narrowest * (1.0 - 1e-12)
+            counted = inside & (lights[:, 2] > 0.0)
+            lights, views = lights[counted], views[counted]
+            # Whichever way a direction came, by either.
+            density = 0.5 / whole + 0.5 * lights[:, 2] * self._density(np.hypot(*(lights + views)[:, :2].T))
+            rho = wd.reflectance(self._hf, lights, views, coherence=self._coherence, plan=self._plan)
+            result[index] = (1.0 / (whole * density)) @ rho / len(cells)
         return light.power * result
+
+    @property
+    def _mirror(self) -> tuple[float, float]:
+        """Up to where directions by way of a mirror are even in (u, v), and the logarithm of how far all go beyond."""
+        within = 0.05 / (self._coherence.sigma_um or math.inf)
+        return within, math.log(2.0 / within)
+
+    def _far_from_mirror(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(u, v) of such directions, for pairs of numbers from 0 to 1, (n, 2)."""
+        within, digits = self._mirror
+        radius = np.where(
+            share[:, 0] < _CORE,
+            within * np.sqrt(share[:, 0] / _CORE),
+            within * np.exp(digits * (share[:, 0] - _CORE) / (1.0 - _CORE)),
+        )
+        around = 2.0 * math.pi * share[:, 1]
+        return np.stack([radius * np.cos(around), radius * np.sin(around)], axis=-1)
+
+    def _density(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How densely these lie over (u, v)."""
+        within, digits = self._mirror
+        beyond = (1.0 - _CORE) / (2.0 * math.pi * digits * np.maximum(radius, within) ** 2)
+        return np.where(radius < within, _CORE / (math.pi * within**2), np.where(radius < 2.0, beyond, 0.0))
 
     @staticmethod
     def _rays(

@@ -52,8 +52,8 @@ _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 _BOUND_OF_BOTH = 1.1
 # What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
 _ERROR_PER_COARSENESS = 0.7
-# What a light of a size errs by, of how unevenly lobes at its rim add: what is behind a rim is all wrong.
-_ERROR_PER_RIM = 0.6
+# What a light of a size errs by, of how unevenly its lobes add: pixels that few of them light show their edges.
+_ERROR_PER_LOBE = 0.3
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
 # Power of lights at a place, at a distance of the mesh's radius: squares of colours near them are float32.
@@ -118,8 +118,8 @@ class Frame:
         # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
-        # ‖XYZ‖ of what lobes at the rims of discs add, and its squares; or empty.
-        self._rims = wp.empty(0, dtype=wp.vec2f, device=device)
+        # ‖XYZ‖ of what several lobes of discs add, and its squares; or empty.
+        self._lobes = wp.empty(0, dtype=wp.vec2f, device=device)
         # Under skies, what pixels' own rays err by; or empty.
         self._estimates = self._no_estimates = wp.empty(0, dtype=wp.vec2f, device=device)
         # Through which pixels an edge passes, as cells have found.
@@ -136,7 +136,7 @@ class Frame:
         self._energy_spread = 0.0
         self._to_lights: list[tuple[float, float, float]] = []
         self._have_sizes: list[bool] = []
-        self._are_rims: list[bool] = []
+        self._are_parts: list[bool] = []
         self._at_places: list[bool] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
@@ -217,7 +217,7 @@ class Frame:
         self._lights.strengths.assign(np.array(strengths))
         self._lights.white_rgb.assign(np.array(whites))
         self._have_sizes = [each.deviations is not None for each in lights]
-        self._are_rims = [each.is_rim for each in lights]
+        self._are_parts = [each.is_part for each in lights]
         deviations = [np.zeros((2, 3)) if each.deviations is None else each.deviations for each in lights]
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
         self._to_lights = [each.to_light for each in lights]
@@ -275,8 +275,8 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
-        sizes, rims, places = tuple(self._have_sizes), tuple(self._are_rims), tuple(self._at_places)
-        return tuple(self._skies), sizes, rims, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
+        sizes, parts, places = tuple(self._have_sizes), tuple(self._are_parts), tuple(self._at_places)
+        return tuple(self._skies), sizes, parts, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(self, hf: HeightField, window: Coherence) -> tuple[DirectionRange, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them.
@@ -410,9 +410,9 @@ class Frame:
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
             self._edges = wp.empty(self._size, dtype=wp.bool, device=self._device)
-        if any(self._are_rims) and not len(self._rims):
-            self._rims = wp.empty(self._size, dtype=wp.vec2f, device=self._device)
-        self._rims.zero_()
+        if any(self._are_parts) and not len(self._lobes):
+            self._lobes = wp.empty(self._size, dtype=wp.vec2f, device=self._device)
+        self._lobes.zero_()
         left_out = self._left_out_buffer(integrator)
         several, colours = len(self._to_lights) > 1, self._colours_of_one
         errors = self._errors[several]
@@ -440,8 +440,8 @@ class Frame:
             if rest is not None:
                 rest(1.0)
             if several:
-                inputs = [colours, errors, self._are_rims[light_index]]
-                sums = [self._sums[0], self._errors[0], self._rims]
+                inputs = [colours, errors, self._are_parts[light_index]]
+                sums = [self._sums[0], self._errors[0], self._lobes]
                 self._launch([KernelCall(adaptive.accumulate, inputs, sums, in_runs=True)])
 
     def _scheduled(self, light: adaptive_sampling.LightRefinement) -> HostSchedule | DeviceSchedule:
@@ -625,10 +625,10 @@ class Frame:
             errors = _BOUND_OF_BOTH * np.hypot(errors, self._seen_of(self._errors[0])[lit])
         if any(self._skies):
             errors = errors + _ERROR_PER_COARSENESS * self._seen_of(self._estimates)[lit, 1]
-        if count := sum(self._are_rims):
-            # A rim of lobes is softer than the disc's, which shows where one of them adds more than others do.
-            total, squares = self._seen_of(self._rims)[lit].T
-            errors = np.hypot(errors, _ERROR_PER_RIM * np.sqrt(np.maximum(squares - total**2 / count, 0.0)))
+        if count := sum(self._are_parts):
+            # They are softer than the disc, and not quite even, which shows where some of them add more than others do.
+            total, squares = self._seen_of(self._lobes)[lit].T
+            errors = np.hypot(errors, _ERROR_PER_LOBE * np.sqrt(np.maximum(squares - total**2 / count, 0.0)))
         error = np.zeros(lit.shape, dtype=np.float32)
         error[lit] = relative_errors(errors, seen)
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING
@@ -20,10 +21,13 @@ if TYPE_CHECKING:
 MOST_POWER = 1e12
 # Softboxes: beyond, a light is an environment.
 _WIDEST_DEG = 60.0
-# A light up to this wide is one Gaussian; of a wider one there are lobes of so much of it each, up to so many, and each
-# is as wide as is even between them: a deviation of so many radii of its part.
-ONE_LOBE_DEG, _LOBE_DEG, _MOST_LOBES, _LOBE_WIDTH = 5.0, 2.5, 128, 0.9
+# A light up to this wide is one Gaussian. A wider one is rings of them: the outermost so wide, and each further in twice
+# as wide up to a limit. A lobe is as long along its ring as its bend allows, with a deviation of so many of its lengths.
+ONE_LOBE_DEG, _RIM_DEG, _RING_DEG, _BEND, _LOBE_WIDTH = 5.0, 0.35, 2.5, 1.3, 0.6
+_FEWEST_OF_RING = 6
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+# Where lobes are made even together: so many radii, and angles around.
+_EVEN_RADII, _EVEN_AROUND = 256, 16
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class Lobe:
         position: Where it is, world frame, from where its power falls off by the square of the distance; None is
             infinitely far away. ``to_light`` is then of no account.
         sky: Light from all directions, in place of all of these; the power is 1.
-        is_rim: Whether it is one of a disc's that make its rim, which is softer than the disc's.
+        is_part: Whether it is one of several of a disc, which together are not quite even.
     """
 
     to_light: tuple[float, float, float]
@@ -107,7 +111,7 @@ class Lobe:
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
     sky: SkyLight | None = None
-    is_rim: bool = False
+    is_part: bool = False
 
     @property
     def illuminants(self) -> tuple[str | Spectrum, ...]:
@@ -121,41 +125,78 @@ class Lobe:
 
 
 def lobes_of(light: DirectionalLight | PointLight) -> list[Lobe]:
-    """The lobes that stand for a light: their directions have the mean and the variance of its disc.
-
-    A disc of radius α has a variance of α²/4 along either axis. Several lobes lie on a spiral by the golden angle, each
-    in the middle of as large a part of a disc that is smaller by what they themselves spread.
-    """
+    """The lobes that stand for a light: one of up to 5° has the mean and the variance of its disc, several its rim."""
     if isinstance(light, PointLight):
         return [Lobe((0.0, 0.0, 1.0), light.illuminant, light.power, position=light.position)]
     radius = math.radians(light.angular_diameter_deg / 2.0)
     if radius == 0.0:
         return [Lobe(light.to_light, light.illuminant, light.power)]
-    if light.angular_diameter_deg <= ONE_LOBE_DEG:
-        deviations = radius / 2.0 * at_right_angles(np.asarray(light.to_light))
-        return [Lobe(light.to_light, light.illuminant, light.power, deviations)]
-    count = min(math.ceil((light.angular_diameter_deg / _LOBE_DEG) ** 2), _MOST_LOBES)
-    spread = _LOBE_WIDTH * radius / math.sqrt(count)
-    inner = math.sqrt(radius**2 - 4.0 * spread**2)
     axis = np.asarray(light.to_light)
     aside, other = at_right_angles(axis)
-    index = np.arange(count) + 0.5
-    # Equal parts of the solid angle.
-    cosine = 1.0 - index / count * (1.0 - math.cos(inner))
-    sine, around = np.sqrt(1.0 - cosine**2), _GOLDEN_ANGLE * index
-    towards = cosine[:, None] * axis + sine[:, None] * (
-        np.cos(around)[:, None] * aside + np.sin(around)[:, None] * other
-    )
-    power = light.power / count
-    # Those whose part of the disc reaches its rim: of a spiral the last ones.
-    inside = count - math.ceil(2.0 * math.sqrt(math.pi * count))
-    return [
-        Lobe(
-            (float(each[0]), float(each[1]), float(each[2])), light.illuminant, power, spread * at_right_angles(each),
-            is_rim=number >= inside,
-        )
-        for number, each in enumerate(towards)
-    ]  # fmt: skip
+    if light.angular_diameter_deg <= ONE_LOBE_DEG:
+        return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0 * np.stack([aside, other]))]
+    result = []
+    for polar, around, across, along, share in _lobes_of_disc(light.angular_diameter_deg):
+        outwards = math.cos(around) * aside + math.sin(around) * other
+        x, y, z = (math.cos(polar) * axis + math.sin(polar) * outwards).tolist()
+        deviations = [
+            across * (math.cos(polar) * outwards - math.sin(polar) * axis),
+            along * (math.cos(around) * other - math.sin(around) * aside),
+        ]
+        power = light.power * share
+        result.append(Lobe((x, y, z), light.illuminant, power, np.stack(deviations), is_part=True))
+    return result
+
+
+@functools.lru_cache(maxsize=64)
+def _lobes_of_disc(diameter_deg: float) -> tuple[tuple[float, float, float, float, float], ...]:
+    """Rings of lobes that a disc is even under: thin ones at its rim, and each as long as its ring's bend allows.
+
+    Lengths are those of a plane in which equal areas are equal solid angles. What ring by ring the lobes of one have of
+    the light is found by least squares against the disc.
+
+    Returns:
+        Of each lobe, angle from the disc's middle and around it, deviations outwards and around [all in radians], and
+        its share of the light.
+    """
+    edge = 2.0 * math.sin(math.radians(diameter_deg) / 4.0)
+    outer, width, turn = edge, math.radians(_RIM_DEG), 0.0
+    rings: list[NDArray[np.float64]] = []
+    while outer > 0.0:
+        inner = outer - width
+        if inner < 0.6 * width:
+            # What is left is one lobe.
+            rings.append(np.array([[0.0, 0.0, _LOBE_WIDTH * outer, _LOBE_WIDTH * outer]]))
+            break
+        middle = (outer + inner) / 2.0
+        longest = max(width, math.sqrt(_BEND * middle * width))
+        count = max(math.ceil(2.0 * math.pi * middle / longest), _FEWEST_OF_RING)
+        across, along = _LOBE_WIDTH * width, _LOBE_WIDTH * 2.0 * math.pi * middle / count
+        # Both ends of a straight lobe lie further out than the ring.
+        bent = middle - (along**2 - across**2) / (2.0 * middle)
+        around = turn + 2.0 * math.pi * np.arange(count) / count
+        rings.append(np.column_stack([np.full(count, bent), around, np.full(count, across), np.full(count, along)]))
+        outer, width, turn = inner, min(2.0 * width, math.radians(_RING_DEG)), turn + _GOLDEN_ANGLE
+    radii = 1.1 * edge * np.sqrt((np.arange(_EVEN_RADII) + 0.5) / _EVEN_RADII)
+    at, angle = (each.ravel() for each in np.meshgrid(radii, 2.0 * math.pi * np.arange(_EVEN_AROUND) / _EVEN_AROUND))
+    angle = angle + _GOLDEN_ANGLE * np.searchsorted(radii, at)
+    shown = np.column_stack([_density(ring, at, angle) for ring in rings])
+    powers = np.linalg.lstsq(shown, (at < edge).astype(np.float64), rcond=None)[0]
+    shares = np.concatenate([np.full(len(ring), power) for ring, power in zip(rings, powers, strict=True)])
+    middles, around, across, along = np.concatenate(rings).T
+    polar = 2.0 * np.arcsin(middles / 2.0)
+    stretch = np.cos(polar / 2.0)
+    found = np.column_stack([polar, around, across / stretch, along * stretch, shares / shares.sum()])
+    return tuple(map(tuple, found.tolist()))
+
+
+def _density(ring: NDArray[np.float64], radius: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sum of a ring's lobes, of power 1 each, in the plane, shape of ``radius``."""
+    middle, around, across, along = ring[:, :, None].transpose(1, 0, 2)
+    outwards = radius * np.cos(angle - around) - middle
+    aside = radius * np.sin(angle - around)
+    exponents = (outwards / across) ** 2 + (aside / along) ** 2
+    return np.asarray((np.exp(-0.5 * exponents) / (2.0 * math.pi * across * along)).sum(axis=0))
 
 
 def at_right_angles(axis: NDArray[np.float64]) -> NDArray[np.float64]:
