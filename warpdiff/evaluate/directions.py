@@ -346,7 +346,9 @@ class _Call:
         else:
             self.plan = request.plan
             warn_outside(self.plan, request.hf, self._scope)
-        self.plan = replace(self.plan, energy_spread=0.0 if energy is None else energy.spread)
+        spread = 0.0 if energy is None else energy.spread
+        if spread != self.plan.energy_spread:
+            self.plan = replace(self.plan, energy_spread=spread)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
         """The values of a pair of single directions without the axis of directions."""

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 MOST_POWER = 1e12
 # Softboxes: beyond, a light is an environment.
 _WIDEST_DEG = 60.0
-# A light up to this wide is one Gaussian. A wider one is rings of them: the outermost so wide, and each further in twice
-# as wide up to a limit. A lobe is as long along its ring as its bend allows, with a deviation of so many of its lengths.
+# A light up to this wide is one Gaussian. A wider one is rings of them, so wide at the rim and each further in twice as
+# wide, up to a limit. A lobe is as long along its ring as its bend allows; its deviation is so much of its length.
 ONE_LOBE_DEG, _RIM_DEG, _RING_DEG, _BEND, _LOBE_WIDTH = 5.0, 0.35, 2.5, 1.3, 0.6
 _FEWEST_OF_RING = 6
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
