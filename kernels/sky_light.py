@@ -216,8 +216,7 @@ def gain_of(
         gain *= wp.min(wp.min(z, sight.view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
     else:
         gain *= beyond
-    if reflection.energy.shape[0] > 0:
-        gain *= sight.energy * energy_factor(reflection, light)
+    gain *= sight.energy * energy_factor(reflection, light)
     rest = 1.0 - wp.min(cosine, 1.0)
     beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
     return gain * (1.0 + beyond_normal * rest * rest * rest * rest * rest)

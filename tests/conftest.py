@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soaking
+import trimesh
 
 # What tests compute is not kept in the user's folder.
 os.environ["WARPDIFF_CACHE_DIR"] = ""
@@ -104,6 +105,14 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
     s = np.sqrt(1.0 - z * z)
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+
+
+@pytest.fixture(scope="session")
+def square() -> trimesh.Trimesh:
+    """A flat square in the plane z = 0, of 2 a side, its x along +x."""
+    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
 
 
 def at_angle(theta_deg: float | np.ndarray) -> np.ndarray:

@@ -159,6 +159,13 @@ def _scaled(fov_deg: float, factor: float) -> float:
     return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
 
 
+def finer(view: wd.View, points: int, margin: int) -> wd.View:
+    """A view of as many points along a side of each pixel, of pixels beyond its edge, too."""
+    width, height = view.width + 2 * margin, view.height + 2 * margin
+    fov = _scaled(view.fov_y_deg, height / view.height)
+    return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)
+
+
 def truth(given: Crop, tolerance: float) -> Truth:
     """The truth of a crop."""
     found, few = (filtered(given, tolerance, points) for points in (POINTS, FEWER))
@@ -167,9 +174,7 @@ def truth(given: Crop, tolerance: float) -> Truth:
 
 def filtered(given: Crop, tolerance: float, points: int) -> Truth:
     """A crop by so many points along a side of a pixel."""
-    width, height = WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN
-    fov = _scaled(given.view.fov_y_deg, height / HEIGHT)
-    view = dataclasses.replace(given.view, fov_y_deg=fov, width=width * points, height=height * points)
+    view = finer(given.view, points, MARGIN)
     image = wd.shade(
         given.mesh, given.hf, given.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
         pigment=0.0,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import itertools
 import math
 import sys
 import time
@@ -238,22 +239,31 @@ def _mirrors() -> dict[str, wd.HeightField]:
     return {name: make() for name, make in SURFACES.items()} | ({} if scan is None else {"scan": scan})
 
 
+def furnace_picture(
+    hf: wd.HeightField, energy: str, *, directions: int, tolerance: float, size: int
+) -> tuple[wd.Image, np.ndarray]:
+    """A sphere that is a perfect mirror under an even sky of 1, and how far pixels are from its middle, in radii."""
+    ball = trimesh.creation.icosphere(4)
+    radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))
+    image = wd.shade(
+        ball, hf, wd.Environment(np.ones((4, 8, 3)), directions=directions),
+        wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.02, width=size, height=size), coherence=WINDOW,
+        tolerance=tolerance, ior=math.inf, masking=False, energy=energy, refine=False, shadows=False,
+        tangents=np.cross([0.0, 1.0, 0.01], ball.vertex_normals),
+    )  # fmt: skip
+    return image, radius
+
+
 def furnace(directions: int) -> None:
     """Print how far a sphere that is a perfect mirror is from the even sky around it, with both forms of energy."""
-    ball = trimesh.creation.icosphere(4)
-    tangents = np.cross([0.0, 1.0, 0.01], ball.vertex_normals)
-    even = wd.Environment(np.ones((4, 8, 3)), directions=directions)
-    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.02, width=48, height=48)
-    radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(np.arange(48) + 0.5) / 24.0 - 1.0]))
-    rings = [(radius >= low) & (radius < high) for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 0.985))]
     print("\n| sphere | energy | sin θr to 0.5 | to 0.8 | to 0.95 | to 0.985 | told |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name, hf in _mirrors().items():
         for energy in ("stam", "normalised"):
-            image = wd.shade(
-                ball, hf, even, view, coherence=WINDOW, tolerance=5e-2, ior=math.inf, masking=False, energy=energy,
-                refine=False, tangents=tangents, shadows=False,
-            )  # fmt: skip
+            image, radius = furnace_picture(hf, energy, directions=directions, tolerance=5e-2, size=48)
+            rings = [
+                (radius >= low) & (radius < high) for low, high in itertools.pairwise((0.0, 0.5, 0.8, 0.95, 0.985))
+            ]
             off = [math.sqrt(np.mean((image.xyz[ring, 1] - 1.0) ** 2)) for ring in rings]
             told = " | ".join(f"{each:.3f}" for each in (*off, image.plan.energy_spread))
             print(f"| {name} | {energy} | {told} |", flush=True)

@@ -13,6 +13,7 @@ from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
 from warpdiff import meshes
+from warpdiff.bench.studies.crops import finer
 from warpdiff.kernels import adaptive as kernels
 from warpdiff.kernels import cell_levels
 from warpdiff.render import host_schedule, pixel_filters
@@ -54,13 +55,6 @@ def lumpy(subdivisions=3):
 
 
 BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "lumpy": lumpy}
-
-
-def finer(camera, points, margin):
-    """A view of as many points along a side of each pixel, of pixels beyond its edge, too."""
-    width, height = camera.width + 2 * margin, camera.height + 2 * margin
-    fov = 2.0 * np.degrees(np.arctan(np.tan(np.radians(camera.fov_y_deg) / 2.0) * height / camera.height))
-    return dataclasses.replace(camera, fov_y_deg=fov, width=points * width, height=points * height)
 
 
 def by_points(mesh, hf, light, camera, plan, points=36):

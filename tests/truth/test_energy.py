@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-import trimesh
 
 import warpdiff as wd
+from warpdiff.bench.studies.lights import furnace_picture
 from warpdiff.fourier import energy_balance
 
 WINDOW = wd.Coherence(sigma_um=8.0)
@@ -17,12 +17,6 @@ SURFACES = {
     "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08),
     "blazed": lambda: wd.gratings.blazed(2.5, 0.25),
 }
-
-
-def square():
-    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
-    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
-    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
 
 
 def at(polar_deg, azimuth_deg):
@@ -36,23 +30,15 @@ def seen_from(towards):
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
     """The furnace, over the views that a sphere shows: the factors are made without any sky."""
-    ball = trimesh.creation.icosphere(4)
-    tangents = np.cross([0.0, 1.0, 0.01], ball.vertex_normals)
-    even = wd.Environment(np.ones((4, 8, 3)), directions=512)
-    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=20, height=20)
-    radius = np.hypot(*np.meshgrid(*2 * [(np.arange(20) + 0.5) / 10.0 - 1.0]))
     off = []
     for energy in energy_balance.FORMS:
-        image = wd.shade(
-            ball, SURFACES["blazed"](), even, view, energy=energy, tolerance=1e-1, refine=False, tangents=tangents,
-            shadows=False, **MIRROR,
-        )  # fmt: skip
+        image, radius = furnace_picture(SURFACES["blazed"](), energy, directions=512, tolerance=1e-1, size=20)
         off.append(np.sqrt(np.mean((image.xyz[radius < 0.85, 1] - 1.0) ** 2)))
     assert off[1] < 0.08
     assert off[1] < 0.7 * off[0]
 
 
-def test_pictures_have_the_factors_of_single_directions():
+def test_pictures_have_the_factors_of_single_directions(square):
     """What kernels do to a light, a lamp, and each of a ``Renderer``'s pictures, and NumPy to directions."""
     hf, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_balance.achromatic_factors(hf)
@@ -64,13 +50,13 @@ def test_pictures_have_the_factors_of_single_directions():
     options |= {"energy": "normalised", "footprint": False}
     lamp = wd.PointLight(1e4 * np.array(light), power=1e8)
     lights = wd.DirectionalLight(light), lamp
-    images = [wd.shade(square(), hf, each, seen_from(view), **options) for each in lights]
-    renderer = wd.Renderer(square(), hf, lights[1], seen_from(view), **options)
+    images = [wd.shade(square, hf, each, seen_from(view), **options) for each in lights]
+    renderer = wd.Renderer(square, hf, lights[1], seen_from(view), **options)
     renderer.draw(lights[0])
     for image in (*images, renderer.image()):
         np.testing.assert_allclose(image.xyz[1, 1], rho, rtol=4e-3)
         assert "Energy is normalised" in str(image.plan)
-    assert "nergy" not in str(wd.shade(square(), hf, lights[0], seen_from(view), **MIRROR).plan)
+    assert "nergy" not in str(wd.shade(square, hf, lights[0], seen_from(view), **MIRROR).plan)
 
 
 def test_normalised_maps_are_reciprocal_and_say_what_they_are():

@@ -17,7 +17,6 @@ from warpdiff.scene.sky_map import blurred_grids, maps_of, suns_of
 from warpdiff.tables.sky_table import cells, tree
 
 WINDOW = wd.Coherence(sigma_um=8.0)
-SQUARE = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
 UNDER = {"coherence": WINDOW, "tolerance": 1e-1, "ior": math.inf, "refine": False, "pigment": 0.0}
 
 
@@ -29,12 +28,6 @@ def middles(height):
     along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
     edges = np.cos(np.arange(height + 1) / height * math.pi)
     return np.stack(along, axis=-1), (edges[:-1] - edges[1:])[:, None] * math.pi / height
-
-
-@pytest.fixture(scope="module")
-def mirror():
-    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
-    return trimesh.Trimesh(SQUARE, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
 
 
 def seen_at(degrees):
@@ -97,14 +90,14 @@ def test_cells_are_even_and_more_where_more_are_asked_for():
 @pytest.mark.parametrize(
     ("degrees", "tolerance", "within"), [slow(40.0, 3e-2, 0.01), (40.0, 1e-1, 0.02), (80.0, 1e-1, 0.03)]
 )
-def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(degrees, tolerance, within, mirror):
+def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(degrees, tolerance, within, square):
     hf = wd.gratings.fingers(size_um=6.4, pitch_um=0.08)
     along = middles(64)[0]
     grey = 1.0 + 0.8 * along[..., 1] + 0.5 * np.sin(3.0 * along[..., 0] + 1.0)
     window = wd.Coherence(sigma_um=4.0)
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
-    found = wd.shade(mirror, hf, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz[1, 1]
+    found = wd.shade(square, hf, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz[1, 1]
     # dω cos θ is du dv; of grey light the spectrum is D65's, and what directions send is ρ L dω 4πσ²/λ².
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
@@ -123,7 +116,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     assert found == pytest.approx(exact, rel=within)
 
 
-def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(mirror):
+def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
     # Of 1.4° a pixel, linear between them, so that the sun reaches as far to all sides.
     hf, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     nm = np.arange(380.0, 781.0)
@@ -147,23 +140,23 @@ def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(mirror):
     )
     exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
     sky = wd.Environment(radiance, rotation_deg=150.0, directions=256)
-    found = wd.shade(mirror, hf, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
+    found = wd.shade(square, hf, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
     assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize("degrees", [50.0])
-def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(degrees, mirror):
+def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(degrees, square):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     colours = {}
     for name, rgb in {"white": (1.0, 1.0, 1.0), "red": (0.8, 0.3, 0.1)}.items():
         sky = wd.Environment(np.tile(rgb, (4, 8, 1)), directions=256 if name == "white" else 16)
-        colours[name] = wd.shade(mirror, flat, sky, seen_at(degrees), masking=False, **UNDER).rgb[1, 1]
+        colours[name] = wd.shade(square, flat, sky, seen_at(degrees), masking=False, **UNDER).rgb[1, 1]
     assert colours["white"][1] == pytest.approx(1.0, abs=2e-3)
     gold = wd.Material.metal("Au")
     even = wd.Environment(np.ones((4, 8, 3)), directions=16)
     options = UNDER | {"masking": False, "ior": None}
     shown = [
-        wd.shade(mirror, flat, even, seen_at(degrees), **options, material=material).xyz[1, 1]
+        wd.shade(square, flat, even, seen_at(degrees), **options, material=material).xyz[1, 1]
         for material in (gold, wd.Material([500.0], 1e-3, 100.0))
     ]
     nm = np.arange(380.0, 781.0)
@@ -173,10 +166,10 @@ def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(degrees, mirror):
     assert colours["red"] == pytest.approx([0.8, 0.3, 0.1], abs=3e-3)
 
 
-def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(mirror):
+def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square):
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
-    found = wd.shade(mirror, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
+    found = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
     # Its lobe is a Gaussian in (u, v); dω cos θ is du dv, and towards the horizon u is evenly walked by its angle.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
@@ -191,7 +184,7 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(mirror)
     assert found == pytest.approx(exact, rel=0.02)
 
 
-def test_turning_the_sky_turns_what_a_mirror_sees(mirror):
+def test_turning_the_sky_turns_what_a_mirror_sees(square):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view, along = seen_at(40.0), middles(32)[0]
     mirrored = np.array([-view.eye[0], -view.eye[1], view.eye[2]]) / 4.0
@@ -202,14 +195,14 @@ def test_turning_the_sky_turns_what_a_mirror_sees(mirror):
     ]  # fmt: skip
     patch = np.repeat((along @ before > math.cos(math.radians(25.0)))[..., None].astype(float), 3, axis=2) + 1e-3
     shown = [
-        wd.shade(mirror, flat, wd.Environment(patch, rotation_deg=degrees, directions=32), view, **UNDER).xyz[1, 1, 1]
+        wd.shade(square, flat, wd.Environment(patch, rotation_deg=degrees, directions=32), view, **UNDER).xyz[1, 1, 1]
         for degrees in (0.0, 70.0, -70.0)
     ]
     assert shown[1] > 0.5
     assert max(shown[0], shown[2]) < 0.05
 
 
-def test_a_sky_is_seen_behind_a_picture(mirror):
+def test_a_sky_is_seen_behind_a_picture(square):
     along = middles(32)[0]
     sky = wd.Environment(0.5 + 0.5 * along, scale=2.0)
     view = wd.View((0.3, 0.2, 5.0), (0, 0, 0), fov_y_deg=70, width=12, height=8)
@@ -220,7 +213,7 @@ def test_a_sky_is_seen_behind_a_picture(mirror):
         y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / 8)
         towards = x * frame.right + y * frame.up - frame.back
         assert behind[row, column] == pytest.approx(1.0 + towards / np.linalg.norm(towards), abs=0.01)
-    picture = wd.shade(mirror, wd.HeightField(np.zeros((8, 8)), 0.09), wd.DirectionalLight((0, 0, 1)), view, **UNDER)
+    picture = wd.shade(square, wd.HeightField(np.zeros((8, 8)), 0.09), wd.DirectionalLight((0, 0, 1)), view, **UNDER)
     shown = picture.display(display="clip", exposure=0.5, background=behind)
     empty = ~picture.mask
     linear = 0.5 * behind[empty]
@@ -230,7 +223,7 @@ def test_a_sky_is_seen_behind_a_picture(mirror):
         picture.display(background=np.ones((4, 4, 3)))
 
 
-def test_files_are_read_and_refused(tmp_path, mirror):
+def test_files_are_read_and_refused(tmp_path, square):
     import OpenImageIO as oiio  # noqa: N813
 
     given = np.random.default_rng(7).random((8, 16, 3)).astype(np.float32)
@@ -253,19 +246,19 @@ def test_files_are_read_and_refused(tmp_path, mirror):
     sky, flat = wd.Environment(given), wd.HeightField(np.zeros((8, 8)), 0.09)
     for coherence in (wd.Coherence("source"), wd.Coherence("centred")):
         with pytest.raises(ValueError, match=r"light\[0\]: an Environment takes coherence of kind='averaged'"):
-            wd.shade(mirror, flat, sky, seen_at(20.0), coherence=coherence)
+            wd.shade(square, flat, sky, seen_at(20.0), coherence=coherence)
     with pytest.raises(ValueError, match="an Environment, takes footprints"):
-        wd.shade(mirror, flat, sky, seen_at(20.0), footprint=False)
+        wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
 
 
-def test_the_tolerance_says_how_many_directions_stand_for_a_sky(mirror):
+def test_the_tolerance_says_how_many_directions_stand_for_a_sky(square):
     sky, flat = wd.Environment(0.5 + 0.5 * middles(16)[0]), wd.HeightField(np.zeros((8, 8)), 0.09)
     options = UNDER | {"refine": False}
     counts = [
-        wd.shade(mirror, flat, sky, seen_at(20.0), **options | {"tolerance": each}).plan.lit_by for each in (0.5, 0.25)
+        wd.shade(square, flat, sky, seen_at(20.0), **options | {"tolerance": each}).plan.lit_by for each in (0.5, 0.25)
     ]
     assert counts == [1640, 3280]
-    picture = wd.shade(mirror, flat, wd.Environment(sky.radiance_rgb, directions=20), seen_at(20.0), **UNDER)
+    picture = wd.shade(square, flat, wd.Environment(sky.radiance_rgb, directions=20), seen_at(20.0), **UNDER)
     assert picture.plan.lit_by == 20
     assert "20 directions stand for the lights" in str(picture.plan)
 

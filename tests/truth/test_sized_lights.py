@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-import trimesh
 from conftest import slow
 
 import warpdiff as wd
@@ -116,36 +115,29 @@ def test_a_size_is_said_once_and_takes_footprints(fingers):
         wd.DirectionalLight(TOWARDS, angular_diameter_deg=61)
 
 
-def a_mirror():
-    """A flat square in the plane z = 0, of 2 a side."""
-    square = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
-    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
-    return trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
-
-
-def test_a_rim_that_is_softer_than_the_discs_is_told():
+def test_a_rim_that_is_softer_than_the_discs_is_told(square):
     """A mirror shows a disc whose rim is sharp but for the window's lobe, against sums over points of the disc."""
     flat, light = wd.HeightField(np.zeros((32, 32)), 0.09), wd.DirectionalLight((0, 0, 1), angular_diameter_deg=20.0)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=24.0, width=48, height=36)
-    image = wd.shade(a_mirror(), flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
+    image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
     # All of whose filters lie on the square.
     places = np.array([[18, column] for column in range(24, 43)])
-    exact = SkySums(a_mirror(), flat, view, SHORT).under_disc(places, light, 64, 0)
+    exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
     told = image.error[tuple(places.T)]
     # Just outside there is nothing but the window's lobe, and what is drawn there is all wrong.
     assert np.count_nonzero(errors > 1.0) >= 3
-    assert np.all(told[errors > 1.0] > 0.1)
+    assert np.all(told[errors > 1.0] > 0.4)
     assert np.all(told[:8] < 0.3)
 
 
-def test_a_mirror_under_a_wide_light_is_no_darker_than_it_should_be():
+def test_a_mirror_under_a_wide_light_is_no_darker_than_it_should_be(square):
     """Where a flat surface shows the middle of a disc, Y is the part of it that the window's lobe takes."""
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
-    image = wd.shade(a_mirror(), flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
+    image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
     # The lobe is λ/(2√2πσ) wide at each wavelength, and the light's α/2.
     middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
     lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * 8.0)) ** 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -346,9 +345,7 @@ class _Call:
         else:
             self.plan = request.plan
             warn_outside(self.plan, request.hf, self._scope)
-        spread = 0.0 if energy is None else energy.spread
-        if spread != self.plan.energy_spread:
-            self.plan = replace(self.plan, energy_spread=spread)
+        self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
         """The values of a pair of single directions without the axis of directions."""

@@ -236,7 +236,7 @@ def _grid() -> NDArray[np.float64]:
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_POLAR)[:, None] / (_POLAR - 1.0)) ** 2
     turn = 4.0 * np.arange(_AROUND) / _AROUND
     # The inverse of ``grid_weights``: y's share of |x| + |y|, and x's.
-    y = np.abs((turn + 1.0) % 4.0 - 2.0) * -1.0 + 1.0
+    y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
     return np.stack([level * x, level * y, z + 0.0 * x], axis=-1).reshape(-1, 3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.compute.device import resolve_device, resolve_threads
@@ -117,6 +117,11 @@ class Request:
     def energy_factors(self) -> energy_balance.AchromaticFactors | None:
         """What colours are multiplied by where energy is normalised."""
         return None if self.energy == "stam" else energy_balance.achromatic_factors(self.hf)
+
+    def with_energy(self, plan: Plan) -> Plan:
+        """A plan that says what the energy of this request leaves out; itself, if it does."""
+        spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
+        return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 
     @property
     def integrates(self) -> bool:

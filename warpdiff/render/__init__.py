@@ -2,5 +2,5 @@
 
 In: a mesh, a height field, lights, a view.
 Out: an ``Image``; from a ``Renderer`` many of one mesh.
-May import: core, compute, optics, surface, scene, fourier, plans, image, tables, planning, evaluate, kernels.
+May import: core, compute, optics, surface, scene, plans, image, tables, planning, evaluate, kernels.
 """

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.fourier.energy_balance import AchromaticFactors
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
     from warpdiff.plans.plan import Plan
@@ -133,7 +132,6 @@ class Frame:
         self._sky_maps: dict[SkyLight, Any] = {}
         self._transmittances: wp.array | None = None
         self._energy: wp.array | None = None
-        self._energy_spread = 0.0
         self._to_lights: list[tuple[float, float, float]] = []
         self._have_sizes: list[bool] = []
         self._are_parts: list[bool] = []
@@ -170,7 +168,7 @@ class Frame:
         normal: float,
         materials: Sequence[Material | None] = (None,),
         masking: bool = True,
-        energy: AchromaticFactors | None = None,
+        energy: NDArray[np.float32] | None = None,
         pigment: float = 0.0,
         shadows: bool = True,
     ) -> None:
@@ -183,7 +181,8 @@ class Frame:
             normal: R(0).
             materials: Those of faces; None is one by Schlick's reflectance of ``normal``.
             masking: Whether V-cavity masking is included.
-            energy: Factors that make energy whole, the same every time; None leaves Stam's as it is.
+            energy: Factors that make energy whole, as ``AchromaticFactors`` has them, the same every time; None leaves
+                Stam's as it is.
             pigment: Its strength.
             shadows: Whether the mesh may hide the lights.
         """
@@ -239,9 +238,8 @@ class Frame:
         self._reflection.normal_reflectance = normal
         self._reflection.masking = masking
         if self._energy is None:
-            values = np.zeros((0, 0), dtype=np.float32) if energy is None else energy.values
+            values = np.zeros((0, 0), dtype=np.float32) if energy is None else energy
             self._energy = wp.array(values, dtype=wp.float32, device=self._device)
-            self._energy_spread = 0.0 if energy is None else energy.spread
         self._reflection.energy = self._energy
         self._reflection.per_light_cosine = window.kind == "source"
         through = [transmittances(normal, each) for each in materials] if self.pigmented else np.zeros((0, 0, 3))
@@ -654,6 +652,5 @@ class Frame:
                 unsettled=inside,
                 unsettled_edges=at_edges,
                 errors=(told[0], told[1]),
-                energy_spread=self._energy_spread,
             ),
         )

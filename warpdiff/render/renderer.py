@@ -122,9 +122,8 @@ class Renderer:
             scope, sample, count = directions_of(request)
             if request.plan is not None:
                 warn_outside(request.plan, request.hf, scope)
-            energy = request.energy_factors
-            plan = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
-            self.plan = replace(plan, energy_spread=0.0 if energy is None else energy.spread)
+            plan = request.plan or plan_for(request, scope, sample, count)
+            self.plan = request.with_energy(wanted.with_sizes(plan))
             self._integrator = integrator or Integrator(
                 request.hf, self.plan, scope, device=request.device, threads=request.threads
             )

@@ -154,7 +154,7 @@ def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Calla
         scope, count, sample = picture.measure_directions(request.hf, request.coherence)
     if request.plan is not None:
         warn_outside(request.plan, request.hf, scope)
-    found = wanted.with_sizes(request.plan or plan_for(request, scope, sample, count))
+    found = request.with_energy(wanted.with_sizes(request.plan or plan_for(request, scope, sample, count)))
     if found.method == "direct":
         picture.sum_directly(request.hf, found, progress=progress)
     else:
@@ -264,11 +264,11 @@ class PictureRequest:
 
     def set_lights(self, picture: Frame, lights: list[Lobe]) -> None:
         """Set a picture's lights."""
-        request = self.request
+        request, energy = self.request, self.request.energy_factors
         picture.set_lights(
             lights, request.coherence, request.hf.size_um[0] * request.hf.size_um[1],
             normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
-            energy=request.energy_factors, pigment=self.pigment, shadows=self.shadows,
+            energy=None if energy is None else energy.values, pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
 
 

@@ -162,12 +162,7 @@ def _lobes_of_disc(diameter_deg: float) -> tuple[tuple[float, float, float, floa
     edge = 2.0 * math.sin(math.radians(diameter_deg) / 4.0)
     outer, width, turn = edge, math.radians(_RIM_DEG), 0.0
     rings: list[NDArray[np.float64]] = []
-    while outer > 0.0:
-        inner = outer - width
-        if inner < 0.6 * width:
-            # What is left is one lobe.
-            rings.append(np.array([[0.0, 0.0, _LOBE_WIDTH * outer, _LOBE_WIDTH * outer]]))
-            break
+    while (inner := outer - width) >= 0.6 * width:
         middle = (outer + inner) / 2.0
         longest = max(width, math.sqrt(_BEND * middle * width))
         count = max(math.ceil(2.0 * math.pi * middle / longest), _FEWEST_OF_RING)
@@ -177,6 +172,8 @@ def _lobes_of_disc(diameter_deg: float) -> tuple[tuple[float, float, float, floa
         around = turn + 2.0 * math.pi * np.arange(count) / count
         rings.append(np.column_stack([np.full(count, bent), around, np.full(count, across), np.full(count, along)]))
         outer, width, turn = inner, min(2.0 * width, math.radians(_RING_DEG)), turn + _GOLDEN_ANGLE
+    # What is left is one lobe.
+    rings.append(np.array([[0.0, 0.0, _LOBE_WIDTH * outer, _LOBE_WIDTH * outer]]))
     radii = 1.1 * edge * np.sqrt((np.arange(_EVEN_RADII) + 0.5) / _EVEN_RADII)
     at, angle = (each.ravel() for each in np.meshgrid(radii, 2.0 * math.pi * np.arange(_EVEN_AROUND) / _EVEN_AROUND))
     angle = angle + _GOLDEN_ANGLE * np.searchsorted(radii, at)
