@@ -15,6 +15,7 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.structs import Footprint
 
 # As in footprint_lookup.h.
+WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
 WIDEST_ANGLE = wp.constant(wp.float32(0.5))
 WIDEST_RATIO = wp.constant(wp.float32(0.35))
@@ -23,6 +24,13 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
+# As in ring_sum.h.
+OUTWARDS, INWARDS = wp.constant(wp.float32(3.5)), wp.constant(wp.float32(5.0))
+RINGS_APART, WITHIN = wp.constant(wp.float32(0.15)), wp.constant(wp.float32(0.5))
+INNERMOST, INNERMOST_OF_LOBE = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(0.3))
+NARROWEST = wp.constant(wp.float32(0.3))
+MOST_BLUR2, SPOKES_APART = wp.constant(wp.float32(0.7)), wp.constant(wp.float32(1.0))
+LEAST_LEFT = wp.constant(wp.float32(1.0 - 1.2 * 0.7))
 LOG_2 = wp.constant(wp.float32(math.log(2.0)))
 
 
@@ -40,6 +48,8 @@ def lookup(functions: int, source: bool = False) -> Any:
     """The kernel, whose arguments are those of ``colour_lookup.lookup(functions, source).integrate``."""
     fast = colour_lookup.lookup(functions, source)
     Colours, FootprintTaps, row_t, functions_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.functions  # noqa: N806
+    # Sums of rows, and of their weights.
+    row_w_t = wp.types.vector(length=3 * functions + 1, dtype=wp.float32)
 
     @wp.func
     def node_of(table: Colours, u: wp.float32, v: wp.float32) -> wp.float32:
@@ -219,6 +229,86 @@ def lookup(functions: int, source: bool = False) -> Any:
         return colour_of(table, row_sum, w) / wp.max(total, 1.0e-6)
 
     @wp.func
+    def on_ring(
+        table: Colours,
+        node: wp.int32,
+        level: wp.int32,
+        from_middle: wp.vec2f,
+        covariance: wp.mat22f,
+        narrow2: wp.float32,
+    ) -> row_w_t:
+        """A node's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
+        octave = node // table.nodes
+        radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
+        spokes = table.spokes[level, octave]
+        spacing = 2.0 * wp.PI / wp.float32(spokes)
+        most = MOST_BLUR2 * narrow2 / (radius * wp.max(radius, wp.length(from_middle)))
+        blur = table.blurs[level, octave]
+        blur2 = wp.min(blur * blur + 0.25 * spacing * spacing, most)
+        inverse = wp.inverse(covariance)
+        reach = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
+        result = row_w_t()
+        for spoke in range(spokes):
+            angle = wp.float32(spoke) * spacing
+            along = wp.vec2f(wp.cos(angle), wp.sin(angle))
+            across = wp.vec2f(-along[1], along[0])
+            away = radius * along - from_middle
+            slope = radius * wp.dot(across, inverse * away)
+            bend = radius * radius * wp.dot(across, inverse * across) - radius * wp.dot(along, inverse * away)
+            left = wp.max(1.0 - blur2 * bend, LEAST_LEFT)
+            exponent = wp.dot(away, inverse * away) + slope * slope * blur2 / left
+            if exponent < reach * reach:
+                weight = radius * radius * spacing * wp.exp(-0.5 * exponent) / wp.sqrt(left)
+                row = table.rows[table.first_rows[level, octave] + spoke * table.nodes + node - octave * table.nodes]
+                for k in range(wp.static(3 * functions)):
+                    result[k] += weight * row[k]
+                result[wp.static(3 * functions)] += weight
+        return result
+
+    @wp.func
+    def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, given: wp.mat22f) -> wp.vec3f:
+        """The mean colour over a wide Gaussian of (u, v): rows at nodes and spokes, by its density there."""
+        least = NARROWEST * table.lobe_uv
+        covariance = given + least * least * wp.identity(2, dtype=wp.float32)
+        half = 0.5 * wp.trace(covariance)
+        determinant = wp.max(wp.determinant(covariance), 1.0e-5 * covariance[0, 0] * covariance[1, 1])
+        widest2 = half + wp.sqrt(wp.max(half * half - determinant, 0.0))
+        narrow2 = determinant / widest2
+        middle = wp.vec2f(u, v)
+        away = wp.length(middle)
+        outermost = node_of(table, away + OUTWARDS * wp.sqrt(widest2), 0.0)
+        node = wp.min(wp.int32(outermost), table.spokes.shape[1] * table.nodes - 1)
+        nearest = wp.min(INNERMOST * wp.sqrt(narrow2), INNERMOST_OF_LOBE * table.lobe_uv)
+        innermost = wp.max(wp.max(away - INWARDS * wp.sqrt(widest2), nearest), table.least_uv)
+        apart = wp.max(wp.int32(RINGS_APART * table.per_log), 1)
+        level = wp.int32(0)
+        total = row_w_t()
+        radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
+        while node >= 0 and radius > innermost:
+            octave = node // table.nodes
+            variance = narrow2 / (radius * wp.max(radius, away))
+            serves = wp.bool(True)
+            while serves and level + 1 < table.spokes.shape[0]:
+                spacing = 2.0 * wp.PI / wp.float32(table.spokes[level + 1, octave])
+                blur = table.blurs[level + 1, octave]
+                serves = (
+                    blur * blur + 0.25 * spacing * spacing <= MOST_BLUR2 * variance
+                    and spacing * spacing <= SPOKES_APART * SPOKES_APART * variance
+                )
+                if serves:
+                    level += 1
+            steps = wp.int32(1)
+            if radius < WITHIN * wp.sqrt(narrow2):
+                steps = wp.int32(2)
+            total += wp.float32(steps) * on_ring(table, node, level, middle, covariance, narrow2)
+            node -= steps * apart
+            radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
+        rows = row_t()
+        for k in range(wp.static(3 * functions)):
+            rows[k] = total[k] / wp.max(total[wp.static(3 * functions)], 1.0e-30)
+        return colour_of(table, rows, w)
+
+    @wp.func
     def is_left_out(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
@@ -270,11 +360,16 @@ def lookup(functions: int, source: bool = False) -> Any:
                 continue
             if not gains[i] > 0.0:
                 continue
+            uv2 = u * u + v * v + table.lobe_uv * table.lobe_uv
+            if not wp.static(source) and wp.trace(covariance) > WIDE * WIDE * uv2:
+                xyz_out[i] += gains[i] * zeroth_order(table, u, v, w, covariance, source2)
+                xyz_out[i] += gains[i] * over_rings(table, u, v, w, covariance)
+                continue
             polar = to_polar(table, u, v, covariance)
             # Split where the direction turns by much: parts along what goes with the angle are straight.
             whole = wp.sqrt(polar[0, 0])
             count = wp.clamp(wp.int32(wp.ceil(whole / MOST_TURN)), 1, wp.static(colour_lookup.MOST_PARTS))
-            uv2 = wp.max(u * u + v * v + table.lobe_uv * table.lobe_uv, table.least_uv * table.least_uv)
+            uv2 = wp.max(uv2, table.least_uv * table.least_uv)
             along = wp.vec2f()
             if whole > 0.0:
                 along = covariance * wp.vec2f(-v, u) / (uv2 * whole)

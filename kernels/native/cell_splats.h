@@ -7,8 +7,8 @@
 namespace warpdiff {
 
 // Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
-// weights, and that of the weights; the mean colour; a bit for each quadrant of which a part is not lit; and whether any
-// cell meets nothing or is not lit.
+// weights, and that of the weights; the mean colour; a bit for each quadrant of which a part is not lit; and whether
+// any cell meets nothing or is not lit.
 struct CellSums {
     float shares[3][3][4] = {}, mean[3] = {};
     unsigned char dark = 0;

@@ -54,6 +54,15 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
+// Add so much of pixel i's colour by a sum of rows. Projected colour curves have shallow negative lobes.
+template <int WIDTH, int N, class Table>
+WARPDIFF_INLINE void add_colour(
+    const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
+{
+    const Colour colour = colour_at_w(table, sum, at_w, i);
+    for (int c = 0; c < 3; ++c) xyz[3 * i + c] += share * wp::max(colour.xyz[c], 0.0f);
+}
+
 // Add the zeroth order's XYZ, that of the mean plane, over a covariance of (u, v): a Gaussian at each wavelength.
 // `source2` is the part of a source, the root of its covariance's determinant; (u, v) and the rest are of one pixel.
 template <class Table>

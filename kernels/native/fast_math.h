@@ -6,6 +6,8 @@
 
 namespace warpdiff {
 
+constexpr float PI = 3.14159265f;
+
 WARPDIFF_INLINE float larger(float a, float b)
 {
     return a > b ? a : b;
@@ -60,6 +62,30 @@ WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
         0.5f * (float)(above >> 23) + 1.442695041f * s * series_of_m,
         wp::min(v < 0.0f ? 1.0f - turn : turn, 1.0f),
     };
+}
+
+// x and y of the unit circle after so many turns, to 1e-6.
+WARPDIFF_INLINE void on_circle(float turns, float& x, float& y)
+{
+    // By the series of half the angle, which is a quarter of a turn at most.
+    const float a = PI * (turns - wp::rint(turns)), a2 = a * a;
+    const float series =
+        1.0f + a2 * (-1.0f / 6.0f + a2 * (1.0f / 120.0f + a2 * (-1.0f / 5040.0f + a2 * (1.0f / 362880.0f))));
+    const float cosine = 1.0f
+        + a2
+            * (-0.5f
+                + a2 * (1.0f / 24.0f + a2 * (-1.0f / 720.0f + a2 * (1.0f / 40320.0f + a2 * (-1.0f / 3628800.0f)))));
+    const float sine = a * series;
+    x = 1.0f - 2.0f * sine * sine;
+    y = 2.0f * sine * cosine;
+}
+
+// The angle [rad] of a cosine, cut to −1 and 1, to 1e-4 (Abramowitz and Stegun 4.4.45).
+WARPDIFF_INLINE float arc_cosine(float cosine)
+{
+    const float x = smaller(cosine < 0.0f ? -cosine : cosine, 1.0f);
+    const float angle = wp::sqrt(1.0f - x) * (1.5707288f + x * (-0.2121144f + x * (0.0742610f - x * 0.0187293f)));
+    return cosine < 0.0f ? PI - angle : angle;
 }
 
 // exp(−t), for |t| up to 1 or little more.

@@ -9,6 +9,7 @@
 
 #include "colour_of_w.h"
 #include "fast_math.h"
+#include "ring_sum.h"
 #include "simd.h"
 
 namespace warpdiff {
@@ -17,7 +18,8 @@ namespace warpdiff {
 constexpr int ABREAST = batch_of(8);
 // Nodes of a segment: any number on a GPU, where they are not kept.
 constexpr int SEGMENT_NODES = ON_GPU ? 1 << 20 : 4;
-constexpr float PI = 3.14159265f;
+// Beyond this deviation, relative to |(u, v)|, a footprint under a window is summed over rings.
+constexpr float WIDE = 0.25f;
 // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds the
 // mirror direction and is no range of angles.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
@@ -159,13 +161,21 @@ WARPDIFF_INLINE bool is_left_out(const Table& table, const Asked<N>& asked, int 
         < within * within * both * both;
 }
 
+// Whether a footprint is summed over rings.
+template <int N, class Table>
+WARPDIFF_INLINE bool is_wide(const Table& table, const Asked<N>& asked, int i)
+{
+    const float uv2 = asked.u[i] * asked.u[i] + asked.v[i] * asked.v[i] + table.lobe_uv * table.lobe_uv;
+    return asked.xx[i] + asked.yy[i] > WIDE * WIDE * uv2;
+}
+
 // The pixel and the part of it that come next.
 struct NextPart {
     int pixel, part;
 };
 
 // The next parts, as many as there is room for: their (u, v), covariances and shares of the colour.
-template <bool SOURCE, int MOST_PARTS, int N, class Table, class LeftOut>
+template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class LeftOut>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains, const Asked<N>& asked,
     int begin, int count, NextPart& next, Parts<N>& parts, LeftOut& left_out, float* xyz)
 {
@@ -190,6 +200,12 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         if (next.part == 0)
             add_zeroth_order(
                 table, u, v, asked.w[i], asked.xx[i], asked.xy[i], asked.yy[i], asked.source2[i], gain, xyz + 3 * i);
+        if (!SOURCE && is_wide(table, asked, i)) {
+            add_colour(table, mean_over_rings<WIDTH>(table, u, v, asked.xx[i], asked.xy[i], asked.yy[i]), asked.at_w, i,
+                gain, xyz);
+            next = {i + 1, 0};
+            continue;
+        }
         const float along_u = asked.along_u[i], along_v = asked.along_v[i];
         parts.u[k] = u + away * along_u;
         parts.v[k] = v + away * along_v;
@@ -470,10 +486,8 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
         }
         if (segments.first[s] + segments.nodes[s] * segments.apart[s] < parts.end[k]) continue;
         const int i = parts.pixel[k];
-        const Colour colour = colour_at_w(table, sum.rows, asked.at_w, i);
-        // Projected colour curves have shallow negative lobes.
         const float share = tabulated ? parts.share[k] : parts.share[k] / larger(sum.weights, 1.0e-6f);
-        for (int c = 0; c < 3; ++c) xyz[3 * i + c] += share * larger(colour.xyz[c], 0.0f);
+        add_colour(table, sum.rows, asked.at_w, i, share, xyz);
         sum.rows.clear();
         sum.weights = 0.0f;
     }
@@ -502,7 +516,7 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
     sum.weights = 0.0f;
     for (NextPart next_part = {0, 0};;) {
         Parts<N> parts;
-        next_parts<SOURCE, MOST_PARTS>(
+        next_parts<SOURCE, MOST_PARTS, WIDTH>(
             table, numbers<const float>(taps.parts), factors, asked, begin, count, next_part, parts, left_out, xyz);
         if (parts.count == 0) break;
         place_parts(table, parts);

@@ -103,6 +103,7 @@ WARPDIFF_INLINE void look_up_points(
     const int count = end - begin;
     const double* const given = numbers<const double>(deflections) + 3LL * begin;
     const float* const factors = numbers<const float>(gains) + begin;
+    float* const xyz = numbers<float>(xyz_out) + 3LL * begin;
     Points<N> points;
     for (int i = 0; i < count; ++i) {
         points.u[i] = (float)given[3 * i];
@@ -116,11 +117,8 @@ WARPDIFF_INLINE void look_up_points(
         if (next < count) locate_rows<WIDTH>(table, points, next, factors[next] > 0.0f);
         if (!(factors[i] > 0.0f)) continue;
         const Row<WIDTH> sum = sum_of_rows<WIDTH>(table, points, i);
-        const Colour colour = colour_at_w(table, sum, points.at_w, i);
-        float* const out = numbers<float>(xyz_out) + 3LL * (begin + i);
-        // Projected colour curves have shallow negative lobes.
-        for (int c = 0; c < 3; ++c) out[c] += factors[i] * wp::max(colour.xyz[c], 0.0f);
-        add_zeroth_order(table, points.u[i], points.v[i], points.w[i], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], out);
+        add_colour(table, sum, points.at_w, i, factors[i], xyz);
+        add_zeroth_order(table, points.u[i], points.v[i], points.w[i], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], xyz + 3 * i);
     }
 }
 

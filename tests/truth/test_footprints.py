@@ -133,6 +133,17 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
     assert np.count_nonzero(found[0][:, 1]) > count / 2
 
 
+def colours(hf, plan, scope, uv, footprints):
+    """XYZ at (u, v), (n, 2), by a plan whose table is for a scope."""
+    device = wp.get_device("cpu")
+    xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
+    deflections = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
+    gains = wp.ones(len(uv), dtype=wp.float32, device=device)
+    integrator = Integrator(hf, plan, scope, device=device, threads=2)
+    integrator.add(deflections, None, gains, LitMaterial("D65"), xyz, footprints=footprints)
+    return xyz.numpy().astype(np.float64)
+
+
 @pytest.mark.parametrize(
     ("widest", "turn", "median", "most"),
     [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
@@ -142,34 +153,43 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
     sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
-    device = wp.get_device("cpu")
     angles, sizes = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.5, 0.9, count)
     along = sizes[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     aside = along[:, ::-1] * [-1.0, 1.0]
     spreads = rng.uniform(0.3 * widest, widest, (count, 1)) * along + rng.uniform(-turn, turn, (count, 1)) * aside
 
-    def colours(made, uv, footprints):
-        xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
-        deflections = np.column_stack([uv, np.full(len(uv), -1.5)])
-        of = (
-            wp.array(deflections, dtype=wp.vec3d, device=device),
-            None,
-            wp.ones(len(uv), dtype=wp.float32, device=device),
-        )
-        Integrator(fingers, made, plan.scope, device=device, threads=2).add(
-            *of, LitMaterial("D65"), xyz, footprints=footprints
-        )
-        return xyz.numpy().astype(np.float64)
-
     footprints = to_first_order(np.column_stack([spreads, np.zeros((count, 2))]))
-    found = colours(dataclasses.replace(plan, footprint=True), along, footprints)
+    found = colours(fingers, dataclasses.replace(plan, footprint=True), plan.scope, along, footprints)
     places, weights = np.polynomial.hermite_e.hermegauss(120)
     seen = along[:, None] + places[:, None] * spreads[:, None]
-    of_points = colours(sampled, seen.reshape(-1, 2), None).reshape(count, -1, 3)
+    of_points = colours(fingers, sampled, plan.scope, seen.reshape(-1, 2), None).reshape(count, -1, 3)
     exact = np.einsum("p,npc->nc", weights / weights.sum(), of_points)
     relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < median
     assert np.percentile(relative, 90.0) < most
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
+def test_means_around_the_mirror_direction_are_those_of_points(fingers, rng, distance):
+    """Of footprints so many deviations away from it: what reaches around it is no range of angles and ratios."""
+    count = 16
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
+    turned, around = rng.uniform(0.0, 2.0 * np.pi, (2, count, 1))
+    wide = rng.uniform(0.03, 0.1, (count, 1)) * np.concatenate([np.cos(turned), np.sin(turned)], axis=1)
+    across = wide[:, ::-1] * [-1.0, 1.0] / rng.uniform(1.0, 6.0, (count, 1))
+    middles = distance * (np.cos(around) * wide + np.sin(around) * across)
+    footprints = to_first_order(np.column_stack([wide, across]))
+    found = colours(fingers, dataclasses.replace(plan, footprint=True), plan.scope, middles, footprints)
+    places, weights = np.polynomial.hermite_e.hermegauss(80)
+    seen = (
+        middles[:, None, None] + places[:, None, None] * wide[:, None, None] + places[:, None] * across[:, None, None]
+    )
+    of_points = colours(fingers, sampled, plan.scope, seen.reshape(-1, 2), None).reshape(count, 80, 80, 3)
+    exact = np.einsum("p,q,npqc->nc", weights, weights, of_points) / weights.sum() ** 2
+    relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    assert np.median(relative) < 5e-3
+    assert relative.max() < 5e-2
 
 
 def seen_by(surface, view, light, face, column, row, *, smooth):
