@@ -49,6 +49,7 @@ def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
         "footprint_lookup.h",
         "point_lookup.h",
         "quadratic_spline.h",
+        "ring_sum.h",
         "simd.h",
     ]
 

@@ -30,9 +30,9 @@ def seen_from(towards):
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
     """The furnace, over the views that a sphere shows: the factors are made without any sky."""
-    off = []
+    off, hf = [], SURFACES["blazed"]()
     for energy in energy_balance.FORMS:
-        image, radius = furnace_picture(SURFACES["blazed"](), energy, directions=512, tolerance=1e-1, size=20)
+        image, radius = furnace_picture(hf, energy, directions=512, tolerance=1e-1, size=20)
         off.append(np.sqrt(np.mean((image.xyz[radius < 0.85, 1] - 1.0) ** 2)))
     assert off[1] < 0.08
     assert off[1] < 0.7 * off[0]
@@ -44,7 +44,7 @@ def test_pictures_have_the_factors_of_single_directions(square):
     factors = energy_balance.achromatic_factors(hf)
     both = factors.between(np.array([light]), np.array([view]))[0]
     assert abs(both - 1.0) > 0.02
-    options = MIRROR | {"tolerance": 1e-3}
+    options = MIRROR | {"tolerance": 3e-3}
     rho = wd.reflectance(hf, light, view, energy="normalised", **options)
     np.testing.assert_allclose(rho, both * wd.reflectance(hf, light, view, **options), rtol=1e-5)
     options |= {"energy": "normalised", "footprint": False}
@@ -54,7 +54,7 @@ def test_pictures_have_the_factors_of_single_directions(square):
     renderer = wd.Renderer(square, hf, lights[1], seen_from(view), **options)
     renderer.draw(lights[0])
     for image in (*images, renderer.image()):
-        np.testing.assert_allclose(image.xyz[1, 1], rho, rtol=4e-3)
+        np.testing.assert_allclose(image.xyz[1, 1], rho, rtol=6e-3)
         assert "Energy is normalised" in str(image.plan)
     assert "nergy" not in str(wd.shade(square, hf, lights[0], seen_from(view), **MIRROR).plan)
 
