@@ -66,7 +66,7 @@ def is_last(told):
 
 def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
     with Page(studio) as page:
-        studio.want(page.session, wanted(1, tolerance=0.03))
+        studio.want(page.session, wanted(1, tolerance=0.03, energy="normalised"))
         told = page.until(lambda each: each["kind"] == "map")
         pictures = [each for each in told if each[0]["kind"] == "picture"]
         assert [each["tolerance"] for each, _ in pictures] == [None, 0.1, 0.03]
@@ -328,6 +328,11 @@ def test_scenes_are_written_as_they_are_made():
     assert words[:4] == ["warpdiff", "render", "disc", "blazed:period_um=2.0,depth_um=0.25"]
     assert words[words.index("--ior") + 1] == "inf"
     assert {"--no-masking", "--angular-diameter-deg", "--display"} < set(words)
+    # Normalised energy takes the place of masking, whatever that was before.
+    scene = Scene.of(VALUES | {"energy": "normalised", "masking": False}, NamedFiles())
+    assert dict(scene.options).keys() == {"coherence", "energy", "pigment"}
+    words = scene.command(view, 0.5, {}, NamedFiles()).split()
+    assert words[words.index("--energy") + 1] == "normalised"
 
 
 def test_lights_of_a_scene_are_far_or_near_and_have_a_size():

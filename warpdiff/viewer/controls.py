@@ -31,6 +31,7 @@ METALS = {
     "Al": "aluminium", "Ag": "silver", "Au": "gold", "Cr": "chromium", "Cu": "copper", "Ni": "nickel",
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
+ENERGIES = {"stam": "Stam's", "normalised": "normalised"}
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
 # Rows of a picture at rest.
 HEIGHTS = (240, 360, 480, 720, 960)
@@ -158,7 +159,9 @@ def controls(
         _number("copies_x", "copies along x", optics, 2, 1, 50, 1, shown=(("coherence", ("replicas",)),)),
         _choice("material", "material", optics, MATERIALS),
         _number("ior", "index of refraction", optics, 1.5, 1.01, 4.0, 0.01, shown=(("material", ("dielectric",)),)),
-        Control("masking", "masking and shadowing of the relief", optics, default=True),
+        _choice("energy", "energy", optics, ENERGIES),
+        Control("masking", "masking and shadowing of the relief", optics, default=True,
+                shown=(("energy", ("stam",)),)),
         _choice("height", "rows", picture, {each: str(each) for each in HEIGHTS}, 360),
         _choice("tolerance", "tolerance", picture, {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}, 0.03),
         _choice("method", "method", picture, _METHODS),

@@ -144,15 +144,16 @@ class Scene:
             "coherence": coherence,
             "ior": {"dielectric": values["ior"], "mirror": math.inf}.get(values["material"], 1.5),
             "material": Call.of("Material.metal", values["material"]) if values["material"] in METALS else None,
-            "masking": values["masking"],
+            "masking": values["masking"] or values["energy"] == "normalised",
+            "energy": values["energy"],
             "pigment": values["pigment"],
             "shadows": values["shadows"],
             "smooth": values["smooth"],
             "tangents": tangents,
         }
         usual = {
-            "method": "auto", "coherence": None, "ior": 1.5, "material": None, "masking": True, "pigment": 1.0,
-            "shadows": True, "smooth": True, "tangents": None,
+            "method": "auto", "coherence": None, "ior": 1.5, "material": None, "masking": True, "energy": "stam",
+            "pigment": 1.0, "shadows": True, "smooth": True, "tangents": None,
         }  # fmt: skip
         changed = tuple((name, value) for name, value in options.items() if value != usual[name])
         distance = values["distance"] if is_near else 0.0

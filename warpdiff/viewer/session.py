@@ -481,7 +481,7 @@ class Studio:
             session.send(found | {"text": "the light is below the horizon here"}, None)
             return
         shading = scene.shading
-        options = {name: shading[name] for name in ("ior", "material", "masking") if name in shading}
+        options = {name: shading[name] for name in ("ior", "material", "masking", "energy") if name in shading}
         assert image is not None  # noqa: S101 (there is a place in it)
         disc = wd.brdf_map(
             self._height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan, illuminant=light.illuminant,
