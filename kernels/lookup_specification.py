@@ -25,8 +25,9 @@ CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
 # As in ring_sum.h.
-OUTWARDS, INWARDS = wp.constant(wp.float32(3.5)), wp.constant(wp.float32(5.0))
-RINGS_APART, WITHIN = wp.constant(wp.float32(0.15)), wp.constant(wp.float32(0.5))
+OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
+RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
+WITHIN = wp.constant(wp.float32(0.5))
 INNERMOST, INNERMOST_OF_LOBE = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(0.3))
 NARROWEST = wp.constant(wp.float32(0.3))
 MOST_BLUR2, SPOKES_APART = wp.constant(wp.float32(0.7)), wp.constant(wp.float32(1.0))
@@ -234,19 +235,18 @@ def lookup(functions: int, source: bool = False) -> Any:
         node: wp.int32,
         level: wp.int32,
         from_middle: wp.vec2f,
-        covariance: wp.mat22f,
-        narrow2: wp.float32,
+        inverse: wp.mat22f,
+        most_blur2: wp.float32,
     ) -> row_w_t:
         """A node's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
         octave = node // table.nodes
         radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
+        reach = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
         spokes = table.spokes[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(spokes)
-        most = MOST_BLUR2 * narrow2 / (radius * wp.max(radius, wp.length(from_middle)))
         blur = table.blurs[level, octave]
-        blur2 = wp.min(blur * blur + 0.25 * spacing * spacing, most)
-        inverse = wp.inverse(covariance)
-        reach = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
+        # Coefficients of a spline are sharper than its values.
+        blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
         for spoke in range(spokes):
             angle = wp.float32(spoke) * spacing
@@ -256,9 +256,10 @@ def lookup(functions: int, source: bool = False) -> Any:
             slope = radius * wp.dot(across, inverse * away)
             bend = radius * radius * wp.dot(across, inverse * across) - radius * wp.dot(along, inverse * away)
             left = wp.max(1.0 - blur2 * bend, LEAST_LEFT)
-            exponent = wp.dot(away, inverse * away) + slope * slope * blur2 / left
+            exponent = wp.dot(away, inverse * away)
             if exponent < reach * reach:
-                weight = radius * radius * spacing * wp.exp(-0.5 * exponent) / wp.sqrt(left)
+                weight = wp.exp(-0.5 * (exponent + slope * slope * blur2 / left)) / wp.sqrt(left)
+                weight *= radius * radius * spacing
                 row = table.rows[table.first_rows[level, octave] + spoke * table.nodes + node - octave * table.nodes]
                 for k in range(wp.static(3 * functions)):
                     result[k] += weight * row[k]
@@ -268,31 +269,38 @@ def lookup(functions: int, source: bool = False) -> Any:
     @wp.func
     def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, given: wp.mat22f) -> wp.vec3f:
         """The mean colour over a wide Gaussian of (u, v): rows at nodes and spokes, by its density there."""
-        least = NARROWEST * table.lobe_uv
-        covariance = given + least * least * wp.identity(2, dtype=wp.float32)
-        half = 0.5 * wp.trace(covariance)
-        determinant = wp.max(wp.determinant(covariance), 1.0e-5 * covariance[0, 0] * covariance[1, 1])
-        widest2 = half + wp.sqrt(wp.max(half * half - determinant, 0.0))
-        narrow2 = determinant / widest2
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
+        covariance = given + 0.25 / (table.per_log * table.per_log) * wp.outer(middle, middle)
+        difference = covariance[0, 0] - covariance[1, 1]
+        root = wp.sqrt(0.25 * difference * difference + covariance[0, 1] * covariance[0, 1])
+        widest2 = 0.5 * wp.trace(covariance) + root
+        least = NARROWEST * table.lobe_uv
+        narrow2 = wp.max(wp.determinant(covariance) / widest2, least * least)
+        axis = 0.5 * wp.atan2(2.0 * covariance[0, 1], difference)
+        long = wp.vec2f(wp.cos(axis), wp.sin(axis))
+        across = wp.vec2f(-long[1], long[0])
+        inverse = wp.outer(long, long) / widest2 + wp.outer(across, across) / narrow2
         outermost = node_of(table, away + OUTWARDS * wp.sqrt(widest2), 0.0)
         node = wp.min(wp.int32(outermost), table.spokes.shape[1] * table.nodes - 1)
         nearest = wp.min(INNERMOST * wp.sqrt(narrow2), INNERMOST_OF_LOBE * table.lobe_uv)
         innermost = wp.max(wp.max(away - INWARDS * wp.sqrt(widest2), nearest), table.least_uv)
-        apart = wp.max(wp.int32(RINGS_APART * table.per_log), 1)
-        level = wp.int32(0)
+        steepness = wp.sqrt(wp.dot(middle, inverse * middle))
+        distance = wp.min(RINGS_APART, RINGS_PER_DEVIATION / wp.max(steepness, 1.0e-20))
+        apart = wp.max(wp.int32(distance * table.per_log), 1)
         total = row_w_t()
+        level = wp.int32(0)
         radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
         while node >= 0 and radius > innermost:
             octave = node // table.nodes
             variance = narrow2 / (radius * wp.max(radius, away))
+            level = wp.max(level - 1, 0)
             serves = wp.bool(True)
             while serves and level + 1 < table.spokes.shape[0]:
                 spacing = 2.0 * wp.PI / wp.float32(table.spokes[level + 1, octave])
                 blur = table.blurs[level + 1, octave]
                 serves = (
-                    blur * blur + 0.25 * spacing * spacing <= MOST_BLUR2 * variance
+                    blur * blur - 0.25 * spacing * spacing <= MOST_BLUR2 * variance
                     and spacing * spacing <= SPOKES_APART * SPOKES_APART * variance
                 )
                 if serves:
@@ -300,7 +308,7 @@ def lookup(functions: int, source: bool = False) -> Any:
             steps = wp.int32(1)
             if radius < WITHIN * wp.sqrt(narrow2):
                 steps = wp.int32(2)
-            total += wp.float32(steps) * on_ring(table, node, level, middle, covariance, narrow2)
+            total += wp.float32(steps) * on_ring(table, node, level, middle, inverse, MOST_BLUR2 * variance)
             node -= steps * apart
             radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
         rows = row_t()

@@ -80,12 +80,13 @@ WARPDIFF_INLINE void on_circle(float turns, float& x, float& y)
     y = 2.0f * sine * cosine;
 }
 
-// The angle [rad] of a cosine, cut to −1 and 1, to 1e-4 (Abramowitz and Stegun 4.4.45).
-WARPDIFF_INLINE float arc_cosine(float cosine)
+// The angle of a cosine, cut to −1 and 1: from 0 to ½ turns, both of which are exact, to 2e-5 (Abramowitz and Stegun
+// 4.4.45).
+WARPDIFF_INLINE float turns_of_cosine(float cosine)
 {
     const float x = smaller(cosine < 0.0f ? -cosine : cosine, 1.0f);
     const float angle = wp::sqrt(1.0f - x) * (1.5707288f + x * (-0.2121144f + x * (0.0742610f - x * 0.0187293f)));
-    return cosine < 0.0f ? PI - angle : angle;
+    return cosine < 0.0f ? 0.5f - angle * (0.5f / PI) : angle * (0.5f / PI);
 }
 
 // exp(−t), for |t| up to 1 or little more.

@@ -14,9 +14,10 @@ namespace warpdiff {
 // Spokes that are weighed side by side.
 constexpr int ARC = batch_of(8);
 // How far a Gaussian counts, in deviations: outwards, and towards the mirror direction, where surfaces are brightest.
-constexpr float OUTWARDS = 3.5f, INWARDS = 5.0f;
-// How far rings are apart in ln |(u, v)|, and twice as far within so many of the narrow deviations.
-constexpr float RINGS_APART = 0.15f, WITHIN = 0.5f;
+constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
+// How far rings are apart at most: in ln |(u, v)|, where colours are smooth, and in deviations along (u, v); and twice
+// as far within so many of the narrow deviations.
+constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Innermost ring, in the narrow deviations or in deviations of the narrowest lobe, whichever is less, and the least
 // deviation in those of that lobe.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
@@ -28,9 +29,12 @@ struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// Spokes of a ring: how far they are apart [rad], and the variance of what lies on them and of their spline [rad²].
+// A level for rings of an octave: where its rows are, how far its spokes are apart [rad], the variance of what lies on
+// them, less that of their spline [rad²], whose coefficients are sharper than its values by as much, and from which
+// variance along the ring on the next one serves.
 struct RingLevel {
-    float spacing, blur2;
+    int octave, level, spokes, first_row;
+    float spacing, blur2, until;
 };
 
 // The weight of a Gaussian at a place (x, y) of the unit circle times the radius, once it is narrower by a variance
@@ -44,33 +48,36 @@ WARPDIFF_INLINE float weight_on_ring(
     const float across = gaussian.uu * y * y - 2.0f * gaussian.uv * x * y + gaussian.vv * x * x;
     const float bend = radius * (radius * across - (x * pu + y * pv));
     const float left = larger(1.0f - blur2 * bend, 1.0f - 1.2f * MOST_BLUR2);
-    const float exponent = u * pu + v * pv + slope * slope * blur2 / left;
-    return exponent < reach * reach ? exp_of_negative(-0.5f * exponent) / wp::sqrt(left) : 0.0f;
+    const float exponent = u * pu + v * pv;
+    const float weight = exp_of_negative(-0.5f * (exponent + slope * slope * blur2 / left)) / wp::sqrt(left);
+    return exponent < reach * reach ? weight : 0.0f;
 }
 
 template <class Table>
 WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 {
-    const int at = level * (int)table.spokes.shape[1] + octave;
-    const float blur = numbers<const float>(table.blurs)[at];
-    const float spacing = 2.0f * PI / (float)numbers<const int>(table.spokes)[at];
-    return {spacing, blur * blur + 0.25f * spacing * spacing};
+    const int at = level * (int)table.spokes.shape[1] + octave, spokes = numbers<const int>(table.spokes)[at];
+    const float blur = numbers<const float>(table.blurs)[at], spacing = 2.0f * PI / (float)spokes;
+    return {octave, level, spokes, numbers<const int>(table.first_rows)[at], spacing,
+        blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// The widest level that serves a variance along the ring, from one on, and its spokes.
+// The widest level of an octave that serves a variance along the ring. In the next octave inwards levels may be twice
+// as wide, and the one before serves.
 template <class Table>
-WARPDIFF_INLINE RingLevel widest_level(const Table& table, float variance, int octave, int& level)
+inline void widen(const Table& table, RingLevel& found, int octave, float variance)
 {
-    RingLevel found = ring_level(table, level, octave);
-    while (level + 1 < table.spokes.shape[0]) {
-        const RingLevel wider = ring_level(table, level + 1, octave);
-        if (wider.blur2 > MOST_BLUR2 * variance) break;
-        if (wider.spacing * wider.spacing > SPOKES_APART * SPOKES_APART * variance) break;
+    if (octave != found.octave) found = ring_level(table, wp::max(found.level - 1, 0), octave);
+    for (found.until = 1.0e30f; found.level + 1 < table.spokes.shape[0];) {
+        const RingLevel wider = ring_level(table, found.level + 1, octave);
+        const float least = larger(
+            wider.blur2 * (1.0f / MOST_BLUR2), wider.spacing * wider.spacing * (1.0f / (SPOKES_APART * SPOKES_APART)));
+        if (least > variance) {
+            found.until = least;
+            return;
+        }
         found = wider;
-        ++level;
     }
-    found.blur2 = smaller(found.blur2, MOST_BLUR2 * variance);
-    return found;
 }
 
 // A sum of rows so far, and of their weights.
@@ -82,7 +89,7 @@ struct RingSum {
 
 // Add the rows of a ring from one spoke up to another, which is left out: arcs may touch.
 template <int WIDTH>
-WARPDIFF_INLINE void add_arc(RingSum<WIDTH>& sum, const Gaussian2& gaussian, RingLevel level, float radius, float reach,
+WARPDIFF_INLINE void add_arc(RingSum<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2, float reach,
     float size, float first, float end, int count, const float* rows, long long stride)
 {
     const int taken = wp::min((int)(wp::ceil(end) - wp::ceil(first)), count);
@@ -92,7 +99,7 @@ WARPDIFF_INLINE void add_arc(RingSum<WIDTH>& sum, const Gaussian2& gaussian, Rin
         for (int j = 0; j < ARC; ++j) {
             float x, y;
             on_circle((float)(spoke + j) / (float)count, x, y);
-            const float weight = size * weight_on_ring(gaussian, x, y, radius, level.blur2, reach);
+            const float weight = size * weight_on_ring(gaussian, x, y, radius, blur2, reach);
             weights[j] = from + j < taken ? weight : 0.0f;
         }
         for (int j = 0; j < ARC; ++j, ++spoke) {
@@ -108,19 +115,24 @@ WARPDIFF_INLINE void add_arc(RingSum<WIDTH>& sum, const Gaussian2& gaussian, Rin
 template <int WIDTH, class Table>
 inline Row<WIDTH> mean_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    const float least = NARROWEST * table.lobe_uv, a = xx + least * least, d = yy + least * least;
-    const float determinant = larger(a * d - xy * xy, 1.0e-5f * a * d), mean2 = 0.5f * (a + d);
-    const float widest2 = mean2 + wp::sqrt(larger(mean2 * mean2 - determinant, 0.0f)), narrow2 = determinant / widest2;
+    // Coefficients of the spline between rings have a quarter of their distance, squared, less of variance than values.
+    const float apart2 = 0.25f / (table.per_log * table.per_log);
+    const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
+    const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
+    const float narrow2 = larger((a * d - b * b) / widest2, least * least);
     const float widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2), middle = wp::sqrt(u * u + v * v);
-    const Gaussian2 gaussian = {u, v, d / determinant, -xy / determinant, a / determinant};
     const float turns = log_polar(u, v, table.least_uv).turns;
     // The direction across the axis of a streak, and how far away that axis is.
-    const float across = 0.5f * log_polar(a - d, 2.0f * xy, 0.0f).turns + 0.25f;
+    const float across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
     float x, y;
     on_circle(across, x, y);
-    const float aside = u * x + v * y;
-    // Rings lie on the nodes of the table.
-    const int octaves = table.spokes.shape[1], apart = wp::max((int)(RINGS_APART * table.per_log), 1);
+    const float aside = u * x + v * y, along = v * x - u * y;
+    const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
+        y * y / narrow2 + x * x / widest2};
+    // Rings lie on the nodes of the table, closer than the Gaussian is wide along (u, v).
+    const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
+    const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
+    const int octaves = table.spokes.shape[1], apart = wp::max((int)(distance * table.per_log), 1);
     const float outermost = log_polar(middle + OUTWARDS * widest, 0.0f, table.least_uv).log2;
     const float nearest = smaller(INNERMOST * narrow, INNERMOST_OF_LOBE * table.lobe_uv);
     const float innermost = larger(larger(middle - INWARDS * widest, nearest), table.least_uv);
@@ -130,28 +142,35 @@ inline Row<WIDTH> mean_over_rings(const Table& table, float u, float v, float xx
     RingSum<WIDTH> sum;
     sum.rows.clear();
     sum.weights = 0.0f;
-    for (int level = 0; node >= 0 && radius > innermost;) {
+    RingLevel level = ring_level(table, 0, (int)((float)wp::max(node, 0) * table.per_octave));
+    level.until = 0.0f;
+    while (node >= 0 && radius > innermost) {
         // Further in the Gaussian takes up more of a ring.
         const int octave = (int)((float)node * table.per_octave);
         const float variance = narrow2 / (radius * larger(radius, middle));
-        const RingLevel spokes = widest_level(table, variance, octave, level);
-        const int at = level * octaves + octave, count = numbers<const int>(table.spokes)[at];
-        const float* const rows = numbers<const float>(table.rows)
-            + (long long)(numbers<const int>(table.first_rows)[at] + node - octave * table.nodes) * WIDTH;
+        if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
+        const float blur2 = smaller(level.blur2, MOST_BLUR2 * variance);
+        const float* const rows =
+            numbers<const float>(table.rows) + (long long)(level.first_row + node - octave * table.nodes) * WIDTH;
         const long long stride = (long long)table.nodes * WIDTH;
         // The arc within reach around (u, v), or for a streak those within reach of its axis, if they are shorter.
         const float reach = radius < middle ? INWARDS : OUTWARDS, furthest = reach * widest, beside = reach * narrow;
-        const float around = arc_cosine(
+        const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
-        const float from = arc_cosine((aside + beside) / radius), to = arc_cosine((aside - beside) / radius);
+        float from = 0.0f, to = 1.0f;
+        if (widest > 1.5f * narrow) {
+            from = turns_of_cosine((aside + beside) / radius);
+            to = turns_of_cosine((aside - beside) / radius);
+        }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
-        const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * spokes.spacing;
-        const float middle_spoke = (is_streak ? across : turns) * (float)count, per_radian = 1.0f / spokes.spacing;
+        const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.spokes;
+        // Rounded, so that arcs that touch have each spoke once.
+        const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;
             const float end = !is_streak ? around : side == 0 ? to : -from;
-            add_arc(sum, gaussian, spokes, radius, reach, size, middle_spoke + first * per_radian,
-                middle_spoke + end * per_radian, count, rows, stride);
+            add_arc(sum, gaussian, radius, blur2, reach, size, place + first * all, place + end * all, level.spokes,
+                rows, stride);
         }
         node -= is_coarse ? 2 * apart : apart;
         radius *= is_coarse ? nearer * nearer : nearer;

@@ -169,27 +169,29 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     assert np.percentile(relative, 90.0) < most
 
 
-@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
-def test_means_around_the_mirror_direction_are_those_of_points(fingers, rng, distance):
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("surface", ["fingers", "lines"])
+def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers, rng, distance):
     """Of footprints so many deviations away from it: what reaches around it is no range of angles and ratios."""
+    hf = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
-    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
-    sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
+    plan = wd.plan(hf, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    sampled = wd.plan(hf, coherence=SHORT, method="low-rank", tolerance=1e-3)
     turned, around = rng.uniform(0.0, 2.0 * np.pi, (2, count, 1))
     wide = rng.uniform(0.03, 0.1, (count, 1)) * np.concatenate([np.cos(turned), np.sin(turned)], axis=1)
     across = wide[:, ::-1] * [-1.0, 1.0] / rng.uniform(1.0, 6.0, (count, 1))
     middles = distance * (np.cos(around) * wide + np.sin(around) * across)
     footprints = to_first_order(np.column_stack([wide, across]))
-    found = colours(fingers, dataclasses.replace(plan, footprint=True), plan.scope, middles, footprints)
+    found = colours(hf, dataclasses.replace(plan, footprint=True), plan.scope, middles, footprints)
     places, weights = np.polynomial.hermite_e.hermegauss(80)
     seen = (
         middles[:, None, None] + places[:, None, None] * wide[:, None, None] + places[:, None] * across[:, None, None]
     )
-    of_points = colours(fingers, sampled, plan.scope, seen.reshape(-1, 2), None).reshape(count, 80, 80, 3)
+    of_points = colours(hf, sampled, plan.scope, seen.reshape(-1, 2), None).reshape(count, 80, 80, 3)
     exact = np.einsum("p,q,npqc->nc", weights, weights, of_points) / weights.sum() ** 2
     relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < 5e-3
-    assert relative.max() < 5e-2
+    assert relative.max() < 8e-2
 
 
 def seen_by(surface, view, light, face, column, row, *, smooth):
