@@ -169,7 +169,7 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     assert np.percentile(relative, 90.0) < most
 
 
-@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers, rng, distance):
     """Of footprints so many deviations away from it: what reaches around it is no range of angles and ratios."""
