@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import trimesh
+
 from warpdiff import gratings, meshes
 from warpdiff.core import checks, file_writing
 from warpdiff.core.data_folder import data_folder
 from warpdiff.evaluate.directions import brdf_map
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
+from warpdiff.optics.materials import Material
 from warpdiff.render.shade import shade
 from warpdiff.scene.camera import View
 from warpdiff.scene.lights import DirectionalLight
@@ -39,12 +42,14 @@ class Picture:
         what: What it shows.
         make: Computes it; takes a progress callback.
         stops: Doublings of light on top of the automatic exposure.
+        background: What is behind, linear; None is transparent.
     """
 
     name: str
     what: str
     make: Callable[..., Image]
     stops: float = 0.0
+    background: tuple[float, float, float] | None = None
 
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
@@ -64,8 +69,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
     whole_snake = View((0.0, 3.4, 4.0), (-0.03, 0.02, 0.02), fov_y_deg=12.2, width=pixels(600), height=pixels(330))
     half_snake = View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=12.2, width=pixels(600), height=pixels(360))
     snake_lights = [DirectionalLight(towards, power=0.5) for towards in ((0.5, 0.75, -0.8), (-0.9, 0.7, 0.5))]
-    disc_view = View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=pixels(640), height=pixels(440))
-    disc_lights = [DirectionalLight((x, y, 1.0), power=0.5) for x, y in ((-0.7, 0.5), (0.15, 0.9), (0.8, 0.1))]
+    disc_view = View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=pixels(480), height=pixels(340))
+    discs_view = View((0.0, -3.0, 3.6), (0.0, 0.0, 0.0), fov_y_deg=24.0, width=pixels(720), height=pixels(320))
     size = pixels(400)
 
     def snake(hf: HeightField, view: View, tangent: str = "around") -> Callable[..., Image]:
@@ -80,6 +85,21 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
             progress=progress,
         )
 
+    def discs(progress: Callable[[float], None] | None) -> Image:
+        both = trimesh.Scene()
+        for metal, x in (("Al", -1.05), ("Au", 1.05)):
+            both.add_geometry(meshes.disc().apply_translation([x, 0.0, 0.0]), geom_name=metal)
+        lamp = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=3.0)
+        material = {metal: Material.metal(metal) for metal in ("Al", "Au")}
+        return shade(both, cd, lamp, discs_view, material=material, pigment=0.0, tolerance=3e-2, progress=progress)
+
+    def spectra(progress: Callable[[float], None] | None) -> Image:
+        lamp, blazed = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=5.0), gratings.blazed(2.5, 0.25)
+        metal = Material.metal("Al")
+        return shade(
+            meshes.disc(), blazed, lamp, disc_view, material=metal, pigment=0.0, tolerance=3e-2, progress=progress
+        )
+
     def over_hemisphere(
         hf: HeightField, to_light: tuple[float, float, float] = (0.0, 0.0, 1.0)
     ) -> Callable[..., Image]:
@@ -87,11 +107,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
 
     made = [
         Picture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake)),
-        Picture(
-            "disc_cd",
-            "a compact disc, 1.6 µm tracks with pits",
-            lambda progress: shade(meshes.disc(), cd, disc_lights, disc_view, progress=progress),
-        ),
+        Picture("disc_cd", "compact discs of aluminium and gold under a lamp", discs, background=(0.0, 0.0, 0.0)),
+        Picture("disc_blazed", "spectra of a blazed grating of 2.5 µm on a disc", spectra, background=(1.0, 1.0, 1.0)),
         Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), -5.0),
         Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), -4.0),
         Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), -1.3),
@@ -178,7 +195,10 @@ def run(
     for picture in pictures(inputs, scale=scale):
         started = time.perf_counter()
         image = picture.make(progress(picture.name))
-        path = image.save(folder / f"{picture.name}.png", display=display, gamut=gamut, exposure_stops=picture.stops)
+        path = image.save(
+            folder / f"{picture.name}.png", display=display, gamut=gamut, exposure_stops=picture.stops,
+            background=picture.background,
+        )  # fmt: skip
         written.append(path)
         say(f"{path}  {picture.what}  ({time.perf_counter() - started:.1f} s)")
     return written
