@@ -23,7 +23,7 @@ MOST_POWER = 1e12
 _WIDEST_DEG = 60.0
 # A light up to this wide is one Gaussian. A wider one is rings of them, so wide at the rim and each further in twice as
 # wide, up to a limit. A lobe is as long along its ring as its bend allows; its deviation is so much of its length.
-ONE_LOBE_DEG, _RIM_DEG, _RING_DEG, _BEND, _LOBE_WIDTH = 5.0, 0.35, 2.5, 1.3, 0.6
+ONE_LOBE_DEG, _RIM_DEG, _RING_DEG, _BEND, _LOBE_WIDTH = 5.0, 0.2, 2.5, 1.3, 0.6
 _FEWEST_OF_RING = 6
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # Where lobes are made even together: so many radii, and angles around.
