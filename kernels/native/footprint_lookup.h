@@ -20,8 +20,8 @@ constexpr int ABREAST = batch_of(8);
 constexpr int SEGMENT_NODES = ON_GPU ? 1 << 20 : 4;
 // Beyond this deviation, relative to |(u, v)|, a footprint under a window is summed over rings.
 constexpr float WIDE = 0.25f;
-// A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest it surrounds the
-// mirror direction and is no range of angles.
+// A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest one under a
+// source surrounds the mirror direction and is no range of angles.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // Up to this variance [nodes²] nodes have tabulated weights, beyond it the Gaussian itself for weights, and lie as far
 // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ) and what
@@ -201,8 +201,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
             add_zeroth_order(
                 table, u, v, asked.w[i], asked.xx[i], asked.xy[i], asked.yy[i], asked.source2[i], gain, xyz + 3 * i);
         if (!SOURCE && is_wide(table, asked, i)) {
-            add_colour(table, mean_over_rings<WIDTH>(table, u, v, asked.xx[i], asked.xy[i], asked.yy[i]), asked.at_w, i,
-                gain, xyz);
+            const WeighedRows<WIDTH> sum = sum_over_rings<WIDTH>(table, u, v, asked.xx[i], asked.xy[i], asked.yy[i]);
+            add_colour(table, sum.rows, asked.at_w, i, gain / larger(sum.weights, 1.0e-30f), xyz);
             next = {i + 1, 0};
             continue;
         }
@@ -453,17 +453,10 @@ struct Nodes {
     }
 };
 
-// A part's sum so far, and of its weights.
-template <int WIDTH>
-struct PartSum {
-    Row<WIDTH> rows;
-    float weights;
-};
-
 // Sum rows of segments, and add the colours of parts that end with them.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Asked<N>& asked,
-    const Parts<N>& parts, const Segments<N>& segments, Nodes<N>& nodes, PartSum<WIDTH>& sum, float* xyz)
+    const Parts<N>& parts, const Segments<N>& segments, Nodes<N>& nodes, WeighedRows<WIDTH>& sum, float* xyz)
 {
     const float* const weights = numbers<const float>(taps.weights);
     for (int s = 0; s < segments.count; ++s) {
@@ -488,8 +481,7 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
         const int i = parts.pixel[k];
         const float share = tabulated ? parts.share[k] : parts.share[k] / larger(sum.weights, 1.0e-6f);
         add_colour(table, sum.rows, asked.at_w, i, share, xyz);
-        sum.rows.clear();
-        sum.weights = 0.0f;
+        sum.clear();
     }
 }
 
@@ -511,9 +503,8 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
         numbers<const float>(to_lights) + 3LL * begin,
         is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, count);
     find_covariances<SOURCE, MOST_PARTS>(table, asked, count);
-    PartSum<WIDTH> sum;
-    sum.rows.clear();
-    sum.weights = 0.0f;
+    WeighedRows<WIDTH> sum;
+    sum.clear();
     for (NextPart next_part = {0, 0};;) {
         Parts<N> parts;
         next_parts<SOURCE, MOST_PARTS, WIDTH>(

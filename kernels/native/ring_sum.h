@@ -80,16 +80,9 @@ inline void widen(const Table& table, RingLevel& found, int octave, float varian
     }
 }
 
-// A sum of rows so far, and of their weights.
-template <int WIDTH>
-struct RingSum {
-    Row<WIDTH> rows;
-    float weights;
-};
-
 // Add the rows of a ring from one spoke up to another, which is left out: arcs may touch.
 template <int WIDTH>
-WARPDIFF_INLINE void add_arc(RingSum<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2, float reach,
+WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2, float reach,
     float size, float first, float end, int count, const float* rows, long long stride)
 {
     const int taken = wp::min((int)(wp::ceil(end) - wp::ceil(first)), count);
@@ -111,9 +104,9 @@ WARPDIFF_INLINE void add_arc(RingSum<WIDTH>& sum, const Gaussian2& gaussian, flo
     }
 }
 
-// The mean of rows over a Gaussian around (u, v), from the outermost ring inwards.
+// The sum of rows over a Gaussian around (u, v), from the outermost ring inwards.
 template <int WIDTH, class Table>
-inline Row<WIDTH> mean_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
+inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
     // Coefficients of the spline between rings have a quarter of their distance, squared, less of variance than values.
     const float apart2 = 0.25f / (table.per_log * table.per_log);
@@ -139,11 +132,10 @@ inline Row<WIDTH> mean_over_rings(const Table& table, float u, float v, float xx
     int node = wp::min((int)(outermost * (float)table.nodes + table.node_of_one), octaves * table.nodes - 1);
     float radius = wp::exp(((float)node - table.node_of_one) / table.per_log);
     const float nearer = wp::exp(-(float)apart / table.per_log);
-    RingSum<WIDTH> sum;
-    sum.rows.clear();
-    sum.weights = 0.0f;
-    RingLevel level = ring_level(table, 0, (int)((float)wp::max(node, 0) * table.per_octave));
-    level.until = 0.0f;
+    WeighedRows<WIDTH> sum;
+    sum.clear();
+    // Of no octave yet.
+    RingLevel level = {-1};
     while (node >= 0 && radius > innermost) {
         // Further in the Gaussian takes up more of a ring.
         const int octave = (int)((float)node * table.per_octave);
@@ -175,10 +167,7 @@ inline Row<WIDTH> mean_over_rings(const Table& table, float u, float v, float xx
         node -= is_coarse ? 2 * apart : apart;
         radius *= is_coarse ? nearer * nearer : nearer;
     }
-    Row<WIDTH> mean;
-    mean.clear();
-    mean.add(1.0f / larger(sum.weights, 1.0e-30f), sum.rows);
-    return mean;
+    return sum;
 }
 
 } // namespace warpdiff

@@ -82,6 +82,19 @@ struct Row {
     }
 };
 
+// A sum of rows so far, and of their weights.
+template <int WIDTH>
+struct WeighedRows {
+    Row<WIDTH> rows;
+    float weights;
+
+    WARPDIFF_INLINE void clear()
+    {
+        rows.clear();
+        weights = 0.0f;
+    }
+};
+
 // The numbers of a Warp array, whose elements may be vectors of them.
 template <class Number, class Array>
 WARPDIFF_INLINE Number* numbers(const Array& array)
