@@ -352,5 +352,5 @@ def lobes_for(light: Any, request: Request) -> list[Lobe]:
         if not isinstance(each, PointLight):
             checks.instance(each, DirectionalLight, f"light[{index}]")
         colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
-        result += lobes_of(each)
+        result += lobes_of(each, window.sigma_um)
     return result
