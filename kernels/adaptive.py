@@ -143,6 +143,22 @@ def estimate_errors(
         wanted_out[pixel] = wp.uint8(wp.where(wanted or all_of_them, 1, 0))
 
 
+@wp.kernel
+def add_hidden(
+    # In:
+    hidden: wp.array(dtype=wp.bool),
+    begins: wp.bool,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    hidden_out: wp.array(dtype=wp.bool),
+):
+    """Add from where one lobe is hidden to where any of them is, which ``begins`` with the first."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        hidden_out[i] = hidden[i] or (hidden_out[i] and not begins)
+
+
 @wp.func_native(
     "warpdiff::splat_cells(colours, hit, hidden, gains, pixels, colours_before, errors_before, ranks, weights, level, "
     f"{cell_levels.LEAST_FALL}f, begin, end, shares_out, means_out, changes_out, levels_out, dark_out, crossed_out);"
@@ -198,8 +214,8 @@ def splat_cells(
     Args:
         colours: Those of the cells, pixel after pixel and row by row.
         hit: Whether they meet the mesh.
-        hidden: Whether the light is hidden from there; empty is nowhere.
-        gains: 0 where they are not lit.
+        hidden: Whether the light, or a lobe of it, is hidden from there; empty is nowhere.
+        gains: 0 where they are not lit, by the last of several lobes.
         pixels: Whose they are; −1 is none.
         colours_before: Of the picture's pixels by one ray each.
         errors_before: Theirs.
@@ -450,18 +466,14 @@ def accumulate(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     errors: wp.array(dtype=wp.float32),
-    is_part: wp.bool,
     first: wp.int32,
     run: wp.int32,
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f),
     errors_out: wp.array(dtype=wp.float32),
-    parts_out: wp.array(dtype=wp.vec2f),
 ):
-    """Add a light's colours, and what they err by, to others; of a lobe of a disc also ‖XYZ‖ and its square."""
+    """Add a light's colours, and what they err by, to others."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]
         errors_out[i] = errors_out[i] + errors[i]
-        if is_part:
-            parts_out[i] = parts_out[i] + wp.vec2f(wp.length(colours[i]), wp.length_sq(colours[i]))

@@ -22,7 +22,7 @@ TINY = wp.constant(wp.float32(limits.TINY))
 def tally(
     # In:
     colours: wp.array(dtype=wp.vec3f),
-    gains: wp.array(dtype=wp.float32),
+    lit: wp.array(dtype=wp.bool),
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -30,7 +30,7 @@ def tally(
 ):
     """How often luminances occur among the pixels that are lit: by groups, and then by bins."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        if gains[i] > 0.0:
+        if lit[i]:
             luminance = wp.max(colours[i][1], wp.float32(0.0))
             place = wp.int32(wp.cast(luminance, wp.uint32) >> BELOW)
             take_number(tallies_out, place // BINS)

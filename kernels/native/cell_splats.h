@@ -29,7 +29,7 @@ WARPDIFF_INLINE CellSums sum_cells(
             if (hit[cell] == 0) continue;
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
             const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
-            sums.dark |= (hidden && !(gains[cell] > 0.0f)) << quadrant;
+            sums.dark |= (hidden && (hidden[cell] || !(gains[cell] > 0.0f))) << quadrant;
             for (int c = 0; c < 3; ++c) sums.mean[c] += value[c];
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < 4; ++c) of_row[k][c] += along[k * across + column] * value[c];

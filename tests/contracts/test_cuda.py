@@ -47,7 +47,7 @@ KERNELS = {
         "widen_footprints",
     },
     "sky_light": {"add_sky", "mirror_directions"},
-    "adaptive": {"accumulate", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
+    "adaptive": {"accumulate", "add_hidden", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
     "spectral_sum": {"integrate", "sample"},
     "work_queues": {
         "count_up",

@@ -280,15 +280,15 @@ def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, cou
 @pytest.mark.parametrize("octaves", [0.0, 0.01, 60.0])
 def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
     luminance = 2.0 ** rng.uniform(-octaves, octaves, 2 * count + 3)
-    lit = np.zeros(len(luminance), dtype=np.float32)
-    lit[rng.permutation(len(lit))[:count]] = 0.5
+    lit = np.zeros(len(luminance), dtype=np.bool_)
+    lit[rng.permutation(len(lit))[:count]] = True
     colours = wp.array(np.stack([luminance * 1e9, luminance, luminance], axis=1), dtype=wp.vec3f, device="cpu")
-    gains = wp.array(lit, dtype=wp.float32, device="cpu")
+    flags = wp.array(lit, dtype=wp.bool, device="cpu")
     tallies = wp.zeros(work_queues.GROUPS * (1 + work_queues.BINS), dtype=wp.int32, device="cpu")
     floor = wp.empty(1, dtype=wp.float32, device="cpu")
-    wp.launch(work_queues.tally, dim=1, inputs=[colours, gains, 0, len(lit)], outputs=[tallies], device="cpu")
+    wp.launch(work_queues.tally, dim=1, inputs=[colours, flags, 0, len(lit)], outputs=[tallies], device="cpu")
     wp.launch(work_queues.find_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
-    bright = np.sort(luminance[lit > 0.0])
+    bright = np.sort(luminance[lit])
     # As many are brighter as a hundredth of them, rounded down.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
     assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)

@@ -31,7 +31,7 @@ class LightRefinement:
     Attributes:
         frame: What rays meet.
         integrator: What colours are from.
-        light_index: Which of the picture's lights it is.
+        lobes: Which of the picture's lobes it has.
         colours: XYZ of pixels, before and after.
         errors: What they err by, ‖ΔXYZ‖.
         others: Their coverage, which are lit, and through which an edge passes.
@@ -42,7 +42,7 @@ class LightRefinement:
 
     frame: Frame
     integrator: Integrator
-    light_index: int
+    lobes: range
     colours: wp.array
     errors: wp.array
     others: Sequence[wp.array]
@@ -76,7 +76,7 @@ class LightRefinement:
         pixels = self.frame.seen
         seen = adaptive.Seen()
         seen.deflections, seen.mirrored = pixels.deflections, pixels.to_lights
-        seen.estimates = self.frame.estimates_of(self.light_index)
+        seen.estimates = self.frame.estimates_of(self.lobes)
         inputs = [
             self.colours, seen, pixels.pixels.hit, self.frame.rays.width, floor, self._bound_at(0), self.least > 0,
             self.refine,
@@ -86,10 +86,10 @@ class LightRefinement:
     def splat_cells(self, level: int, buffers: TileBuffers, given: Any, *, shadows: bool) -> list[KernelCall]:
         """The calls that shade the cells in the buffers and splat them to the pixels around."""
         means, name = self.integrator.blurs, self.frame.rays.options["device"].alias
-        steps = self.frame.steps_of_cells(self.integrator, self.light_index, level, buffers, shadows=shadows)
+        steps = self.frame.steps_of_cells(self.integrator, self.lobes, level, buffers, shadows=shadows)
         weights = pixel_filters.weights_at(level, means, name)
         inputs = [
-            buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, shadows=shadows),
+            buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, self.lobes, shadows=shadows),
             buffers.seen.gains, buffers.tiles[level], self.colours, self.errors, given.ranks, weights, level,
         ]  # fmt: skip
         outputs = [given.shares, given.means, given.changes, given.levels, given.dark, given.crossed]

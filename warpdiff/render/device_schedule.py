@@ -62,12 +62,12 @@ class DeviceSchedule:
         _coarser: Sequence[tuple[float, Callable[[], None]]],
     ) -> None:
         """Launch what splits pixels until none is left; nobody is told of what is on the way."""
-        self._find_floor(light.colours, light.frame.seen.gains)
+        self._find_floor(light.colours, light.others[1])
         self._found.zero_()
         self._launch_step(light.estimate_errors(self._floor, self._wanted))
         if light.splits:
             self._split_all(light)
-        inputs = [self._found, light.light_index == 0]
+        inputs = [self._found, light.lobes.start == 0]
         wp.launch(work_queues.keep_larger, dim=1, inputs=inputs, outputs=[self._most_found], device=self._device)
 
     def _split_all(self, light: LightRefinement) -> None:
@@ -82,10 +82,10 @@ class DeviceSchedule:
                 chosen = light.select_cells(level, self._given, self._of_all, self._floor, self._wanted, self._chosen)
                 self._launch_step(chosen)
 
-    def _find_floor(self, colours: wp.array, gains: wp.array) -> None:
+    def _find_floor(self, colours: wp.array, lit: wp.array) -> None:
         """Set the floor to that of a picture."""
         self._tallies.zero_()
-        self._launch(work_queues.tally, [colours, gains], [self._tallies])
+        self._launch(work_queues.tally, [colours, lit], [self._tallies])
         wp.launch(work_queues.find_floor, dim=1, inputs=[self._tallies], outputs=[self._floor], device=self._device)
 
     def _meet(self, level: int, steps: Sequence[KernelCall]) -> None:

@@ -51,8 +51,6 @@ _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 _BOUND_OF_BOTH = 1.1
 # What a sum over cells of a sky errs by, of what each may, as if these did not depend on each other.
 _ERROR_PER_COARSENESS = 0.7
-# What a light of a size errs by, of how unevenly its lobes add: pixels that few of them light show their edges.
-_ERROR_PER_LOBE = 0.3
 # Pixels' own rays, as a share of a light's progress.
 _PROGRESS_OF_FIRST_RAYS = 0.3
 # Power of lights at a place, at a distance of the mesh's radius: squares of colours near them are float32.
@@ -117,8 +115,6 @@ class Frame:
         # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
         self._errors: list[wp.array] = []
-        # ‖XYZ‖ of what several lobes of discs add, and its squares; or empty.
-        self._lobes = wp.empty(0, dtype=wp.vec2f, device=device)
         # Under skies, what pixels' own rays err by; or empty.
         self._estimates = self._no_estimates = wp.empty(0, dtype=wp.vec2f, device=device)
         # Through which pixels an edge passes, as cells have found.
@@ -134,7 +130,8 @@ class Frame:
         self._energy: wp.array | None = None
         self._to_lights: list[tuple[float, float, float]] = []
         self._have_sizes: list[bool] = []
-        self._are_parts: list[bool] = []
+        # Lights are one lobe each, or several that follow each other.
+        self._lobes_of_lights: list[range] = []
         self._at_places: list[bool] = []
         self._shadows = False
         self._grids: dict[int, Any] = {}
@@ -216,7 +213,8 @@ class Frame:
         self._lights.strengths.assign(np.array(strengths))
         self._lights.white_rgb.assign(np.array(whites))
         self._have_sizes = [each.deviations is not None for each in lights]
-        self._are_parts = [each.is_part for each in lights]
+        firsts = [index for index, each in enumerate(lights) if not each.continues]
+        self._lobes_of_lights = list(map(range, firsts, [*firsts[1:], len(lights)]))
         deviations = [np.zeros((2, 3)) if each.deviations is None else each.deviations for each in lights]
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
         self._to_lights = [each.to_light for each in lights]
@@ -273,8 +271,8 @@ class Frame:
     @property
     def launches_depend_on(self) -> tuple[Any, ...]:
         """The part of the view and the lights that the launches depend on; all else of these is on the device."""
-        sizes, parts, places = tuple(self._have_sizes), tuple(self._are_parts), tuple(self._at_places)
-        return tuple(self._skies), sizes, parts, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
+        sizes, lobes, places = tuple(self._have_sizes), tuple(self._lobes_of_lights), tuple(self._at_places)
+        return tuple(self._skies), sizes, lobes, places, self.view.extent_y is None, self.casts_shadows, self.pigmented
 
     def measure_directions(self, hf: HeightField, window: Coherence) -> tuple[DirectionRange, int, DirectionSample]:
         """The range of all lit directions, their number, and some of them.
@@ -333,7 +331,7 @@ class Frame:
         the function beside it is called.
         """
         if self._means:
-            if len(self._to_lights) > 1:
+            if len(self._lobes_of_lights) > 1:
                 # Each light takes all of its cells before the next.
                 for each, reached in coarser:
                     self._integrate_means(integrator, tolerance=each, refine=refine, progress=progress)
@@ -372,7 +370,7 @@ class Frame:
         """The calls that add the colours of what rays see under a light, one material after the other."""
         deflections, to_lights, gains = seen.directions
         if (sky := self._skies[light_index]) is not None:
-            hidden = self.hidden_of(seen, shadows=shadows)
+            hidden = self._hidden_of_one(seen, shadows=shadows)
             inputs = [
                 self._sky_maps[sky], integrator.sky_table(self._lit[light_index], sky.directions), seen.pixels,
                 gains, footprints, self._lights, light_index, self._reflection,
@@ -408,11 +406,8 @@ class Frame:
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
             self._edges = wp.empty(self._size, dtype=wp.bool, device=self._device)
-        if any(self._are_parts) and not len(self._lobes):
-            self._lobes = wp.empty(self._size, dtype=wp.vec2f, device=self._device)
-        self._lobes.zero_()
         left_out = self._left_out_buffer(integrator)
-        several, colours = len(self._to_lights) > 1, self._colours_of_one
+        several, colours = len(self._lobes_of_lights) > 1, self._colours_of_one
         errors = self._errors[several]
         self._errors[0].zero_()
         self._edges.zero_()
@@ -420,17 +415,15 @@ class Frame:
         self._refined = refine
         if several:
             self._sums[0].zero_()
-        for light_index, share in self._passes(progress):
+        for index, lobes in enumerate(self._lobes_of_lights):
             if several:
                 errors.zero_()
-            seen = self.seen
-            steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
-            footprints = seen.footprints if integrator.blurs else None
-            steps += self._colour_steps(integrator, light_index, seen, colours, footprints, left_out)
+            count = len(self._lobes_of_lights)
+            share = part_of(progress, index / count, (index + 1) / count)
             first, rest = part_of(share, 0.0, _PROGRESS_OF_FIRST_RAYS), part_of(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
-            launch_pipeline(steps, self._size, slice_size=_COLOURS_OF_SLICE, progress=first, **self.rays.options)
+            self._add_first_rays(integrator, lobes, colours, left_out, first)
             light = adaptive_sampling.LightRefinement(
-                self, integrator, light_index, colours, errors, [*self._sums[1:], self._edges], tolerance,
+                self, integrator, lobes, colours, errors, [*self._sums[1:], self._edges], tolerance,
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._scheduled(light)
@@ -438,9 +431,31 @@ class Frame:
             if rest is not None:
                 rest(1.0)
             if several:
-                inputs = [colours, errors, self._are_parts[light_index]]
-                sums = [self._sums[0], self._errors[0], self._lobes]
-                self._launch([KernelCall(adaptive.accumulate, inputs, sums, in_runs=True)])
+                sums = [self._sums[0], self._errors[0]]
+                self._launch([KernelCall(adaptive.accumulate, [colours, errors], sums, in_runs=True)])
+
+    def _add_first_rays(
+        self,
+        integrator: Integrator,
+        lobes: range,
+        colours: wp.array,
+        left_out: wp.array,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        """Add what pixels' own rays see under the lobes of a light."""
+        for light_index in lobes:
+            # Measuring directions has left behind what a single light needs.
+            if self._now != (0, light_index):
+                self.deflect(0, light_index)
+            seen = self.seen
+            steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
+            footprints = seen.footprints if integrator.blurs else None
+            steps += self._colour_steps(integrator, light_index, seen, colours, footprints, left_out)
+            begin, end = ((light_index + more - lobes.start) / len(lobes) for more in (0, 1))
+            launch_pipeline(
+                steps, self._size, slice_size=_COLOURS_OF_SLICE, progress=part_of(progress, begin, end),
+                **self.rays.options,
+            )  # fmt: skip
 
     def _scheduled(self, light: adaptive_sampling.LightRefinement) -> HostSchedule | DeviceSchedule:
         """What splits pixels under lights like this one."""
@@ -451,20 +466,20 @@ class Frame:
     @property
     def _colours_of_one(self) -> wp.array:
         """Where a light's colours come: of means under several lights by themselves, otherwise in the picture."""
-        if not self._means or len(self._to_lights) == 1:
+        if not self._means or len(self._lobes_of_lights) == 1:
             return self._sums[0]
         if not len(self._colours):
             self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
         return self._colours
 
-    def estimates_of(self, light_index: int) -> wp.array:
+    def estimates_of(self, lobes: range) -> wp.array:
         """What the colours of pixels' own rays err by under a light, if it is a sky."""
-        return self._no_estimates if self._skies[light_index] is None else self._estimates
+        return self._no_estimates if self._skies[lobes.start] is None else self._estimates
 
     def steps_of_cells(
         self,
         integrator: Integrator,
-        light_index: int,
+        lobes: range,
         level: int,
         buffers: TileBuffers,
         *,
@@ -476,13 +491,17 @@ class Frame:
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filters.places_at(level, self._device.alias)
         steps = self.rays.steps(sampling, seen.pixels)
         sums = [buffers.colours, *self._no_sums[1:]]
-        steps += self._deflect(light_index, seen, 1.0, sums, sample=0, shadows=shadows)
-        if means:
-            steps += self._footprints(light_index, seen, level)
         footprints = seen.footprints if means else None
-        steps += self._colour_steps(
-            integrator, light_index, seen, buffers.colours, footprints, buffers.left_out, shadows=shadows
-        )
+        for light_index in lobes:
+            steps += self._deflect(light_index, seen, 1.0, sums, sample=0, shadows=shadows)
+            if shadows and self.casts_shadows and len(lobes) > 1:
+                inputs = [seen.hidden, light_index == lobes.start]
+                steps.append(KernelCall(adaptive.add_hidden, inputs, [seen.hidden_from_any], in_runs=True))
+            if means:
+                steps += self._footprints(light_index, seen, level)
+            steps += self._colour_steps(
+                integrator, light_index, seen, buffers.colours, footprints, buffers.left_out, shadows=shadows
+            )
         return steps
 
     def sum_directly(self, hf: HeightField, plan: Plan, *, progress: Callable[[float], None] | None) -> None:
@@ -523,10 +542,11 @@ class Frame:
             self._make_grid(light_index, self._samples)
         return self._grids[light_index]
 
-    def expect_cells(self, light_index: int, pixels: int) -> None:
+    def expect_cells(self, lobes: range, pixels: int) -> None:
         """Get ready for the shadow rays of so many pixels that are split."""
         if self.casts_shadows:
-            self._make_grid(light_index, _SHADOW_RAYS_OF_CELLS, pixels)
+            for light_index in lobes:
+                self._make_grid(light_index, _SHADOW_RAYS_OF_CELLS, pixels)
 
     def _make_grid(self, light_index: int, rays: int, pixels: int | None = None) -> None:
         has_none = self._at_places[light_index] or self._skies[light_index] is not None
@@ -550,18 +570,23 @@ class Frame:
         self._launch(steps)
         self._now = sample, light_index
 
-    def hidden_of(self, seen: GBuffer, *, shadows: bool = True) -> wp.array:
-        """From which of the points that rays meet a light is hidden; empty is none of them."""
+    def hidden_of(self, seen: GBuffer, lobes: range, *, shadows: bool = True) -> wp.array:
+        """From which of the points that rays meet any lobe of a light is hidden; empty is none of them."""
+        if len(lobes) > 1 and shadows and self.casts_shadows:
+            return seen.hidden_from_any
+        return self._hidden_of_one(seen, shadows=shadows)
+
+    def _hidden_of_one(self, seen: GBuffer, *, shadows: bool) -> wp.array:
         return seen.hidden if shadows and self.casts_shadows else self._none_hidden
 
     def _deflect(
         self, light_index: int, seen: GBuffer, weight: float, sums: list[wp.array], *, sample: int, shadows: bool = True
     ) -> list[KernelCall]:
-        shadows, hidden = shadows and self.casts_shadows, self.hidden_of(seen, shadows=shadows)
+        shadows, hidden = shadows and self.casts_shadows, self._hidden_of_one(seen, shadows=shadows)
         # What is covered counts once.
         counted, begins = weight if light_index == 0 else 0.0, light_index == 0 and sample == 0
         # Of means each light's colours are found by themselves.
-        resets = begins or self._means
+        resets = begins or (self._means and any(each.start == light_index for each in self._lobes_of_lights))
         if self._skies[light_index] is not None:
             inputs = [seen.pixels, counted, begins, resets]
             return [KernelCall(sky_light.mirror_directions, inputs, [*seen.directions, *sums], in_runs=True)]
@@ -623,10 +648,6 @@ class Frame:
             errors = _BOUND_OF_BOTH * np.hypot(errors, self._seen_of(self._errors[0])[lit])
         if any(self._skies):
             errors = errors + _ERROR_PER_COARSENESS * self._seen_of(self._estimates)[lit, 1]
-        if count := sum(self._are_parts):
-            # They are softer than the disc, and not quite even, which shows where some of them add more than others do.
-            total, squares = self._seen_of(self._lobes)[lit].T
-            errors = np.hypot(errors, _ERROR_PER_LOBE * np.sqrt(np.maximum(squares - total**2 / count, 0.0)))
         error = np.zeros(lit.shape, dtype=np.float32)
         error[lit] = relative_errors(errors, seen)
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)

@@ -25,10 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GBuffer:
-    """The G-buffer of rays: hits and frames, and under the last light shadows, deflections, directions to it, gains."""
+    """The G-buffer of rays: hits and frames, and under the last light shadows, deflections, directions to it, gains.
+
+    ``hidden_from_any`` is of all lobes of a light together.
+    """
 
     pixels: Any
     hidden: wp.array
+    hidden_from_any: wp.array
     deflections: wp.array
     to_lights: wp.array
     gains: wp.array
@@ -55,7 +59,8 @@ class GBuffer:
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
         footprints = empty(Footprint, rays if means else 0)
         gains, of_one = empty(wp.float32), empty(wp.float32, rays * materials)
-        return cls(pixels, empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), gains, footprints, of_one)
+        hidden = empty(wp.bool), empty(wp.bool)
+        return cls(pixels, *hidden, empty(wp.vec3d), empty(wp.vec3f), gains, footprints, of_one)
 
     @property
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:

@@ -54,7 +54,7 @@ class HostSchedule:
         each begins anew from pixels of one ray, but finds the cells again that there are.
         """
         kept = _KeptCells() if coarser else None
-        before = 0 if light.light_index == 0 else self.count
+        before = 0 if light.lobes.start == 0 else self.count
         changing = light.colours, *light.others
         of_one_ray = [each.numpy().copy() for each in changing] if coarser else []
         for index, tolerance in enumerate([*(each for each, _ in coarser), light.tolerance]):
@@ -126,7 +126,7 @@ class _Splitting:
         self._light, self._rays, self._kept, self._device = light, rays, kept, rays.options["device"]
         self._width, self._height = rays.width, rays.height
         size = self._width * self._height
-        floor = pixel_filters.floor_of(light.colours, rays.seen.gains)
+        floor = pixel_filters.floor_of(light.colours, light.others[1])
         self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._wanted = np.zeros(size, dtype=np.uint8)
         self._wanted_out = self._array(self._wanted, wp.uint8)
@@ -149,7 +149,7 @@ class _Splitting:
         pixels = np.flatnonzero(self._wanted).astype(np.int32)
         if not light.splits or not len(pixels):
             return 0
-        light.frame.expect_cells(light.light_index, len(pixels))
+        light.frame.expect_cells(light.lobes, len(pixels))
         if len(pixels) > _MOST_PIXELS:
             # Tiles between parts see what the part before has changed.
             self._kept = None

@@ -161,9 +161,9 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
     return result
 
 
-def floor_of(colours: wp.array, gains: wp.array) -> float:
+def floor_of(colours: wp.array, lit: wp.array) -> float:
     """The least luminance that errors are relative to, from how bright what is lit is."""
-    bright = colours.numpy()[:, 1][gains.numpy() > 0.0]
+    bright = colours.numpy()[:, 1][lit.numpy()]
     if not len(bright):
         return float(TINY)
     rank = len(bright) - 1 - int(BRIGHTEST_SHARE * len(bright))

@@ -130,7 +130,7 @@ class Renderer:
             self._recorded = records(request.device)
             self._mine = _Picture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
-                wanted.lights,
+                wanted.lobes,
                 view,
             )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
@@ -197,7 +197,7 @@ class Renderer:
         if mine.is_drawing:
             raise RuntimeError("draw() was called by what it calls itself, progress or coarser: call it afterwards")
         on_the_way = self._on_the_way(mine, coarser)
-        lights = mine.lights if light is None else lobes_for(light, self._wanted.request)
+        lights = mine.lights if light is None else lobes_for(light, self._wanted.request, refine=self._wanted.refine)
         check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")

@@ -146,8 +146,9 @@ def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Calla
     """The picture of a mesh that is ready, by a plan for what its pixels see."""
     request = wanted.request
     picture = wanted.frame(surface, view)
-    wanted.set_lights(picture, wanted.lights)
-    if any(each.sky is not None for each in wanted.lights):
+    lobes = wanted.lobes
+    wanted.set_lights(picture, lobes)
+    if any(each.sky is not None for each in lobes):
         # From anywhere.
         scope, sample, count = directions_of(request)
     else:
@@ -177,7 +178,7 @@ class PictureRequest:
 
     Attributes:
         request: What it has in common with other requests.
-        lights: The lobes of one or several.
+        lights: One or several.
         pigment: Strength of the base colour.
         shadows: Whether the mesh may hide the lights.
         smooth: Whether vertex normals are interpolated.
@@ -186,7 +187,7 @@ class PictureRequest:
     """
 
     request: Request
-    lights: list[Lobe]
+    lights: list[Light]
     pigment: float
     shadows: bool
     smooth: bool
@@ -210,7 +211,7 @@ class PictureRequest:
     ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
         request = Request.checked(hf, by_geometry=True, **common)
-        lights = lobes_for(light, request)
+        lobes = lobes_for(light, request, refine=checks.flag(refine, "refine"))
         checks.instance(view, View, "view")
         checks.flag(shadows, "shadows")
         checks.flag(smooth, "smooth")
@@ -226,11 +227,17 @@ class PictureRequest:
                 f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
                 "footprint=False takes more points"
             )
-        check_light_sizes(lights, request.coherence, means=blurred)
+        check_light_sizes(lobes, request.coherence, means=blurred)
         plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
-        lit = LitMaterial.of([name for each in lights for name in each.illuminants], request.materials.values())
+        lit = LitMaterial.of([name for each in lobes for name in each.illuminants], request.materials.values())
         request = replace(request, plan=plan, footprint=blurred, lit=lit)
-        return cls(request, lights, pigment, shadows, smooth, samples, checks.flag(refine, "refine"))
+        lights = [light] if isinstance(light, Light) else list(light)
+        return cls(request, lights, pigment, shadows, smooth, samples, refine)
+
+    @property
+    def lobes(self) -> list[Lobe]:
+        """The lobes of the lights."""
+        return lobes_for(self.lights, self.request, refine=self.refine)
 
     def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
         """The arrays of a picture."""
@@ -256,7 +263,7 @@ class PictureRequest:
 
     def with_sizes(self, plan: Plan) -> Plan:
         """A plan whose table serves lights of a size: what no table keeps for single directions, it does for these."""
-        if plan.blurs or not any(each.has_size for each in self.lights):
+        if plan.blurs or not any(each.has_size for each in self.lobes):
             return plan
         method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
         nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
@@ -330,8 +337,11 @@ def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool)
         )
 
 
-def lobes_for(light: Any, request: Request) -> list[Lobe]:
-    """The lobes of one or several lights, which are checked."""
+def lobes_for(light: Any, request: Request, *, refine: bool) -> list[Lobe]:
+    """The lobes of one or several lights, which are checked.
+
+    Where pictures are not refined, which are turned by hand, a disc is one of them if it can be.
+    """
     window = request.coherence
     tolerance = request.tolerance if request.plan is None else request.plan.tolerance
     lights = [light] if isinstance(light, Light) else light
@@ -352,5 +362,5 @@ def lobes_for(light: Any, request: Request) -> list[Lobe]:
         if not isinstance(each, PointLight):
             checks.instance(each, DirectionalLight, f"light[{index}]")
         colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
-        result += lobes_of(each, window.sigma_um)
+        result += lobes_of(each, window.sigma_um, few=not refine)
     return result

@@ -21,16 +21,17 @@ if TYPE_CHECKING:
 MOST_POWER = 1e12
 # Softboxes: beyond, a light is an environment.
 _WIDEST_DEG = 60.0
-# A light up to this wide is one Gaussian. A wider one is rings of them.
-ONE_LOBE_DEG = 5.0
+# A disc up to this wide shows no shape, and is one Gaussian; up to that one where there are to be few. A wider one is
+# rings of them.
+_SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 # Rings: so much wider each further in, up to a limit.
-_RING_GROWTH, _WIDEST_RING_DEG = 1.4, 2.5
+_RING_GROWTH, _WIDEST_RING_DEG = 1.5, 3.5
 # Lobes blur the disc as the window does at this wavelength, but no less than by this.
 _BLUR_NM, _LEAST_BLUR_DEG = 450.0, 0.13
 # The ring at the rim in such blurs; deviations of lobes in what they are apart; of the middle one in its radius.
-_RIM_BLURS, _LOBE_WIDTH, _MIDDLE_WIDTH = 1.5, 0.6, 0.8
-# A lobe of a ring of radius r and width w is √(b r w) long, where b grows with w.
-_BEND, _BEND_GROWTH = 0.7, 0.3
+_RIM_BLURS, _LOBE_WIDTH, _MIDDLE_WIDTH = 1.8, 0.6, 0.8
+# A lobe of a ring of radius r and width w is √(b r w) long.
+_BEND = 0.7
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _FEWEST_OF_RING = 6
 # Where lobes are made even together: so many radii within and at the rim, and angles around. Errors count relative to
@@ -48,7 +49,8 @@ class DirectionalLight:
         power: Linear factor, up to 1e12; at 1 a flat mirror in the mirror direction of a point shows Y = 1. That of a
             disc is shared out over it.
         angular_diameter_deg: Diameter of a disc of even brightness, 0 to 60°; 0 is a point. A disc takes footprints
-            (``footprint=`` of pictures), and up to 5° it has a hard shadow.
+            (``footprint=`` of pictures). Up to 1.5°, or up to 5° in pictures with ``refine=False``, it is taken for a
+            Gaussian and has a hard shadow.
     """
 
     to_light: tuple[float, float, float]
@@ -110,7 +112,7 @@ class Lobe:
         position: Where it is, world frame, from where its power falls off by the square of the distance; None is
             infinitely far away. ``to_light`` is then of no account.
         sky: Light from all directions, in place of all of these; the power is 1.
-        is_part: Whether it is one of several of a disc, which together are not quite even.
+        continues: Whether it is of the same light as the lobe before.
     """
 
     to_light: tuple[float, float, float]
@@ -119,7 +121,7 @@ class Lobe:
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
     sky: SkyLight | None = None
-    is_part: bool = False
+    continues: bool = False
 
     @property
     def illuminants(self) -> tuple[str | Spectrum, ...]:
@@ -132,11 +134,11 @@ class Lobe:
         return self.deviations is not None or self.sky is not None
 
 
-def lobes_of(light: DirectionalLight | PointLight, sigma_um: float | None = None) -> list[Lobe]:
-    """The lobes that stand for a light, seen by windows of a deviation.
+def lobes_of(light: DirectionalLight | PointLight, sigma_um: float | None = None, *, few: bool = False) -> list[Lobe]:
+    """The lobes that stand for a light, seen by windows of a deviation [µm].
 
-    One of up to 5° has the mean and the variance of its disc, several also its rim, but for a blur that is less than
-    what windows blur by.
+    One, of a disc of up to 1.5°, or up to 5° if there are to be ``few``, has its mean and its variance; several also
+    have its rim, but for a blur that is less than what windows blur by.
     """
     if isinstance(light, PointLight):
         return [Lobe((0.0, 0.0, 1.0), light.illuminant, light.power, position=light.position)]
@@ -145,10 +147,10 @@ def lobes_of(light: DirectionalLight | PointLight, sigma_um: float | None = None
         return [Lobe(light.to_light, light.illuminant, light.power)]
     axis = np.asarray(light.to_light)
     aside, other = at_right_angles(axis)
-    if light.angular_diameter_deg <= ONE_LOBE_DEG:
+    if light.angular_diameter_deg <= (ONE_LOBE_DEG if few else _SHAPELESS_DEG):
         return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0 * np.stack([aside, other]))]
     of_window = 0.0 if sigma_um is None else 1e-3 * _BLUR_NM / (math.sqrt(8.0) * math.pi * sigma_um)
-    result = []
+    result: list[Lobe] = []
     for polar, around, across, along, share in _lobes_of_disc(light.angular_diameter_deg, of_window):
         outwards = math.cos(around) * aside + math.sin(around) * other
         x, y, z = (math.cos(polar) * axis + math.sin(polar) * outwards).tolist()
@@ -157,7 +159,7 @@ def lobes_of(light: DirectionalLight | PointLight, sigma_um: float | None = None
             along * (math.cos(around) * other - math.sin(around) * aside),
         ]
         power = light.power * share
-        result.append(Lobe((x, y, z), light.illuminant, power, np.stack(deviations), is_part=True))
+        result.append(Lobe((x, y, z), light.illuminant, power, np.stack(deviations), continues=len(result) > 0))
     return result
 
 
@@ -165,7 +167,7 @@ def lobes_of(light: DirectionalLight | PointLight, sigma_um: float | None = None
 def _lobes_of_disc(diameter_deg: float, of_window: float) -> tuple[tuple[float, float, float, float, float], ...]:
     """Rings of lobes that are a blurred disc: thin ones at its rim, and each as long as its ring's bend allows.
 
-    Windows blur a light by themselves, so that lobes are thinner than they are apart, and those at the rim may be lines.
+    Windows blur a light by themselves, so that lobes are thinner than they are apart, and at the rim may be lines.
     Lengths are those of a plane in which equal areas are equal solid angles. What ring by ring the lobes of one have of
     the light is found by least squares against the blurred disc.
 
@@ -183,7 +185,7 @@ def _lobes_of_disc(diameter_deg: float, of_window: float) -> tuple[tuple[float, 
     *widths, core = _widths(edge, _RIM_BLURS * blur)
     for width in widths:
         middle = outer - width / 2.0
-        longest = max(width, math.sqrt(_BEND * (width / widths[0]) ** _BEND_GROWTH * middle * width))
+        longest = max(width, math.sqrt(_BEND * middle * width))
         count = max(math.ceil(2.0 * math.pi * middle / longest), _FEWEST_OF_RING)
         across, along = _LOBE_WIDTH * width, _LOBE_WIDTH * 2.0 * math.pi * middle / count
         across, along = max(across, blur), max(along, blur)

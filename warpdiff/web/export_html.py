@@ -121,7 +121,7 @@ def export_html(
             "lights": [
                 {"to_light": each.to_light, "position": each.position, "power": each.power,
                  "deviation": 0.0 if each.deviations is None else float(np.linalg.norm(each.deviations[0]))}
-                for given in lights for each in lobes_of(given)
+                for given in lights for each in lobes_of(given, few=True)
             ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
