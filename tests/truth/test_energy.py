@@ -71,6 +71,16 @@ def test_normalised_maps_are_reciprocal_and_say_what_they_are():
     assert 0.0 == stam.plan.energy_spread < normalised.plan.energy_spread
 
 
+def test_a_wavelength_by_itself_is_what_it_is_among_others():
+    hf, views = SURFACES["fingers"](), [at(10.0, 60.0), at(50.0, -30.0), at(45.0, 200.0)]
+    options = {"coherence": WINDOW, "ior": math.inf, "energy": "normalised", "tolerance": 1e-3}
+    wide = np.array([350.0, *np.arange(400.0, 701.0, 25.0), 800.0])
+    among = wd.brdf(hf, at(30.0, 20.0), views, wide, **options)
+    for column in (0, 6, 7, len(wide) - 1):
+        alone = wd.brdf(hf, at(30.0, 20.0), views, wide[column], **options)
+        assert np.ravel(alone) == pytest.approx(among[:, column], rel=5e-3)
+
+
 def test_gentle_surfaces_keep_their_orders():
     """Where one order has nearly all of the light, that it is sent back leaves factors free that make others wrong."""
     x = np.arange(64) / 64.0

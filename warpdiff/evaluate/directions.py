@@ -285,8 +285,7 @@ def brdf(
         material: As in :func:`spectral_reflectance`.
         energy: ``"stam"``, or ``"normalised"``, where orders of a perfect mirror sum to 1 from everywhere, as in
             :func:`order_efficiencies`; it is reciprocal, too, but for what interpolation leaves. Of more than 64 lights
-            sums are 1 but for that, which is much at grazing angles, and factors of more than five wavelengths are
-            linear between those of five.
+            sums are 1 but for that, which is much at grazing angles. Between some wavelengths factors are linear.
         plan: As in :func:`spectral_reflectance`.
         strict: As in :func:`spectral_reflectance`.
         device: As in :func:`spectral_reflectance`.

@@ -150,8 +150,7 @@ def _balance(
 ) -> NDArray[np.float64]:
     """What normalised efficiencies are of Stam's, for the orders of one light that propagate, (n,)."""
     if len(orders) > energy_balance.MOST_EXACT:
-        factors = energy_balance.factors_of(hf, (1e3 * wavelength_um,))
-        found = factors.at(views, factors.wavelengths_nm)[:, 0]
+        found = energy_balance.factors_around(hf, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
         return np.asarray(found / (mirrors @ found))
     # Orders lead from lights of one family, which differ by whole orders, to views of another, and from these back.
     steps = wavelength_um / np.asarray(hf.size_um[::-1])

@@ -42,8 +42,11 @@ _KEPT = 8
 _LIGHTS, _SEEN_NM, _PLASTIC = 4096, (400.0, 700.0), 1.22074408460575947536
 # Up to which angle from the normal it is told what factors leave out.
 _STEEPEST_TOLD = math.radians(80.0)
-# Of wavelengths that are asked for: nodes of the grid's factors at most; and lights whose sums are made 1 exactly.
-_MOST_NODES, _MOST_LIGHTS = 5, 64
+# Factors of single wavelengths are linear between so many nodes of a band [nm], or of another one in the same ratio
+# beside it: they do not depend on what else is asked for.
+_NODES, _BAND_NM = 5, (380.0, 780.0)
+# Lights whose sums are made 1 exactly.
+_MOST_LIGHTS = 64
 # A share of the light that no sum is divided by less than: no order propagates whose coefficient does not vanish.
 _LEAST_SUM = 1e-12
 
@@ -120,16 +123,13 @@ class EnergyFactors:
     wavelengths_nm: NDArray[np.float64]
     values: NDArray[np.float64]
 
-    def at(self, directions: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The factors at unit vectors (n, 3) and wavelengths [nm] (m,), shape (n, m); linear between what is there."""
-        corners, weights = grid_weights(directions)
-        flat = self.values.reshape(len(self.values), -1)
-        at_nodes = np.einsum("nc,knc->nk", weights, flat[:, corners])
-        share = np.interp(wavelengths_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm)))
-        before = np.minimum(share.astype(np.int64), max(len(self.wavelengths_nm) - 2, 0))
-        after = np.minimum(before + 1, len(self.wavelengths_nm) - 1)
-        t = share - before
-        return np.asarray((1.0 - t) * at_nodes[:, before] + t * at_nodes[:, after])
+    def at(self, directions: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+        """The factors at unit vectors (n, 3) and a wavelength [nm], shape (n,); linear between what is there."""
+        nodes, weights = grid_weights(directions)
+        place = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm))))
+        before = min(int(place), len(self.wavelengths_nm) - 2)
+        values = (before + 1.0 - place) * self.values[before] + (place - before) * self.values[before + 1]
+        return np.asarray(np.sum(weights * values.ravel()[nodes], axis=1))
 
 
 @dataclass(frozen=True)
@@ -257,19 +257,20 @@ def _leaving(
 
 
 @on_one_thread()
-def factors_of(hf: HeightField, wavelengths_nm: tuple[float, ...]) -> EnergyFactors:
-    """The factors of a height field on a grid of directions, at some wavelengths; kept for the next call."""
-    check_cycles(hf, 2e3 / min(wavelengths_nm))
-    key = *_key_of(hf), wavelengths_nm
+def factors_around(hf: HeightField, wavelength_nm: float) -> EnergyFactors:
+    """The factors of a height field on a grid of directions, in a wavelength's band; kept for the next call."""
+    shortest, longest = _BAND_NM
+    band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
+    nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band
+    check_cycles(hf, 2e3 / wavelength_nm)
 
     def make() -> EnergyFactors:
-        shortest = 1e-3 * min(wavelengths_nm)
-        powers = Powers(hf, 2.0 / shortest, _BIN / (1e-3 * max(wavelengths_nm)))
+        powers = Powers(hf, 2e3 / nodes[0], 1e3 * _BIN / nodes[-1])
         grid = _grid()
-        values = [_balanced(_shared_out(powers, grid, np.full(len(grid), 1e-3 * each))) for each in wavelengths_nm]
-        return EnergyFactors(np.array(wavelengths_nm), np.stack(values).reshape(-1, _POLAR, _AROUND))
+        values = [_balanced(_shared_out(powers, grid, np.full(len(grid), each))) for each in 1e-3 * nodes]
+        return EnergyFactors(nodes, np.stack(values).reshape(-1, _POLAR, _AROUND))
 
-    return _kept.get_or_make(key, make)
+    return _kept.get_or_make((*_key_of(hf), band), make)
 
 
 _kept: LruCache[EnergyFactors] = LruCache(_KEPT)
@@ -311,16 +312,13 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def sums_from(
-    hf: HeightField, factors: EnergyFactors, lights: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+    factors: EnergyFactors, powers: Powers, lights: NDArray[np.float64], wavelength_nm: float
 ) -> NDArray[np.float64]:
-    """Σ K a(ωr) over all orders of each light (n, 3) at each wavelength [nm] (m,), shape (n, m)."""
-    powers = Powers(hf, 2e3 / float(wavelengths_nm.min()), 0.0)
-    result = np.ones((len(lights), len(wavelengths_nm)))
+    """Σ K a(ωr) over all orders, which lie apart, of each light (n, 3), shape (n,)."""
+    result = np.ones(len(lights))
     for row, light in enumerate(lights):
-        for column, wavelength in enumerate(wavelengths_nm):
-            views, found = _leaving(powers, light, 1e-3 * wavelength)
-            at_views = factors.at(views, wavelengths_nm[column : column + 1])[:, 0]
-            result[row, column] = max(float(found @ at_views), _LEAST_SUM)
+        views, found = _leaving(powers, light, 1e-3 * wavelength_nm)
+        result[row] = max(float(found @ factors.at(views, wavelength_nm)), _LEAST_SUM)
     return result
 
 
@@ -334,13 +332,14 @@ def between(
 
     Of few lights a(ωi) is such that the sum over all orders is 1; of many it comes from the grid, too.
     """
-    nodes = np.unique(wavelengths_nm)
-    if len(nodes) > _MOST_NODES:
-        nodes = np.geomspace(nodes[0], nodes[-1], _MOST_NODES)
-    factors = factors_of(hf, tuple(nodes.tolist()))
     distinct, which = np.unique(lights, axis=0, return_inverse=True)
-    if len(distinct) <= _MOST_LIGHTS:
-        first = 1.0 / sums_from(hf, factors, distinct, wavelengths_nm)
-    else:
-        first = factors.at(distinct, wavelengths_nm)
-    return np.asarray(first[which.ravel()] * factors.at(views, wavelengths_nm))
+    powers = Powers(hf, 2e3 / float(wavelengths_nm.min()), 0.0) if len(distinct) <= _MOST_LIGHTS else None
+    result = np.empty((len(views), len(wavelengths_nm)))
+    for column, wavelength_nm in enumerate(wavelengths_nm.tolist()):
+        factors = factors_around(hf, wavelength_nm)
+        if powers is None:
+            first = factors.at(distinct, wavelength_nm)
+        else:
+            first = 1.0 / sums_from(factors, powers, distinct, wavelength_nm)
+        result[:, column] = first[which.ravel()] * factors.at(views, wavelength_nm)
+    return result
