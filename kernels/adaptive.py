@@ -15,6 +15,8 @@ PER_UNEVEN = wp.constant(wp.float32(cell_levels.PER_UNEVEN))
 PER_WIDE = wp.constant(wp.float32(cell_levels.PER_WIDE))
 TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
+# What penumbrae err by, of the root sum of squares of lobes that are hidden one after the other.
+ERROR_PER_LOBE = wp.constant(wp.float32(0.2))
 ASLANT = wp.constant(wp.float32(cell_levels.FILTER_SHARES[0] / cell_levels.FILTER_SHARES[1]))
 
 
@@ -157,6 +159,54 @@ def add_hidden(
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         hidden_out[i] = hidden[i] or (hidden_out[i] and not begins)
+
+
+@wp.kernel
+def add_shadow(
+    # In:
+    hidden: wp.array(dtype=wp.bool),
+    strengths: wp.array(dtype=wp.vec2d),
+    lobe: wp.int32,
+    begins: wp.bool,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    shadow_out: wp.array(dtype=wp.float32),
+):
+    """Add a lobe's strength to what is hidden from pixels, which ``begins`` with the first."""
+    strength = wp.float32(strengths[lobe][0])
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        shadow = wp.where(begins, 0.0, shadow_out[i])
+        shadow_out[i] = wp.where(hidden[i], shadow + strength, shadow)
+
+
+@wp.kernel
+def tell_penumbrae(
+    # In:
+    colours: wp.array(dtype=wp.vec3f),
+    shadow: wp.array(dtype=wp.float32),
+    strengths: wp.array(dtype=wp.vec2d),
+    lobe: wp.int32,
+    end: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    told_out: wp.array(dtype=wp.float32),
+):
+    """Add what pixels err by from which some of a light's lobes are hidden, one after the other: so large a step."""
+    total = wp.float32(0.0)
+    square = wp.float32(0.0)
+    for k in range(lobe, end):
+        strength = wp.float32(strengths[k][0])
+        total += strength
+        square += strength * strength
+    step = ERROR_PER_LOBE * wp.sqrt(square)
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if shadow[i] > 0.0:
+            # What is lit by less than a step is all wrong.
+            told_out[i] = told_out[i] + step / wp.max(total - shadow[i], step) * wp.length(colours[i])
 
 
 @wp.func_native(
@@ -466,14 +516,17 @@ def accumulate(
     # In:
     colours: wp.array(dtype=wp.vec3f),
     errors: wp.array(dtype=wp.float32),
+    lit: wp.array(dtype=wp.bool),
     first: wp.int32,
     run: wp.int32,
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f),
     errors_out: wp.array(dtype=wp.float32),
+    lit_out: wp.array(dtype=wp.bool),
 ):
-    """Add a light's colours, and what they err by, to others."""
+    """Add a light's colours, what they err by, and what it reaches, to those of others."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]
         errors_out[i] = errors_out[i] + errors[i]
+        lit_out[i] = lit_out[i] or lit[i]

@@ -47,7 +47,16 @@ KERNELS = {
         "widen_footprints",
     },
     "sky_light": {"add_sky", "mirror_directions"},
-    "adaptive": {"accumulate", "add_hidden", "select_cells", "resolve_pixels", "estimate_errors", "splat_cells"},
+    "adaptive": {
+        "accumulate",
+        "add_hidden",
+        "add_shadow",
+        "tell_penumbrae",
+        "select_cells",
+        "resolve_pixels",
+        "estimate_errors",
+        "splat_cells",
+    },
     "spectral_sum": {"integrate", "sample"},
     "work_queues": {
         "count_up",

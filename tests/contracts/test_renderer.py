@@ -138,6 +138,38 @@ def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_s
             assert image.plan == expected.plan
 
 
+DISC = wd.DirectionalLight((0.3, 0.8, 0.9), angular_diameter_deg=9.0)
+BEHIND = wd.DirectionalLight((0.0, -0.62, -1.0), power=3.0)
+
+
+@pytest.mark.parametrize("lights", [[DISC], [DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "two", "behind"])
+def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers, plans, lights):
+    drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"], pigment=0.0)
+    told = []
+    drawn.draw(coarser={0.4: lambda: told.append(told[-1])}, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
+    found, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
+                    for each in (lights, lights[::-1]))  # fmt: skip
+    same(drawn.image(), found)
+    np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
+
+
+def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
+    drawn = wd.Renderer(painted, fingers, DISC, view(), plan=plans["footprints"], threads=1)
+    for angle in (0.0, 0.3):
+        light = dataclasses.replace(DISC, to_light=(0.3 + angle, 0.8, 0.9), angular_diameter_deg=9.0 + angle)
+        drawn.draw(light, view(angle))
+        expected = wd.shade(painted, fingers, light, view(angle), plan=plans["footprints"])
+        found = drawn.image()
+        floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
+        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
+        assert np.percentile(differ[expected.lit], 99.0) <= 0.1 * drawn.plan.tolerance
+        assert np.mean(found.lit != expected.lit) <= 0.01
+    assert len(recorded) == 1
+
+
 def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
     before = drawn.image()

@@ -112,11 +112,14 @@ class Frame:
         dtypes = (wp.vec3f, wp.float64, wp.bool)
         self._sums = [wp.zeros(size, dtype=dtype, device=device) for dtype in dtypes]
         self._no_sums = [wp.empty(0, dtype=dtype, device=device) for dtype in dtypes]
-        # One light's, where pictures are sums, what these and it err by, and what a table leaves out.
+        # Where pictures are sums, a light's, and what it reaches; what both err by, and what a table leaves out.
         self._colours = wp.empty(0, dtype=wp.vec3f, device=device)
+        self._lit_by_one = wp.empty(0, dtype=wp.bool, device=device)
         self._errors: list[wp.array] = []
         # Under skies, what pixels' own rays err by; or empty.
         self._estimates = self._no_estimates = wp.empty(0, dtype=wp.vec2f, device=device)
+        # What is hidden of a light of several lobes, and what all such penumbrae err by; or empty.
+        self._shadow, self._penumbrae = (wp.empty(0, dtype=wp.float32, device=device) for _ in range(2))
         # Through which pixels an edge passes, as cells have found.
         self._edges = wp.empty(0, dtype=wp.bool, device=device)
         self._refined = False
@@ -333,11 +336,13 @@ class Frame:
         if self._means:
             if len(self._lobes_of_lights) > 1:
                 # Each light takes all of its cells before the next.
-                for each, reached in coarser:
-                    self._integrate_means(integrator, tolerance=each, refine=refine, progress=progress)
+                parts = len(coarser) + 1
+                for index, (each, reached) in enumerate(coarser):
+                    part = part_of(progress, index / parts, (index + 1) / parts)
+                    self._integrate_means(integrator, tolerance=each, refine=refine, progress=part)
                     reached()
                     self._now = self._now[0], None
-                coarser = ()
+                progress, coarser = part_of(progress, 1.0 - 1.0 / parts, 1.0), ()
             self._integrate_means(integrator, tolerance=tolerance, refine=refine, progress=progress, coarser=coarser)
             return
         left_out = self._left_out_buffer(integrator)
@@ -406,24 +411,29 @@ class Frame:
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
             self._edges = wp.empty(self._size, dtype=wp.bool, device=self._device)
+        if self.casts_shadows and not len(self._shadow) and any(len(each) > 1 for each in self._lobes_of_lights):
+            self._shadow, self._penumbrae = (wp.empty(self._size, wp.float32, device=self._device) for _ in range(2))
         left_out = self._left_out_buffer(integrator)
-        several, colours = len(self._lobes_of_lights) > 1, self._colours_of_one
+        several, (colours, lit) = len(self._lobes_of_lights) > 1, self._sums_of_one
         errors = self._errors[several]
         self._errors[0].zero_()
         self._edges.zero_()
         self._estimates.zero_()
+        self._penumbrae.zero_()
         self._refined = refine
         if several:
             self._sums[0].zero_()
+            self._sums[2].zero_()
         for index, lobes in enumerate(self._lobes_of_lights):
             if several:
                 errors.zero_()
+                lit.zero_()
             count = len(self._lobes_of_lights)
             share = part_of(progress, index / count, (index + 1) / count)
             first, rest = part_of(share, 0.0, _PROGRESS_OF_FIRST_RAYS), part_of(share, _PROGRESS_OF_FIRST_RAYS, 1.0)
             self._add_first_rays(integrator, lobes, colours, left_out, first)
             light = adaptive_sampling.LightRefinement(
-                self, integrator, lobes, colours, errors, [*self._sums[1:], self._edges], tolerance,
+                self, integrator, lobes, colours, errors, [self._sums[1], lit, self._edges], tolerance,
                 pixel_filters.level_of(self._least, means=integrator.blurs), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._scheduled(light)
@@ -431,8 +441,8 @@ class Frame:
             if rest is not None:
                 rest(1.0)
             if several:
-                sums = [self._sums[0], self._errors[0]]
-                self._launch([KernelCall(adaptive.accumulate, [colours, errors], sums, in_runs=True)])
+                sums = [self._sums[0], self._errors[0], self._sums[2]]
+                self._launch([KernelCall(adaptive.accumulate, [colours, errors, lit], sums, in_runs=True)])
 
     def _add_first_rays(
         self,
@@ -443,11 +453,15 @@ class Frame:
         progress: Callable[[float], None] | None,
     ) -> None:
         """Add what pixels' own rays see under the lobes of a light."""
+        seen, strengths = self.seen, self._lights.strengths
+        has_penumbrae = self.casts_shadows and len(lobes) > 1
         for light_index in lobes:
             # Measuring directions has left behind what a single light needs.
             if self._now != (0, light_index):
                 self.deflect(0, light_index)
-            seen = self.seen
+            if has_penumbrae:
+                inputs = [seen.hidden, strengths, light_index, light_index == lobes.start]
+                self._launch([KernelCall(adaptive.add_shadow, inputs, [self._shadow], in_runs=True)])
             steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
             footprints = seen.footprints if integrator.blurs else None
             steps += self._colour_steps(integrator, light_index, seen, colours, footprints, left_out)
@@ -456,6 +470,9 @@ class Frame:
                 steps, self._size, slice_size=_COLOURS_OF_SLICE, progress=part_of(progress, begin, end),
                 **self.rays.options,
             )  # fmt: skip
+        if has_penumbrae:
+            inputs = [colours, self._shadow, strengths, lobes.start, lobes.stop]
+            self._launch([KernelCall(adaptive.tell_penumbrae, inputs, [self._penumbrae], in_runs=True)])
 
     def _scheduled(self, light: adaptive_sampling.LightRefinement) -> HostSchedule | DeviceSchedule:
         """What splits pixels under lights like this one."""
@@ -464,13 +481,14 @@ class Frame:
         return DeviceSchedule(light, self._size)
 
     @property
-    def _colours_of_one(self) -> wp.array:
-        """Where a light's colours come: of means under several lights by themselves, otherwise in the picture."""
+    def _sums_of_one(self) -> tuple[wp.array, wp.array]:
+        """Where a light's colours come, and what it reaches: of means under several by themselves, or the picture's."""
         if not self._means or len(self._lobes_of_lights) == 1:
-            return self._sums[0]
+            return self._sums[0], self._sums[2]
         if not len(self._colours):
             self._colours = wp.zeros(self._size, dtype=wp.vec3f, device=self._device)
-        return self._colours
+            self._lit_by_one = wp.zeros(self._size, dtype=wp.bool, device=self._device)
+        return self._colours, self._lit_by_one
 
     def estimates_of(self, lobes: range) -> wp.array:
         """What the colours of pixels' own rays err by under a light, if it is a sky."""
@@ -565,7 +583,8 @@ class Frame:
                 # Whether a grid is worth it, those that meet the mesh tell.
                 self._launch(steps)
                 steps = []
-        sums = [self._colours_of_one, *self._sums[1:]]
+        colours, lit = self._sums_of_one
+        sums = [colours, self._sums[1], lit]
         steps += self._deflect(light_index, self.seen, 1.0 / (samples or self._samples), sums, sample=sample)
         self._launch(steps)
         self._now = sample, light_index
@@ -648,6 +667,8 @@ class Frame:
             errors = _BOUND_OF_BOTH * np.hypot(errors, self._seen_of(self._errors[0])[lit])
         if any(self._skies):
             errors = errors + _ERROR_PER_COARSENESS * self._seen_of(self._estimates)[lit, 1]
+        if len(self._penumbrae):
+            errors = np.hypot(errors, self._seen_of(self._penumbrae)[lit])
         error = np.zeros(lit.shape, dtype=np.float32)
         error[lit] = relative_errors(errors, seen)
         told = np.percentile(error[lit], (50.0, 99.0)).tolist() if lit.any() else (0.0, 0.0)

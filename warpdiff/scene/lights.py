@@ -26,8 +26,10 @@ _WIDEST_DEG = 60.0
 _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 # Rings: so much wider each further in, up to a limit.
 _RING_GROWTH, _WIDEST_RING_DEG = 1.5, 3.5
-# Lobes blur the disc as the window does at this wavelength, but no less than by this.
+# Lobes blur the disc as the window does at this wavelength, but no less than by this, nor by more, a blur or a share of
+# the radius: shadows are soft without a window.
 _BLUR_NM, _LEAST_BLUR_DEG = 450.0, 0.13
+_MOST_BLUR_DEG, _MOST_BLUR = 0.4, 0.1
 # The ring at the rim in such blurs; deviations of lobes in what they are apart; of the middle one in its radius.
 _RIM_BLURS, _LOBE_WIDTH, _MIDDLE_WIDTH = 1.8, 0.6, 0.8
 # A lobe of a ring of radius r and width w is √(b r w) long.
@@ -179,7 +181,8 @@ def _lobes_of_disc(diameter_deg: float, of_window: float) -> tuple[tuple[float, 
         Of each lobe, angle from the disc's middle and around it, deviations outwards and around [all in radians], and
         its share of the light.
     """
-    edge, blur = 2.0 * math.sin(math.radians(diameter_deg) / 4.0), max(of_window, math.radians(_LEAST_BLUR_DEG))
+    edge = 2.0 * math.sin(math.radians(diameter_deg) / 4.0)
+    blur = min(max(of_window, math.radians(_LEAST_BLUR_DEG)), max(math.radians(_MOST_BLUR_DEG), _MOST_BLUR * edge))
     # Of which each has the middle and the deviations of a lobe that is seen.
     rings, outer, turn = [], edge, 0.0
     *widths, core = _widths(edge, _RIM_BLURS * blur)
@@ -194,7 +197,7 @@ def _lobes_of_disc(diameter_deg: float, of_window: float) -> tuple[tuple[float, 
         around = turn + 2.0 * math.pi * np.arange(count) / count
         rings.append(np.column_stack([np.full(count, bent), around, np.full(count, across), np.full(count, along)]))
         outer, turn = outer - width, turn + _GOLDEN_ANGLE
-    of_core = max(_MIDDLE_WIDTH * core, blur) if widths else math.hypot(edge / 2.0, of_window)
+    of_core = max(_MIDDLE_WIDTH * core, blur) if widths else math.hypot(edge / 2.0, min(of_window, blur))
     rings.append(np.array([[0.0, 0.0, of_core, of_core]]))
     radii = np.sort(np.concatenate([
         edge * np.sqrt((np.arange(_EVEN_RADII) + 0.5) / _EVEN_RADII), edge + blur * np.linspace(-4.0, 5.0, _EVEN_RIM)
@@ -208,7 +211,7 @@ def _lobes_of_disc(diameter_deg: float, of_window: float) -> tuple[tuple[float, 
     powers = np.linalg.lstsq(weights[:, None] * shown, weights * wanted, rcond=None)[0]
     shares = np.concatenate([np.full(len(ring), power) for ring, power in zip(rings, powers, strict=True)])
     middles, around, *seen = np.concatenate(rings).T
-    across, along = (np.sqrt(np.maximum(each**2 - of_window**2, 0.0)) for each in seen)
+    across, along = (np.sqrt(np.maximum(each**2 - min(of_window, blur) ** 2, 0.0)) for each in seen)
     polar = 2.0 * np.arcsin(middles / 2.0)
     stretch = np.cos(polar / 2.0)
     found = np.column_stack([polar, around, across / stretch, along * stretch, shares / shares.sum()])
