@@ -502,7 +502,8 @@ def _check_error(hf: HeightField, plan: Plan, *, strict: bool) -> None:
         "quadrature": (f"{samples} are too few", f"take {_LESS_COHERENT[plan.coherence.kind]}"),
     }
     if plan.nodes:
-        sources["quadrature"] = (sources["quadrature"][0], "use method='auto'")
+        remedy = "use method='auto', in pictures with lights of angular_diameter_deg=0"
+        sources["quadrature"] = (sources["quadrature"][0], remedy)
     worst = max(sources, key=plan.predicted_errors.__getitem__)
     (why, remedy), largest = sources[worst], plan.predicted_errors[worst]
     digits = ", so that no digit need be right" if largest >= 1.0 else ""

@@ -13,7 +13,7 @@ import warp as wp
 
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.core import checks
-from warpdiff.planning.planner import directions_of, plan_for, warn_outside
+from warpdiff.planning.planner import directions_of, warn_outside
 from warpdiff.planning.request import Request
 from warpdiff.render.frame import load_kernels
 from warpdiff.render.shade import (
@@ -122,8 +122,7 @@ class Renderer:
             scope, sample, count = directions_of(request)
             if request.plan is not None:
                 warn_outside(request.plan, request.hf, scope)
-            plan = request.plan or plan_for(request, scope, sample, count)
-            self.plan = request.with_energy(wanted.with_sizes(plan))
+            self.plan = wanted.planned(scope, sample, count)
             self._integrator = integrator or Integrator(
                 request.hf, self.plan, scope, device=request.device, threads=request.threads
             )

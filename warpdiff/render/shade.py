@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from warpdiff.image.image import Image
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
+    from warpdiff.plans.direction_range import DirectionRange, DirectionSample
     from warpdiff.plans.plan import Plan
     from warpdiff.scene.lights import Lobe
     from warpdiff.scene.mesh_import import Surface
@@ -155,7 +156,7 @@ def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Calla
         scope, count, sample = picture.measure_directions(request.hf, request.coherence)
     if request.plan is not None:
         warn_outside(request.plan, request.hf, scope)
-    found = request.with_energy(wanted.with_sizes(request.plan or plan_for(request, scope, sample, count)))
+    found = wanted.planned(scope, sample, count)
     if found.method == "direct":
         picture.sum_directly(request.hf, found, progress=progress)
     else:
@@ -261,13 +262,24 @@ class PictureRequest:
             )
         return np.array([known.index(name) for name in named], dtype=np.int32)[surface.geometries]
 
-    def with_sizes(self, plan: Plan) -> Plan:
-        """A plan whose table serves lights of a size: what no table keeps for single directions, it does for these."""
-        if plan.blurs or not any(each.has_size for each in self.lobes):
-            return plan
-        method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
-        nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
-        return replace(plan, method=method, nodes=nodes, rays_per_width=rays_per_width, footprint=True)
+    def planned(self, scope: DirectionRange, sample: DirectionSample, count: float) -> Plan:
+        """The plan that was given, or one for directions: one with a table where lights have a size.
+
+        Where no table keeps the tolerance for single directions, lights have the best one, and skies, whose cells are
+        wide, a small one.
+        """
+        request = self.request
+        plan = request.plan or plan_for(request, scope, sample, count)
+        lobes = self.lobes
+        if not plan.blurs and any(each.has_size for each in lobes):
+            method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
+            if any(each.deviations is not None for each in lobes):
+                by_table = replace(request, plan=None, method=f"{method}/table", tolerance=plan.tolerance, strict=False)
+                plan = plan_for(by_table, scope, sample, count)
+            else:
+                nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
+                plan = replace(plan, method=method, nodes=nodes, rays_per_width=rays_per_width, footprint=True)
+        return request.with_energy(plan)
 
     def set_lights(self, picture: Frame, lights: list[Lobe]) -> None:
         """Set a picture's lights."""
