@@ -4,7 +4,8 @@
 environments with sums over at least 16 times as many directions, which share no code with them
 (``bench/truth/sky_sums.py``), ``--albedo`` an even sky with the reflectance summed over directions, and with a sphere
 that is a perfect mirror, ``--mitsuba`` flat gold under a sky with Mitsuba's path tracer (``pip install
-'warpdiff[bench]'``), and ``--times`` tells frames by the number of directions.
+'warpdiff[bench]'``), ``--times`` tells frames by the number of directions, and ``--picture`` saves README's snake
+under a sky.
 """
 
 from __future__ import annotations
@@ -350,6 +351,17 @@ def times(repeats: int) -> None:
         print(f"| {count} | {took[0]:.2f} s | {took[1]:.2f} s | {1e3 * took[0] / count:.2f} ms |", flush=True)
 
 
+def picture(path: str) -> None:
+    """Save the scan on a snake under a clear sky with a sun."""
+    scan = inputs.scan()
+    if scan is None:
+        raise FileNotFoundError("--picture takes the scan, which is not in the folder of WARPDIFF_DATA")
+    view = wd.View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=12.2, width=480, height=288)
+    above = wd.Environment(sky(sun=10.0, height=128, elevation_deg=50.0, azimuth_deg=95.0))
+    image = wd.shade(wd.meshes.snake(), scan.levelled(order=2), above, view, tolerance=1e-1, pigment=0.05)
+    image.save(path, background=(1.0, 1.0, 1.0), exposure_stops=-0.7)
+
+
 def main() -> int:
     """Print the tables that are asked for, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -358,12 +370,16 @@ def main() -> int:
     parser.add_argument("--albedo", action="store_true", help="an even sky against sums over directions")
     parser.add_argument("--mitsuba", action="store_true", help="flat gold under a sky against Mitsuba")
     parser.add_argument("--times", action="store_true", help="time a frame by the number of directions")
+    parser.add_argument("--picture", metavar="FILE", help="save a snake under a sky")
     parser.add_argument("--seed", type=int, default=0, help="of the cases of --sizes and --skies (0)")
     parser.add_argument("--pixels", type=int, default=150, help="that are judged of each such case (150)")
     parser.add_argument("--across", type=int, default=3, help="rays along a side of these (3)")
     parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of environments (0.1 0.03)")
     parser.add_argument("--repeats", type=int, default=3, help="frames of each kind (3)")
     options = parser.parse_args()
+    if options.picture:
+        picture(options.picture)
+        return 0
     every = not (options.sizes or options.skies or options.albedo or options.mitsuba or options.times)
     if options.sizes or every:
         sizes(options.seed, options.pixels, 32 * options.across, options.tolerances)
