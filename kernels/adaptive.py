@@ -15,9 +15,9 @@ PER_UNEVEN = wp.constant(wp.float32(cell_levels.PER_UNEVEN))
 PER_WIDE = wp.constant(wp.float32(cell_levels.PER_WIDE))
 TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*cell_levels.FILTER_SHARES))
+ASLANT = wp.constant(wp.float32(cell_levels.FILTER_SHARES[0] / cell_levels.FILTER_SHARES[1]))
 # What penumbrae err by, of the root sum of squares of lobes that are hidden one after the other.
 ERROR_PER_LOBE = wp.constant(wp.float32(0.2))
-ASLANT = wp.constant(wp.float32(cell_levels.FILTER_SHARES[0] / cell_levels.FILTER_SHARES[1]))
 
 
 @wp.struct

@@ -143,7 +143,7 @@ def test_a_picture_at_rest_is_that_of_shade(shown, skin, body, index):
 
 def test_a_light_at_a_place_is_that_of_shade(shown, skin, body):
     """Direction, falloff, footprint and shadow, by fewer frames: medians and sums do not see edges' noise."""
-    view, place = VIEWS[1], (-0.2, 1.6, 1.2)
+    view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
     exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
     wanted = of_view(view, place) | {"lights": [{"position": place, "power": 2.0}]}
@@ -151,9 +151,7 @@ def test_a_light_at_a_place_is_that_of_shade(shown, skin, body):
     seen = canvas(shown)
     inside = (exact.coverage > 0.999) & exact.lit
     dark = (exact.coverage > 0.999) & ~exact.lit
-    # Few pixels have no cell that is lit.
-    assert inside.sum() > 1000
-    assert dark.sum() > 20
+    assert min(inside.sum(), 20 * dark.sum()) > 1000
     assert np.median(colour_difference(seen, exact.display()[..., :3])[inside]) <= 1.0
     assert found[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
     assert np.median(found[..., 1][dark]) < 0.05 * np.median(found[..., 1][inside])

@@ -459,10 +459,10 @@ class Frame:
             # Measuring directions has left behind what a single light needs.
             if self._now != (0, light_index):
                 self.deflect(0, light_index)
+            steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
             if has_penumbrae:
                 inputs = [seen.hidden, strengths, light_index, light_index == lobes.start]
-                self._launch([KernelCall(adaptive.add_shadow, inputs, [self._shadow], in_runs=True)])
-            steps = self._footprints(light_index, seen, 0) if integrator.blurs else []
+                steps.append(KernelCall(adaptive.add_shadow, inputs, [self._shadow], in_runs=True))
             footprints = seen.footprints if integrator.blurs else None
             steps += self._colour_steps(integrator, light_index, seen, colours, footprints, left_out)
             begin, end = ((light_index + more - lobes.start) / len(lobes) for more in (0, 1))
@@ -510,9 +510,10 @@ class Frame:
         steps = self.rays.steps(sampling, seen.pixels)
         sums = [buffers.colours, *self._no_sums[1:]]
         footprints = seen.footprints if means else None
+        several_hidden = self.hidden_of(seen, lobes, shadows=shadows) is seen.hidden_from_any
         for light_index in lobes:
             steps += self._deflect(light_index, seen, 1.0, sums, sample=0, shadows=shadows)
-            if shadows and self.casts_shadows and len(lobes) > 1:
+            if several_hidden:
                 inputs = [seen.hidden, light_index == lobes.start]
                 steps.append(KernelCall(adaptive.add_hidden, inputs, [seen.hidden_from_any], in_runs=True))
             if means:

@@ -19,6 +19,7 @@ from warpdiff.render.frame import load_kernels
 from warpdiff.render.shade import (
     PictureRequest,
     check_light_sizes,
+    listed,
     lobes_for,
     memory_named,
     require_room,
@@ -196,8 +197,10 @@ class Renderer:
         if mine.is_drawing:
             raise RuntimeError("draw() was called by what it calls itself, progress or coarser: call it afterwards")
         on_the_way = self._on_the_way(mine, coarser)
-        lights = mine.lights if light is None else lobes_for(light, self._wanted.request, refine=self._wanted.refine)
-        check_light_sizes(lights, self._wanted.request.coherence, means=self.plan.blurs)
+        wanted, lights = self._wanted, mine.lights
+        if light is not None:
+            lights = lobes_for(listed(light), wanted.request, refine=wanted.refine)
+        check_light_sizes(lights, wanted.request.coherence, means=self.plan.blurs)
         if view is not None:
             checks.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):

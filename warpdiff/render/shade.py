@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import allocations, checks, free_memory
+from warpdiff.core import allocations, checks, fork_safety, free_memory
 from warpdiff.core.errors import WarpdiffWarning
 from warpdiff.kernels import cell_levels
 from warpdiff.optics import colorimetry
@@ -147,9 +147,8 @@ def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Calla
     """The picture of a mesh that is ready, by a plan for what its pixels see."""
     request = wanted.request
     picture = wanted.frame(surface, view)
-    lobes = wanted.lobes
-    wanted.set_lights(picture, lobes)
-    if any(each.sky is not None for each in lobes):
+    wanted.set_lights(picture, wanted.lobes)
+    if any(each.sky is not None for each in wanted.lobes):
         # From anywhere.
         scope, sample, count = directions_of(request)
     else:
@@ -212,7 +211,8 @@ class PictureRequest:
     ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
         request = Request.checked(hf, by_geometry=True, **common)
-        lobes = lobes_for(light, request, refine=checks.flag(refine, "refine"))
+        lights = listed(light)
+        lobes = lobes_for(lights, request, refine=checks.flag(refine, "refine"))
         checks.instance(view, View, "view")
         checks.flag(shadows, "shadows")
         checks.flag(smooth, "smooth")
@@ -232,10 +232,9 @@ class PictureRequest:
         plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
         lit = LitMaterial.of([name for each in lobes for name in each.illuminants], request.materials.values())
         request = replace(request, plan=plan, footprint=blurred, lit=lit)
-        lights = [light] if isinstance(light, Light) else list(light)
         return cls(request, lights, pigment, shadows, smooth, samples, refine)
 
-    @property
+    @fork_safety.cached_property
     def lobes(self) -> list[Lobe]:
         """The lobes of the lights."""
         return lobes_for(self.lights, self.request, refine=self.refine)
@@ -270,10 +269,9 @@ class PictureRequest:
         """
         request = self.request
         plan = request.plan or plan_for(request, scope, sample, count)
-        lobes = self.lobes
-        if not plan.blurs and any(each.has_size for each in lobes):
+        if not plan.blurs and any(each.has_size for each in self.lobes):
             method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
-            if any(each.deviations is not None for each in lobes):
+            if any(each.deviations is not None for each in self.lobes):
                 by_table = replace(request, plan=None, method=f"{method}/table", tolerance=plan.tolerance, strict=False)
                 plan = plan_for(by_table, scope, sample, count)
             else:
@@ -349,19 +347,24 @@ def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool)
         )
 
 
-def lobes_for(light: Any, request: Request, *, refine: bool) -> list[Lobe]:
-    """The lobes of one or several lights, which are checked.
-
-    Where pictures are not refined, which are turned by hand, a disc is one of them if it can be.
-    """
-    window = request.coherence
-    tolerance = request.tolerance if request.plan is None else request.plan.tolerance
+def listed(light: Any) -> list[Any]:
+    """One or several lights as a list."""
     lights = [light] if isinstance(light, Light) else light
     if not isinstance(lights, Sequence) or not lights:
         raise TypeError(
             "light must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of them, got "
             f"{light!r}"
         )
+    return list(lights)
+
+
+def lobes_for(lights: Sequence[Any], request: Request, *, refine: bool) -> list[Lobe]:
+    """The lobes of lights, which are checked.
+
+    Where pictures are not refined, which are turned by hand, a disc is one of them if it can be.
+    """
+    window = request.coherence
+    tolerance = request.tolerance if request.plan is None else request.plan.tolerance
     result: list[Lobe] = []
     for index, each in enumerate(lights):
         if isinstance(each, Environment):
