@@ -44,7 +44,7 @@ test-mitsuba: $(MITSUBA_STAMP) ## test the bridge to Mitsuba; needs LLVM, 17 or 
 	$(BIN)/python -m pytest -m mitsuba tests/truth/test_mitsuba.py
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
-	$(BIN)/python -m warpdiff.bench.studies.soak --minutes $(MINUTES)
+	$(BIN)/python -m bench.studies.soak --minutes $(MINUTES)
 
 test-lowest: ## run the tests with the lowest versions that are allowed, in an environment of their own
 	rm -rf $(VENV)-lowest
@@ -62,7 +62,7 @@ lint: $(LINT_STAMP) ## check style and types
 	    -isystem "$$($(BIN)/python -c 'import warp; print(warp.__path__[0])')/native"
 
 bench: $(BENCH_STAMP) ## chart speed against accuracy into bench_results/, in a quarter of an hour
-	$(BIN)/warpdiff bench --output bench_results
+	$(BIN)/python -m bench --output bench_results
 
 clean: ## remove the environment, caches, builds and the demonstration's pictures
 	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -15,7 +15,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "architecture.md"
 # Where the package's parts lie in a checkout.
-FOLDERS = {"warpdiff": "warpdiff", "warpdiff.kernels": "kernels", "warpdiff.bench": "bench"}
+FOLDERS = {"warpdiff": "warpdiff", "warpdiff.kernels": "kernels"}
 
 
 class Import(NamedTuple):

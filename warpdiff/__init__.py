@@ -11,7 +11,7 @@ which rooms it may import. ``docs/architecture.md`` has the whole way, file by f
 - ``evaluate``: reflectance at arrays of directions; ``render``: pictures of a mesh
 - ``sequences``: frames of turntables, moving lights and cameras; ``app``: the command line, and a page in the browser
 
-``kernels`` holds the Warp kernels, ``bench`` what measures all this; ``gratings`` and ``meshes`` are public modules.
+``kernels`` holds the Warp kernels; ``gratings`` and ``meshes`` are public modules.
 """
 
 from importlib import import_module

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numba
 import numpy as np
 
-from warpdiff.bench.peers import numba_published, series
+from bench.peers import numba_published, series
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.bench.peers.series import PUBLISHED, SETTINGS, Series, series
+from bench.peers.series import PUBLISHED, SETTINGS, Series, series
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from warpdiff.bench.truth import brute_force
+from bench.truth import brute_force
 from warpdiff.compute.device import resolve_device
 from warpdiff.compute.pipeline import launch
 from warpdiff.kernels import bvh, compile_options

@@ -1,4 +1,4 @@
-"""Questions asked once and again, each answered by ``python -m warpdiff.bench.studies.NAME``.
+"""Questions asked once and again, each answered by ``python -m bench.studies.NAME``.
 
 - ``crops``: pictures against their truth; ``picture_error``: against the reference; ``dolly``: flicker as the
   camera moves

@@ -22,11 +22,11 @@ import numpy as np
 import trimesh
 
 import warpdiff as wd
+from bench import inputs
+from bench.truth import reference
+from bench.truth.brute_force import intersect, pixel_rays
+from bench.truth.errors import FLOOR, brightness, colour_difference
 from warpdiff import meshes
-from warpdiff.bench import inputs
-from warpdiff.bench.truth import reference
-from warpdiff.bench.truth.brute_force import intersect, pixel_rays
-from warpdiff.bench.truth.errors import FLOOR, brightness, colour_difference
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:

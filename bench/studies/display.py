@@ -1,6 +1,6 @@
 """Display transforms of bands of light, and of pictures: hues, steps between colours, channels at their ends.
 
-    python -m warpdiff.bench.studies.display [--scale 0.5]
+    python -m bench.studies.display [--scale 0.5]
 
 Bands 10, 30 and 60 nm wide, at 430, 435, … 680 nm, of D65, Y from 0.02 to 2, as sRGB. Hue is OKLab's, against that
 of the band itself, unclipped, and says nothing where a colour is shown as white; a step is that between bands 5 nm

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench import inputs
-from warpdiff.bench.studies import crops
+from bench import inputs
+from bench.studies import crops
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:

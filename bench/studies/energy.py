@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench import inputs
-from warpdiff.bench.suite import validity
+from bench import inputs
+from bench.suite import validity
 
 PERIOD_EDGES, DEPTH_EDGES = (1.0, 2.0, 5.0), (0.06, 0.25)
 PERIOD_NAMES, DEPTH_NAMES = ("below 1", "1 to 2", "2 to 5", "above 5"), ("below 0.06", "0.06 to 0.25", "above 0.25")

@@ -1,6 +1,6 @@
 """What long sequences take, from measured parts: start, renderer, tables, frame, files, transfer.
 
-``python -m warpdiff.bench.studies.frames_on_paper`` draws frames of the snake at a size, and those of 3840 × 2160 by
+``python -m bench.studies.frames_on_paper`` draws frames of the snake at a size, and those of 3840 × 2160 by
 their pixels; ``--workers`` runs 36 frames of a turntable by one and two workers of Dask of one thread each, from caches
 that are filled. It prints JSON.
 """

@@ -22,9 +22,9 @@ import numpy as np
 import trimesh
 
 import warpdiff as wd
-from warpdiff.bench import inputs
-from warpdiff.bench.studies import crops
-from warpdiff.bench.truth.sky_sums import SkySums
+from bench import inputs
+from bench.studies import crops
+from bench.truth.sky_sums import SkySums
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:

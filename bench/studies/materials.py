@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import validity
-from warpdiff.bench.truth import flat_materials
+from bench.suite import validity
+from bench.truth import flat_materials
 from warpdiff.optics import colorimetry, reflectance_factors
 
 METALS = ("Al", "Au", "Ag")

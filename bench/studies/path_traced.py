@@ -1,6 +1,6 @@
 """Baked lobes in Mitsuba 3: beside ``shade`` under a directional light, and path-traced in an environment.
 
-``python -m warpdiff.bench.studies.path_traced`` says how far the two are apart (ΔE2000 of interior pixels) and draws a
+``python -m bench.studies.path_traced`` says how far the two are apart (ΔE2000 of interior pixels) and draws a
 compact disc that leans against a wall under a sky with two windows: its colours fall on floor and wall.
 
 Needs ``pip install 'warpdiff[mitsuba]'``, and for the variants that compile an LLVM of 17 or newer, which

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 import warpdiff as wd
+from bench import inputs
+from bench.truth import reference
 from warpdiff import meshes
-from warpdiff.bench import inputs
-from warpdiff.bench.truth import reference
 from warpdiff.scene.mesh_import import prepare_surface
 
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))

@@ -3,7 +3,7 @@
 Rows are calls of random directions and first pictures of a height field, whose coefficients and tables are made anew;
 kernels are compiled before. Medians of several, each of directions of its own. With ``--plain`` nothing is watched, so
 that the file also times another version of the package: ``PYTHONPATH=<its folder>
-python -m warpdiff.bench.studies.plan_cost --plain``.
+python -m bench.studies.plan_cost --plain``.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
+from bench import inputs
 from warpdiff import meshes
-from warpdiff.bench import inputs
 
 COUNTS = (128, 1000, 20_000, 200_000)
 TOLERANCES = (1e-2, 1e-3)

@@ -26,11 +26,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
+from bench import inputs
+from bench.peers import numba_published
+from bench.studies import multiply_adds, picture_error
+from bench.truth import reference
 from warpdiff import meshes
-from warpdiff.bench import inputs
-from warpdiff.bench.peers import numba_published
-from warpdiff.bench.studies import multiply_adds, picture_error
-from warpdiff.bench.truth import reference
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.optics import reflectance_factors

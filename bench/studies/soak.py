@@ -1,7 +1,7 @@
 """Reliability: what is tried many times, for as long as there is time, and how often something went wrong.
 
 It runs the permanent tests of a checkout, again and again: ``make soak MINUTES=5``, or
-``python -m warpdiff.bench.studies.soak --minutes 5``.
+``python -m bench.studies.soak --minutes 5``.
 """
 
 from __future__ import annotations

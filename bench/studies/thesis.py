@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench import inputs
-from warpdiff.bench.studies import variants
+from bench import inputs
+from bench.studies import variants
 from warpdiff.optics import colorimetry, reflectance_factors
 
 if TYPE_CHECKING:

@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
+from bench import inputs
+from bench.truth import reference
+from bench.truth.errors import FLOOR, brightness
 from warpdiff.app import demo
-from warpdiff.bench import inputs
-from warpdiff.bench.truth import reference
-from warpdiff.bench.truth.errors import FLOOR, brightness
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.compute.pipeline import launch
 from warpdiff.fourier.low_rank_basis import METHODS, POWER_METHODS

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench import inputs
-from warpdiff.bench.truth import configurations, judge
+from bench import inputs
+from bench.truth import configurations, judge
 
 # The bar: shares of calls within the tolerance, in all and in every stratum, how far beyond any may be, how many may
 # warn, and how many predicted errors lie between these multiples of the measured ones, which count from this share of

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.peers import stam_analytic
+from bench.peers import stam_analytic
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.fourier import transforms
 from warpdiff.fourier.phase_series import EXPANSIONS

@@ -1,6 +1,6 @@
 """How fast the viewer is in the hand: pictures a second while dragging, how soon they are finer and there.
 
-``python -m warpdiff.bench.studies.viewer`` drives ``warpdiff view`` through its page in headless Chromium, which
+``python -m bench.studies.viewer`` drives ``warpdiff view`` through its page in headless Chromium, which
 renders in software on the same cores, and prints JSON. It takes Chromium and ``pip install 'warpdiff[browser]'``.
 """
 

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.studies import crops
-from warpdiff.bench.suite import figures
-from warpdiff.bench.suite.timing import in_turns
+from bench.studies import crops
+from bench.suite import figures
+from bench.suite.timing import in_turns
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import figures
-from warpdiff.bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
-from warpdiff.bench.suite.timing import in_turns
-from warpdiff.bench.truth import errors, reference
+from bench.suite import figures
+from bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
+from bench.suite.timing import in_turns
+from bench.truth import errors, reference
 from warpdiff.compute.device import resolve_device
 from warpdiff.optics.materials import LitMaterial
 from warpdiff.plans.direction_range import DirectionRange
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
     Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
@@ -82,7 +82,7 @@ def ours(hf: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Sh
 
 def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
     """Peers that can run and serve a form, with their settings."""
-    from warpdiff.bench.peers import drjit_peer, numpy_peer, stam_analytic
+    from bench.peers import drjit_peer, numpy_peer, stam_analytic
 
     found: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
     if coherence.kind not in ("averaged", "centred"):
@@ -95,7 +95,7 @@ def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]
         else:
             print(f"{name} is left out: {reason}.")
     try:
-        from warpdiff.bench.peers import numba_peer
+        from bench.peers import numba_peer
     except ImportError:
         print("Numba is left out: it is not installed.")
     else:

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import figures, pareto
-from warpdiff.bench.suite.scenes import scenes
-from warpdiff.bench.truth import errors
+from bench.suite import figures, pareto
+from bench.suite.scenes import scenes
+from bench.truth import errors
 from warpdiff.compute.device import resolve_device
 from warpdiff.optics.colorimetry import srgb_encode, xyz_to_rgb
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
 WIDTH = 320
 EXPOSURE = 5.0

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
+from bench.suite import figures
+from bench.suite.timing import in_turns
 from warpdiff import meshes
-from warpdiff.bench.suite import figures
-from warpdiff.bench.suite.timing import in_turns
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
 JUDGED = 1000
 
 
 def measure(setting: Setting) -> dict[str, Any]:
     """Rays a second of all casters, one thread and all, and what they are off by."""
-    from warpdiff.bench.peers import raycasters
+    from bench.peers import raycasters
 
     setting.say("rays")
     for reason in raycasters.missing():

@@ -1,4 +1,4 @@
-"""``warpdiff bench``: every chart in one run, with its numbers, and what two runs differ in."""
+"""``python -m bench``: every chart in one run, with its numbers, and what two runs differ in."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 import functools
 import importlib
 import importlib.metadata
+import importlib.util
 import json
 import os
 import platform
@@ -81,6 +82,8 @@ def run(
     unknown = sorted(set(parts or ()) - set(PARTS))
     if unknown:
         raise ValueError(f"filter must name some of {', '.join(PARTS)}, got {', '.join(unknown)}")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError("charts require matplotlib, which is not installed: pip install -e '.[bench]'")
     resolve_device(device)
     # What is kept on disk would hide what comes before a first frame.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
@@ -92,7 +95,7 @@ def run(
     for name in PARTS:
         if parts and name not in parts:
             continue
-        module = importlib.import_module(f"warpdiff.bench.suite.{name}")
+        module = importlib.import_module(f"bench.suite.{name}")
         begin = time.perf_counter()
         found = module.measure(setting)
         results["figures"] |= module.numbers(found)
@@ -137,7 +140,7 @@ def processor() -> str:
 
 
 def commit() -> str:
-    """The checkout's commit, with a plus if it was changed; nothing from a wheel."""
+    """The checkout's commit, with a plus if it was changed; an empty string without git."""
     git = functools.partial(
         subprocess.run, cwd=Path(__file__).parent, capture_output=True, text=True, check=False, timeout=20
     )
@@ -210,7 +213,7 @@ def _read(path: Path) -> dict[str, list[Any]]:
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist: give the results.json of two runs") from None
     except (json.JSONDecodeError, KeyError, TypeError):
-        raise ValueError(f"{path} is not the results.json of a run of warpdiff bench") from None
+        raise ValueError(f"{path} is not the results.json of a run of python -m bench") from None
 
 
 def _plain(value: Any) -> Any:

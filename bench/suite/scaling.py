@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import figures
+from bench.suite import figures
 
 if TYPE_CHECKING:
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
 BASE: dict[str, Any] = {
     "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
@@ -121,7 +121,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def _in_process(parameters: dict[str, Any], setting: Setting) -> dict[str, Any]:
-    code = "import sys, json; from warpdiff.bench.suite import scaling; "
+    code = "import sys, json; from bench.suite import scaling; "
     code += "print(json.dumps(scaling.point(json.loads(sys.argv[1]), json.loads(sys.argv[2]))))"
     command = [sys.executable, "-W", "ignore", "-c", code, json.dumps(parameters), json.dumps(setting.device)]
     made = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ)

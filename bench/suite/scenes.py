@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
+from bench import inputs
 from warpdiff import meshes
-from warpdiff.bench import inputs
 from warpdiff.compute.device import resolve_device, resolve_threads
 from warpdiff.optics import reflectance_factors
 from warpdiff.render.frame import Frame

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import figures
-from warpdiff.bench.truth import numpy_methods as methods
-from warpdiff.bench.truth import reference
+from bench.suite import figures
+from bench.truth import numpy_methods as methods
+from bench.truth import reference
 from warpdiff.fourier import direct_sum
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
 TOLERANCE = 1e-2
 # Of a regime's points.
@@ -498,7 +498,7 @@ def table(panel: Panel) -> str:
 
 
 def main() -> int:
-    """Print the numbers; ``warpdiff bench --filter stability`` draws them."""
+    """Print the numbers; ``python -m bench --filter stability`` draws them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=[each.__name__ for each in REGIMES], help="one regime")
     options = parser.parse_args()

@@ -2,7 +2,7 @@
 
 Light falls across the grooves at three angles, and both polarisations are averaged. What is right comes from a solver
 by boundary integrals that others wrote (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It takes
-minutes, so that its efficiencies are kept in ``rigorous.json``, which ``python -m warpdiff.bench.suite.validity`` makes
+minutes, so that its efficiencies are kept in ``rigorous.json``, which ``python -m bench.suite.validity`` makes
 again. It is
 itself judged by energy, by finer meshes, and by coupled waves, which others wrote, too (meent; Moharam et al. 1995, J.
 Opt. Soc. Am. A 12, 1068). Errors are relative to what a flat surface reflects: of a perfect mirror all, of glass a
@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import figures
+from bench.suite import figures
 from warpdiff.optics import reflectance_factors
 from warpdiff.surface.scalar_validity import UNTRUSTED, error_bound
 
 if TYPE_CHECKING:
-    from warpdiff.bench.suite.runner import Setting
+    from bench.suite.runner import Setting
 
 STORED = Path(__file__).with_name("rigorous.json")
 # Profile, index of refraction (None: a perfect conductor).
@@ -141,7 +141,7 @@ def recompute() -> None:
         }
         print(f"{case}: {time.perf_counter() - begin:.0f} s, {stored[case]['energy_missed']}", flush=True)
     head = {
-        "made_by": "python -m warpdiff.bench.suite.validity --recompute",
+        "made_by": "python -m bench.suite.validity --recompute",
         "order_of_rows": "period, depth, angle; quantiles are 0.5, 0.99 and 1",
         "periods": PERIODS.round(6).tolist(),
         "depths": DEPTHS.round(6).tolist(),

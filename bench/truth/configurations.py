@@ -2,7 +2,7 @@
 
 Coherence forms and tolerances take turns, so that every run of ``len(STRATA)`` indices has one of each; all else is
 drawn. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; BRDF maps;
-and frames of a mesh. ``warpdiff.bench.truth.judge`` evaluates and judges them.
+and frames of a mesh. ``bench.truth.judge`` evaluates and judges them.
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.suite import scenes
-from warpdiff.bench.truth import reference
-from warpdiff.bench.truth.configurations import FEW, Configuration
-from warpdiff.bench.truth.errors import FLOOR, brightness, percentile
+from bench.suite import scenes
+from bench.truth import reference
+from bench.truth.configurations import FEW, Configuration
+from bench.truth.errors import FLOOR, brightness, percentile
 from warpdiff.kernels.limits import HORIZON
 from warpdiff.planning import trial
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.bench.truth import reference
-from warpdiff.bench.truth.errors import FLOOR, brightness
+from bench.truth import reference
+from bench.truth.errors import FLOOR, brightness
 from warpdiff.fourier import transforms
 from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics import colorimetry

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from warpdiff.bench.truth import flat_materials
-from warpdiff.bench.truth.brute_force import intersect, pixel_rays, shading_frame
-from warpdiff.bench.truth.errors import FLOOR, brightness
+from bench.truth import flat_materials
+from bench.truth.brute_force import intersect, pixel_rays, shading_frame
+from bench.truth.errors import FLOOR, brightness
 
 WIDTHS = 9.0
 # A Gaussian exp(−WIDTHS²/2) is what is left out.

@@ -10,7 +10,7 @@ import pytest
 from conftest import at_angle
 
 import warpdiff as wd
-from warpdiff.bench.truth import flat_materials, reference
+from bench.truth import flat_materials, reference
 from warpdiff.optics import colorimetry
 
 UP = (0.0, 0.0, 1.0)

@@ -22,7 +22,7 @@ SOME_CALLS = {"colour", "trimesh", "OpenImageIO", "PIL", "resource", "scipy", "d
 # Signals and streams are met before anything slow is imported; some commands import what the others do without; the
 # viewer's page loads while Warp is imported.
 LATER = {"warpdiff.__main__", "warpdiff.app.cli", "warpdiff.viewer.command"}
-PACKAGE = [name for name in graph.modules() if not name.startswith("warpdiff.bench")]
+PACKAGE = list(graph.modules())
 ROOMS = [name for name in PACKAGE if graph.room_of(name) in graph.rooms()]
 
 
@@ -37,9 +37,7 @@ def test_every_module_lies_in_a_room_that_bears_no_public_name():
 
 
 def test_rooms_import_one_way():
-    allowed = {
-        name: set(graph.room(name).may_import) - {"kernels", "bench", "the public names"} for name in graph.rooms()
-    }
+    allowed = {name: set(graph.room(name).may_import) - {"kernels", "the public names"} for name in graph.rooms()}
     assert set().union(*allowed.values()) <= set(graph.rooms())
     graph.order(allowed)
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 
 import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff.app import cli
-from warpdiff.bench import inputs
-from warpdiff.bench.suite import runner
-from warpdiff.bench.suite.scenes import Directions, scenes
-from warpdiff.bench.truth import reference
+from bench import __main__ as command
+from bench import inputs
+from bench.suite import runner
+from bench.suite.scenes import Directions, scenes
+from bench.truth import reference
 
 
 def results(path, **figures):
@@ -41,12 +42,12 @@ def test_what_moved_is_told_from_noise(tmp_path):
 
 def test_comparing_from_the_command_line(tmp_path, capsys):
     path = results(tmp_path / "a.json", one=(1.0, 1.0, 1.0))
-    assert cli.main(["bench", "--compare", str(path), str(path)]) == 0
+    assert command.main(["--compare", str(path), str(path)]) == 0
     assert "0 of 1 figures moved" in capsys.readouterr().out
-    assert cli.main(["bench", "--compare", str(path), str(tmp_path / "none.json")]) == 2
+    assert command.main(["--compare", str(path), str(tmp_path / "none.json")]) == 2
     assert "none.json does not exist" in capsys.readouterr().err
     (tmp_path / "b.json").write_text("{}")
-    assert cli.main(["bench", "--compare", str(path), str(tmp_path / "b.json")]) == 2
+    assert command.main(["--compare", str(path), str(tmp_path / "b.json")]) == 2
     assert "is not the results.json" in capsys.readouterr().err
 
 
@@ -54,6 +55,15 @@ def test_unknown_parts_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"filter must name some of previews, pareto, .* got nonsense"):
         runner.run(tmp_path / "folder", parts=["pareto", "nonsense"])
     assert not (tmp_path / "folder").exists()
+
+
+def test_an_unwritable_folder_is_refused_before_measuring(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(runner.importlib.util, "find_spec", lambda _name: True)
+    monkeypatch.chdir(tmp_path)
+    # Nothing is denied to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert command.main(["--filter", "pareto"]) == 2
+    assert "may not be written to; name another one" in capsys.readouterr().err
 
 
 def test_figures_are_one_a_line(tmp_path):

@@ -13,8 +13,8 @@ import pytest
 from conftest import at_angle, hemisphere, slow
 
 import warpdiff as wd
-from warpdiff.bench.truth import reference
-from warpdiff.bench.truth.errors import FLOOR, brightness
+from bench.truth import reference
+from bench.truth.errors import FLOOR, brightness
 from warpdiff.fourier import low_rank_basis, transforms
 from warpdiff.fourier.phase_series import EXPANSIONS
 from warpdiff.optics import reflectance_factors

@@ -10,7 +10,7 @@ import pytest
 from conftest import hemisphere
 
 import warpdiff as wd
-from warpdiff.bench.truth import judge, reference
+from bench.truth import judge, reference
 
 
 def ratio(hf, lights, views, tolerance, **options):

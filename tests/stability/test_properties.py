@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
 import warpdiff as wd
-from warpdiff.bench.truth.numpy_methods import outcome
+from bench.truth.numpy_methods import outcome
 
 # Derandomised, so that a failure is the same everywhere.
 SETTINGS = settings(

@@ -9,8 +9,8 @@ import pytest
 from conftest import slow
 
 import warpdiff as wd
-from warpdiff.bench.truth import numpy_methods as methods
-from warpdiff.bench.truth import reference
+from bench.truth import numpy_methods as methods
+from bench.truth import reference
 from warpdiff.fourier import direct_sum
 
 TOLERANCE = 1e-2

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff.bench.truth import numpy_methods as methods
-from warpdiff.bench.truth import reference
+from bench.truth import numpy_methods as methods
+from bench.truth import reference
 from warpdiff.fourier import phase_series
 from warpdiff.fourier.phase_series import EXPANSIONS
 

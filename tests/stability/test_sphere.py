@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff.bench.truth.numpy_methods import best_effort
+from bench.truth.numpy_methods import best_effort
 
 COHERENCES = {
     "averaged": wd.Coherence(),

@@ -7,9 +7,9 @@ import pytest
 from conftest import at_angle, slow
 
 import warpdiff as wd
-from warpdiff.bench.studies.tolerance_sweep import load_scan
-from warpdiff.bench.truth import judge
-from warpdiff.bench.truth.configurations import STRATA, Configuration, configuration, diagonal
+from bench.studies.tolerance_sweep import load_scan
+from bench.truth import judge
+from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
 # Calls whose truth is cheap; the sweep has large ones.
 SEED = 11

@@ -12,8 +12,8 @@ import warp as wp
 from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
+from bench.studies.crops import finer
 from warpdiff import meshes
-from warpdiff.bench.studies.crops import finer
 from warpdiff.kernels import adaptive as kernels
 from warpdiff.kernels import cell_levels
 from warpdiff.render import host_schedule, pixel_filters

@@ -11,9 +11,9 @@ from conftest import hemisphere
 from scipy.special import jv
 
 import warpdiff as wd
+from bench.truth import reference
 from warpdiff.baking import shared_exponents
 from warpdiff.baking.polar_grid import PolarGrid
-from warpdiff.bench.truth import reference
 from warpdiff.optics import colorimetry, reflectance_factors
 
 WINDOW, WIDE = wd.Coherence(sigma_um=3.0), wd.Coherence(sigma_um=1.5)

@@ -10,7 +10,7 @@ import trimesh
 from conftest import slow
 
 import warpdiff as wd
-from warpdiff.bench.truth.sky_sums import SkySums
+from bench.truth.sky_sums import SkySums
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
 from warpdiff.scene.sky_map import blurred_grids, maps_of, suns_of

@@ -9,8 +9,8 @@ import pytest
 import warp as wp
 
 import warpdiff as wd
+from bench.truth.brute_force import shading_frame
 from warpdiff import meshes
-from warpdiff.bench.truth.brute_force import shading_frame
 from warpdiff.compute.pipeline import launch_pipeline
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics.materials import LitMaterial

@@ -8,7 +8,7 @@ import trimesh
 from conftest import hemisphere, slow
 
 import warpdiff as wd
-from warpdiff.bench.truth import reference
+from bench.truth import reference
 
 SHORT = wd.Coherence(sigma_um=5.0)
 GOLD, SILVER = wd.Material.metal("Au"), wd.Material.metal("Ag")

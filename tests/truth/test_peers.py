@@ -7,9 +7,9 @@ import pytest
 from conftest import hemisphere
 
 import warpdiff as wd
+from bench.peers import drjit_peer, numpy_peer, raycasters, stam_analytic
+from bench.truth import reference
 from warpdiff import meshes
-from warpdiff.bench.peers import drjit_peer, numpy_peer, raycasters, stam_analytic
-from warpdiff.bench.truth import reference
 from warpdiff.optics import colorimetry, reflectance_factors
 
 SERIES = {"numpy": numpy_peer, "drjit": drjit_peer}

@@ -13,8 +13,8 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
+from bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff import meshes
-from warpdiff.bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff.kernels import bvh, cell_levels, compile_options, ray_hits
 from warpdiff.kernels.structs import Cells, Pixels, Sampling
 from warpdiff.render import pixel_filters

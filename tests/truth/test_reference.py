@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import hemisphere
 
+from bench.truth import reference
 from warpdiff import gratings
-from warpdiff.bench.truth import reference
 from warpdiff.fourier import direct_sum
 from warpdiff.optics.coherence import Coherence
 from warpdiff.surface.heightfield import HeightField

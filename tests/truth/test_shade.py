@@ -17,8 +17,8 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
+from bench.truth import reference
 from warpdiff import meshes
-from warpdiff.bench.truth import reference
 from warpdiff.scene.mesh_import import prepare_surface
 
 # More are judged by bench/studies/picture_error.py.

@@ -10,8 +10,8 @@ import trimesh
 import warp as wp
 
 import warpdiff as wd
+from bench.truth.brute_force import intersect
 from warpdiff import meshes
-from warpdiff.bench.truth.brute_force import intersect
 from warpdiff.compute.pipeline import launch
 from warpdiff.kernels.shading_frames import LIFT
 from warpdiff.kernels.shadow_grid import trace_shadow_rays

@@ -10,7 +10,7 @@ import trimesh
 from conftest import slow
 
 import warpdiff as wd
-from warpdiff.bench.truth.sky_sums import SkySums
+from bench.truth.sky_sums import SkySums
 from warpdiff.scene.lights import lobes_of
 
 SHORT = wd.Coherence(sigma_um=8.0)

@@ -10,8 +10,8 @@ import warp as wp
 from conftest import hemisphere, slow
 
 import warpdiff as wd
+from bench.truth import reference
 from warpdiff import meshes
-from warpdiff.bench.truth import reference
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import LitMaterial
 from warpdiff.planning import search, trial

@@ -11,7 +11,7 @@ import warp as wp
 from conftest import hemisphere, slow
 
 import warpdiff as wd
-from warpdiff.bench.truth import reference
+from bench.truth import reference
 from warpdiff.kernels import spectral_sum
 from warpdiff.kernels import spectrum_sampling as kernels
 from warpdiff.kernels.colour_lookup import FILTER_REACH, lookup

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff.bench.studies import thesis
+from bench.studies import thesis
 
 
 @pytest.mark.parametrize("coherence", [None, wd.Coherence("source")])

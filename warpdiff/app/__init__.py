@@ -2,5 +2,5 @@
 
 In: arguments, signals.
 Out: files, messages, an exit code.
-May import: core, optics, surface, scene, image, evaluate, render, viewer, the public names, bench.
+May import: core, optics, surface, scene, image, evaluate, render, viewer, the public names.
 """

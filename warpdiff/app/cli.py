@@ -210,27 +210,6 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_view(commands, common, surface)
 
-    bench = _add(
-        commands, common, "bench", _bench, "chart speed against accuracy, beside other programs",
-        "warpdiff bench --quick --output charts\n  warpdiff bench --compare before/results.json after/results.json",
-    )  # fmt: skip
-    bench.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
-    bench.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
-    bench.add_argument(
-        "--filter", nargs="+", metavar="PART", help="some parts: previews pareto frames rays scaling stability validity"
-    )
-    bench.add_argument(
-        "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
-    )
-    bench.add_argument("--device", help="cpu (default) or cuda")
-    bench.add_argument("--threads", type=int, help="threads on the CPU, of peers, too (default: one a core)")
-    bench.add_argument(
-        "--compare",
-        nargs=2,
-        metavar=("OLD", "NEW"),
-        help="which figures of two results.json moved by more than their noise",
-    )
-
     _add_cache(commands, common)
     return parser
 
@@ -658,21 +637,6 @@ def _demo(options: argparse.Namespace) -> None:
         say=print, progress=Bar,
     )  # fmt: skip
     print(f"{len(written)} pictures in {Path(options.output).resolve()}")
-
-
-def _bench(options: argparse.Namespace) -> None:
-    from warpdiff.bench.suite import runner
-
-    if options.compare:
-        print("\n".join(runner.compare(*map(Path, options.compare))))
-        return
-    if importlib.util.find_spec("matplotlib") is None:
-        raise ValueError("charts are drawn with matplotlib, which is not installed: pip install 'warpdiff[bench]'")
-    report = runner.run(
-        Path(options.output), quick=options.quick, parts=options.filter, device=options.device,
-        threads=options.threads, data=options.data and Path(options.data),
-    )  # fmt: skip
-    print(f"wrote {report.resolve()}, with results.json and results.csv beside it")
 
 
 def _view(options: argparse.Namespace) -> None:

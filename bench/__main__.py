@@ -1,0 +1,53 @@
+"""``python -m bench``: chart speed against accuracy, compared with other programs; run from a checkout."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.suite import runner
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+EXAMPLES = """examples:
+  python -m bench --quick --output charts
+  python -m bench --compare before/results.json after/results.json"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw the charts, or compare two runs; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench", description="Chart speed against accuracy, compared with other programs.",
+        epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
+    parser.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
+    parser.add_argument("--filter", nargs="+", metavar="PART", help=f"only some parts: {' '.join(runner.PARTS)}")
+    parser.add_argument("--data", type=Path, metavar="FOLDER", help="folder with the scan (default: $WARPDIFF_DATA)")
+    parser.add_argument("--device", help="cpu (default) or cuda")
+    parser.add_argument("--threads", type=int, help="CPU threads, also of peers (default: one per core)")
+    parser.add_argument(
+        "--compare", type=Path, nargs=2, metavar=("OLD", "NEW"),
+        help="list the figures of two results.json that differ by more than their noise",
+    )  # fmt: skip
+    options = parser.parse_args(arguments)
+    try:
+        if options.compare:
+            print("\n".join(runner.compare(*options.compare)))
+            return 0
+        report = runner.run(
+            Path(options.output), quick=options.quick, parts=options.filter, device=options.device,
+            threads=options.threads, data=options.data,
+        )  # fmt: skip
+    except (ValueError, OSError) as error:
+        print(f"python -m bench: {error}", file=sys.stderr)
+        return 2
+    print(f"wrote {report.resolve()}, with results.json and results.csv in the same folder")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
