@@ -44,7 +44,7 @@ test-mitsuba: $(MITSUBA_STAMP) ## test the bridge to Mitsuba; needs LLVM, 17 or 
 	$(BIN)/python -m pytest -m mitsuba tests/truth/test_mitsuba.py
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
-	$(BIN)/python -m bench.studies.soak --minutes $(MINUTES)
+	$(BIN)/python -m bench.dev.soak --minutes $(MINUTES)
 
 test-lowest: ## run the tests with the lowest versions that are allowed, in an environment of their own
 	rm -rf $(VENV)-lowest

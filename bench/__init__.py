@@ -1,7 +1,8 @@
 """Measurements of speed and accuracy, and what they are measured against.
 
 - ``suite``: the charts of ``python -m bench``
-- ``studies``: single questions, each ``python -m bench.studies.NAME``
+- ``reproduce``: other figures, each ``python -m bench.reproduce.NAME``
+- ``dev``: tools for checking changes, each ``python -m bench.dev.NAME``
 - ``truth``: references that share no code with the kernels and serve the tests, too; random calls, and their judge
 - ``peers``: other programs and baselines, beside ours
 - ``inputs``: where real inputs are found

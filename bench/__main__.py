@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench import inputs
 from bench.suite import runner
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
     parser.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
     parser.add_argument("--filter", nargs="+", metavar="PART", help=f"only some parts: {' '.join(runner.PARTS)}")
-    parser.add_argument("--data", type=Path, metavar="FOLDER", help="folder with the scan (default: $WARPDIFF_DATA)")
+    parser.add_argument("--data", type=Path, metavar="FOLDER", help=inputs.HELP)
     parser.add_argument("--device", help="cpu (default) or cuda")
     parser.add_argument("--threads", type=int, help="CPU threads, also of peers (default: one per core)")
     parser.add_argument(

@@ -19,3 +19,9 @@ def scan(given: str | Path | None = None) -> wd.HeightField | None:
     """The 65 µm scan of a corn snake's skin as it was measured, or None where it is absent."""
     path = folder(given) / "elaphe_65um.png"
     return wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375) if path.is_file() else None
+
+
+def levelled_scan(given: str | Path | None = None) -> wd.HeightField | None:
+    """The same scan levelled, or None where it is absent."""
+    found = scan(given)
+    return None if found is None else found.levelled(order=2)

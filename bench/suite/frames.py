@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
-from bench.studies import crops
+from bench.reproduce import crops
 from bench.suite import figures
 from bench.suite.timing import in_turns
 

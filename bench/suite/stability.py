@@ -7,9 +7,7 @@ series in NumPy; truth is the float64 reference, the direct sum, or a closed for
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -482,40 +480,3 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
         f"{points} points, and warns or refuses in {told} more."
     )
     return {"stability": text}
-
-
-def table(panel: Panel) -> str:
-    """The numbers of a panel, in Markdown."""
-    rows = [
-        f"\n{panel.title} ({panel.note})\n",
-        "| " + panel.axis + " | " + " | ".join(f"{x:.3g}" for x in panel.x) + " |",
-        "| --- " * (len(panel.x) + 1) + "|",
-    ]
-    rows += [f"| {name} | " + " | ".join(f"{e:.1e}" for e in errors) + " |" for name, errors in panel.curves.items()]
-    for name, told in panel.told.items():
-        rows.append(f"{name}: refuses or warns at " + ", ".join(f"{panel.x[at]:.3g}" for at in told))
-    return "\n".join(rows)
-
-
-def main() -> int:
-    """Print the numbers; ``python -m bench --filter stability`` draws them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=[each.__name__ for each in REGIMES], help="one regime")
-    options = parser.parse_args()
-    failed = []
-    for regime in REGIMES:
-        if options.only not in (None, regime.__name__):
-            continue
-        panel = regime()
-        print(table(panel), flush=True)
-        for name in (AUTOMATIC, AUTOMATIC_CENTRED, AUTOMATIC_SOURCE):
-            for at, error in enumerate(panel.curves.get(name, [])):
-                if at not in panel.told.get(name, []) and not error <= TOLERANCE:
-                    failed.append(f"{panel.title}, {panel.axis} {panel.x[at]:.3g}: {name}: {error:.1e}")
-    for line in failed:
-        print(f"beyond its tolerance: {line}")
-    return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree as Xml
 
-from bench.studies import soak
+from bench.dev import soak
 
 REPORT = """<testsuites><testsuite>
 <testcase name="a"><properties><property name="row" value="files"/><property name="tried" value="1200"/></properties>

@@ -7,7 +7,7 @@ import pytest
 from conftest import at_angle, slow
 
 import warpdiff as wd
-from bench.studies.tolerance_sweep import load_scan
+from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
@@ -20,7 +20,7 @@ UP = np.array([0.0, 0.0, 1.0])
 @pytest.fixture(scope="module")
 def scan_or_none() -> wd.HeightField | None:
     """Fingers stand in for a scan that is not there."""
-    return load_scan(None)
+    return inputs.levelled_scan()
 
 
 def check(case: Configuration, count: int = 400) -> None:

@@ -12,7 +12,7 @@ import warp as wp
 from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
-from bench.studies.crops import finer
+from bench.truth.pictures import finer
 from warpdiff import meshes
 from warpdiff.kernels import adaptive as kernels
 from warpdiff.kernels import cell_levels

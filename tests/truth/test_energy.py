@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from bench.studies.lights import furnace_picture
+from bench.truth.pictures import furnace_picture
 from warpdiff.fourier import energy_balance
 
 WINDOW = wd.Coherence(sigma_um=8.0)

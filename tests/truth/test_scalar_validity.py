@@ -122,7 +122,7 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
         for j, depth in enumerate(stored["depths"]):
             for angle in stored["angles_deg"]:
                 first, *efficiencies = next(rows)
-                # Some of them are enough here: bench/studies/energy.py has all.
+                # Some of them are enough here.
                 if i % 3 or j not in (2, 5) or angle == 0.0:
                     continue
                 hf = make(period, depth)

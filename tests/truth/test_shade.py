@@ -21,7 +21,6 @@ from bench.truth import reference
 from warpdiff import meshes
 from warpdiff.scene.mesh_import import prepare_surface
 
-# More are judged by bench/studies/picture_error.py.
 PIXELS = 160
 SNAKE_LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))

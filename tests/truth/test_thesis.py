@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
-from bench.studies import thesis
+from bench.reproduce import thesis
 
 
 @pytest.mark.parametrize("coherence", [None, wd.Coherence("source")])

@@ -2,7 +2,7 @@
 
 ::
 
-    python -m bench.studies.sanitize
+    python -m bench.dev.sanitize
 
 Warp's generated source of every module that a picture takes is compiled once more by the system's compiler, with both
 sanitizers, and called in place of what Warp compiled, for a tube and a snake, footprints, points, a source, copies of a
@@ -27,7 +27,7 @@ from typing import Any
 
 import warp as wp
 
-from bench.studies import corpus
+from bench.dev import corpus
 from warpdiff.compute import pipeline
 from warpdiff.kernels.compile_options import NATIVE
 
@@ -124,7 +124,7 @@ def main() -> int:
         "ASAN_OPTIONS": "detect_leaks=0:detect_stack_use_after_return=0", "UBSAN_OPTIONS": "print_stacktrace=1",
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-W", "ignore", "-m", "bench.studies.sanitize", "--inside", folder]
+        command = [sys.executable, "-W", "ignore", "-m", "bench.dev.sanitize", "--inside", folder]
         return subprocess.run(command, env=environment, check=False).returncode
 
 

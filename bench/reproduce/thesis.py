@@ -26,7 +26,7 @@ import numpy as np
 
 import warpdiff as wd
 from bench import inputs
-from bench.studies import variants
+from bench.reproduce import variants
 from warpdiff.optics import colorimetry, reflectance_factors
 
 if TYPE_CHECKING:

@@ -26,6 +26,7 @@ from bench import inputs
 from bench.truth import reference
 from bench.truth.brute_force import intersect, pixel_rays
 from bench.truth.errors import FLOOR, brightness, colour_difference
+from bench.truth.pictures import finer, scaled
 from warpdiff import meshes
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -124,8 +125,8 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
         for size in (5.0, 12.8, 25.6, 65.0)
     }
     made["blazed"] = lambda: wd.gratings.blazed(2.5, 0.25)
-    scan = inputs.scan(data)
-    return made if scan is None else made | {"scan": lambda: scan.levelled(order=2)}
+    scan = inputs.levelled_scan(data)
+    return made if scan is None else made | {"scan": lambda: scan}
 
 
 def crop(
@@ -149,21 +150,9 @@ def crop(
     away = intersect(origins, directions, body.vertices, body.faces, 1)[0]
     target = (origins + away[:, None] * directions)[0]
     eye = target + distance * (eye - target)
-    fov = _scaled(FOV_DEG, HEIGHT / height)
+    fov = scaled(FOV_DEG, HEIGHT / height)
     view = wd.View(tuple(eye), tuple(target), fov_y_deg=fov, width=WIDTH, height=HEIGHT)
     return Crop(name, mesh, hf, light, view, white, brightest)
-
-
-def _scaled(fov_deg: float, factor: float) -> float:
-    """The angle of a picture so many times as high."""
-    return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
-
-
-def finer(view: wd.View, points: int, margin: int) -> wd.View:
-    """A view of as many points along a side of each pixel, of pixels beyond its edge, too."""
-    width, height = view.width + 2 * margin, view.height + 2 * margin
-    fov = _scaled(view.fov_y_deg, height / view.height)
-    return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)
 
 
 def truth(given: Crop, tolerance: float) -> Truth:

@@ -95,13 +95,7 @@ _worker: dict[str, object] = {}
 
 def start_worker(seed: int, data: str | None, layouts: tuple[str, ...]) -> None:
     """Give a process what all its calls share."""
-    _worker.update(seed=seed, scan=load_scan(data), layouts=layouts)
-
-
-def load_scan(data: str | None) -> wd.HeightField | None:
-    """The levelled scan, where it is present."""
-    scan = inputs.scan(data)
-    return None if scan is None else scan.levelled(order=2)
+    _worker.update(seed=seed, scan=inputs.levelled_scan(data), layouts=layouts)
 
 
 def work(index: int) -> Outcome:
@@ -258,7 +252,7 @@ def main() -> int:
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     layouts = tuple(options.layouts or configurations.LAYOUTS)
-    scan = load_scan(options.data)
+    scan = inputs.levelled_scan(options.data)
     if scan is None:
         print("the scan is not there: synthetic fingers stand in for its crops")
     if options.index is not None:

@@ -1,0 +1,39 @@
+"""Views with several points per pixel, and the white furnace."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import trimesh
+
+import warpdiff as wd
+
+
+def scaled(fov_deg: float, factor: float) -> float:
+    """The angle of a picture so many times as high."""
+    return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
+
+
+def finer(view: wd.View, points: int, margin: int) -> wd.View:
+    """A view of as many points along a side of each pixel, of pixels beyond its edge, too."""
+    width, height = view.width + 2 * margin, view.height + 2 * margin
+    fov = scaled(view.fov_y_deg, height / view.height)
+    return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)
+
+
+def furnace_picture(
+    hf: wd.HeightField, energy: str, *, directions: int, tolerance: float, size: int
+) -> tuple[wd.Image, np.ndarray]:
+    """A sphere that is a perfect mirror under an even sky of 1, and how far pixels are from its middle, in radii."""
+    ball = trimesh.creation.icosphere(4)
+    radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))
+    image = wd.shade(
+        ball, hf, wd.Environment(np.ones((4, 8, 3)), directions=directions),
+        wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.02, width=size, height=size),
+        coherence=wd.Coherence(sigma_um=8.0),
+        tolerance=tolerance, ior=math.inf, masking=False, energy=energy, refine=False, shadows=False,
+        tangents=np.cross([0.0, 1.0, 0.01], ball.vertex_normals),
+    )  # fmt: skip
+    return image, radius
