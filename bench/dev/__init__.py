@@ -1,0 +1,1 @@
+"""Tools for the maintainers: whether a change leaves every result and every time the same."""
