@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import lookup_specification
 import numpy as np
 import pytest
 import warp as wp
@@ -11,7 +12,6 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from warpdiff.compute.pipeline import launch_pipeline
-from warpdiff.kernels import lookup_specification
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics.materials import LitMaterial
 from warpdiff.plans.direction_range import DirectionRange
