@@ -256,19 +256,23 @@ def explicit_plan(threads: int) -> Values:
     return image_values(wd.shade(tube(), surface, ABOVE, tube_view(**MEDIUM), plan=changed, threads=threads))
 
 
+def disc_view(**size: int) -> Any:
+    """A view of the disc, in which orders of a grating on it are visible."""
+    return wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), **(size or SIZE))
+
+
 def periods_picture(threads: int) -> Values:
     """A few periods of a grating, on a disc."""
-    view = wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), **SIZE)
     coherence = wd.Coherence("replicas", periods=(1, 10))
     grating = wd.gratings.lamellar(2.5, 0.14)
-    return image_values(wd.shade(wd.meshes.disc(), grating, ABOVE, view, coherence=coherence, threads=threads))
+    return image_values(wd.shade(wd.meshes.disc(), grating, ABOVE, disc_view(), coherence=coherence, threads=threads))
 
 
 def direct_picture(threads: int) -> Values:
     """A few pixels by the direct sum."""
     grating = wd.gratings.sinusoidal(2.5, 0.14)
-    view = tube_view(width=12, height=9)
-    return image_values(wd.shade(tube(), grating, ABOVE, view, method="direct", threads=threads))
+    options = {"method": "direct", "coherence": wd.Coherence(sigma_um=4.0), "tolerance": 1e-1, "threads": threads}
+    return image_values(wd.shade(wd.meshes.disc(), grating, ABOVE, disc_view(width=12, height=9), **options))
 
 
 def successive_pictures(threads: int) -> Values:
@@ -313,8 +317,8 @@ def sky_picture(*, with_sun: bool, **options: Any) -> Case:
     """A case that draws the tube under a sky, with its background."""
 
     def draw(threads: int) -> Values:
-        sky = wd.Environment(radiances(with_sun=with_sun), rotation_deg=30.0, scale=0.7, directions=200)
-        view = tube_view(**SMALL)
+        sky = wd.Environment(radiances(with_sun=with_sun), rotation_deg=30.0, scale=0.7, directions=100)
+        view = tube_view(width=16, height=12)
         image = wd.shade(tube(), fingers(), [sky, SIDE], view, tolerance=1e-1, threads=threads, **options)
         return image_values(image) | {"background": sky.background(view)}
 

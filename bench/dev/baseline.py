@@ -1,0 +1,83 @@
+"""An environment with the wheel of one commit, to compare pictures and times with.
+
+::
+
+    python -m bench.dev.baseline --folder /tmp/baseline
+    python -m bench.dev.baseline --folder /tmp/head --commit HEAD --versions-of /tmp/baseline
+
+The files of the commit are exported to a temporary folder, so that nothing of the working tree enters the wheel. The
+script prints the environment's Python. ``--versions-of`` installs the versions of the libraries that another
+environment has, without which results may differ in the last bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tarfile
+import tempfile
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+# Last commit with the public names of version 0.1.0.
+BASELINE = "435cbd29d7812b4a0b884249204b87c1858a2e49"
+
+
+def build(folder: Path, commit: str, versions_of: Path | None) -> Path:
+    """Build the wheel of a commit and install it into a new environment; returns the environment's Python."""
+    if folder.exists() and any(folder.iterdir()):
+        raise SystemExit(f"error: --folder must be empty or not exist yet, got {folder}")
+    venv.create(folder, with_pip=True)
+    python = python_in(folder)
+    with tempfile.TemporaryDirectory() as name:
+        temporary = Path(name)
+        export(commit, temporary / "source")
+        constraints = temporary / "constraints.txt"
+        constraints.write_text("" if versions_of is None else versions(python_in(versions_of)))
+        _pip(python, "wheel", "--no-deps", "--wheel-dir", temporary / "wheel", temporary / "source")
+        (wheel,) = (temporary / "wheel").glob("warpdiff-*.whl")
+        _pip(python, "install", "--constraint", constraints, wheel)
+    return python
+
+
+def export(commit: str, folder: Path) -> None:
+    """Write the files of a commit into a folder."""
+    archive = folder.with_suffix(".tar")
+    subprocess.run(["git", "-C", ROOT, "archive", "--output", archive, commit], check=True)  # noqa: S607
+    with tarfile.open(archive) as files:
+        files.extractall(folder, filter="data")
+
+
+def versions(python: Path) -> str:
+    """Versions of all libraries in an environment, as pip's constraints."""
+    frozen = subprocess.run([python, "-m", "pip", "freeze"], check=True, capture_output=True, text=True).stdout
+    return "".join(f"{line}\n" for line in frozen.splitlines() if "==" in line and not line.startswith("warpdiff"))
+
+
+def python_in(folder: Path) -> Path:
+    """The Python of an environment."""
+    return folder.absolute() / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def _pip(python: Path, *arguments: object) -> None:
+    # pip's own words go to stderr, so that the script's output is the path alone.
+    subprocess.run([python, "-m", "pip", "--quiet", *map(str, arguments)], check=True, stdout=sys.stderr)
+
+
+def main() -> None:
+    """Build an environment and print its Python."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--folder", type=Path, required=True, help="new folder of the environment")
+    parser.add_argument(
+        "--commit", default=BASELINE, help="commit whose wheel is built (the last one of version 0.1.0)"
+    )
+    parser.add_argument("--versions-of", type=Path, metavar="FOLDER", help="environment with the versions to install")
+    options = parser.parse_args()
+    print(build(options.folder, options.commit, options.versions_of))
+
+
+if __name__ == "__main__":
+    main()
