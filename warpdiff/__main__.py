@@ -15,7 +15,7 @@ def main() -> int:
     for each in signals:
         # There is nothing to tidy up yet.
         signal.signal(each, lambda number, _frame: os._exit(128 + number))
-    # What is imported before signals are met is little, for it takes time.
+    # Few modules are imported before signals are handled, because imports take time.
     from warpdiff.app import standard_streams
     from warpdiff.app.signals import Interruption
 
@@ -28,11 +28,11 @@ def main() -> int:
     except SystemExit as stop:
         # Of help, or of options that are wrong.
         code = int(stop.code or 0)
-    except BaseException as error:
-        # Imports make errors of their own of it.
-        if not (interruption.is_met or isinstance(error, KeyboardInterrupt)):
+    except BaseException:
+        # Imports may turn an interruption into an error of their own.
+        if not interruption.is_met:
             raise
-        code = 130
+        code = 1
     return interruption.finish(code)
 
 

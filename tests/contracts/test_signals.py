@@ -68,13 +68,14 @@ def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
         begin = time.monotonic()
         error = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, error
-    assert time.monotonic() - begin < 3.0
+    # A compilation that has begun goes on to its end.
+    assert time.monotonic() - begin < 30.0
     assert "Traceback" not in error
     assert not left_behind(tmp_path)
     assert not (tmp_path / "map.png").exists()
 
 
-# A command that swallows what is raised in it, as some packages do while they are imported.
+# A command that swallows what is raised in it.
 STUBBORN = """
 import sys, time
 from pathlib import Path
@@ -83,12 +84,14 @@ from warpdiff.core.file_writing import replacing
 def command():
     with replacing(Path("picture.png")) as unfinished:
         unfinished.write_text("half")
-        print("begun", flush=True)
+        try:
+            print("begun", flush=True)
+            while True:
+                time.sleep(0.05)
+        except BaseException:
+            print("swallowed", flush=True)
         while True:
-            try:
-                time.sleep(60.0)
-            except BaseException:
-                pass
+            time.sleep(0.05)
 cli.main = command
 sys.exit(__main__.main())
 """
@@ -96,11 +99,13 @@ sys.exit(__main__.main())
 
 @pytest.mark.permanent(ROW)
 @pytest.mark.parametrize("name", NAMES)
-def test_a_swallowed_interruption_is_none_the_less_one(name, tmp_path):
+def test_a_second_signal_ends_a_command_that_swallows_the_first(name, tmp_path):
     number = getattr(signal, name)
     with begun(["-c", STUBBORN], tmp_path) as process:
         assert process.stdout.readline() == "begun\n"
         assert left_behind(tmp_path)
+        process.send_signal(number)
+        assert process.stdout.readline() == "swallowed\n"
         process.send_signal(number)
         begin = time.monotonic()
         process.communicate(timeout=60)
