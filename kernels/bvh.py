@@ -3,7 +3,7 @@
 import warp as wp
 
 from warpdiff.kernels import compile_options
-from warpdiff.kernels.ray_hits import UNSEEN
+from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
 # Infinities stay defined, by which the hierarchy decides whether a ray hits.

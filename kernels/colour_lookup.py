@@ -111,7 +111,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         least_w: wp.float32  # |w| of the first of them
         per_w: wp.float32  # entries per unit of |w|
         first_rows: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of spoke 0
-        spokes: wp.array2d(dtype=wp.int32)  # (levels, octaves), their number
+        azimuths: wp.array2d(dtype=wp.int32)  # (levels, octaves), their number
         blurs: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
         nodes: wp.int32  # nodes an octave
         per_log: wp.float32  # nodes per unit of ln |(u, v)|
@@ -150,13 +150,13 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         """
         thread, _ = wp.tid()
         nodes = table.nodes
-        spokes = table.spokes[level, octave]
+        azimuths = table.azimuths[level, octave]
         for k in range(run):
-            spoke = first + thread * run + k - wp.static(REACH)
-            at = table.first_rows[level, octave] + spoke * nodes
+            azimuth = first + thread * run + k - wp.static(REACH)
+            at = table.first_rows[level, octave] + azimuth * nodes
             starts = starts_t()
             for j in range(wp.static(2 * FILTER_REACH + 1)):
-                starts[j] = cyclic(spoke + j - wp.static(FILTER_REACH), spokes) * nodes
+                starts[j] = cyclic(azimuth + j - wp.static(FILTER_REACH), azimuths) * nodes
             for node in range(nodes):
                 total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + node]
                 for j in range(1, wp.static(FILTER_REACH + 1)):
@@ -182,43 +182,45 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         """
         thread, _ = wp.tid()
         nodes = table.nodes
-        spokes = table.spokes[source, octave]
-        spacing = wp.float32(2.0 * wp.PI) / wp.float32(spokes)
+        azimuths = table.azimuths[source, octave]
+        spacing = wp.float32(2.0 * wp.PI) / wp.float32(azimuths)
         wanted = table.blurs[level, octave]
         given = table.blurs[source, octave]
         variance = (wanted * wanted - given * given) / (spacing * spacing) + 0.25
-        reach = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), spokes // 2)
+        neighbour_extent = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), azimuths // 2)
         for k in range(run):
-            spoke = first + thread * run + k
-            place = wp.float32(spoke) / wp.float32(table.spokes[level, octave]) * wp.float32(spokes)
+            azimuth = first + thread * run + k
+            place = wp.float32(azimuth) / wp.float32(table.azimuths[level, octave]) * wp.float32(azimuths)
             nearest = wp.int32(wp.rint(place))
             total = wp.float32(0.0)
-            for j in range(-reach, reach + 1):
+            for j in range(-neighbour_extent, neighbour_extent + 1):
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for node in range(nodes):
-                values_out[spoke * nodes + node] = row_t()
+                values_out[azimuth * nodes + node] = row_t()
             # A few at a time, as what is written is read again.
             starts = starts_t()
             weights = weights_t()
-            for begin in range(-reach, reach + 1, wp.static(_TAPS)):
+            for begin in range(-neighbour_extent, neighbour_extent + 1, wp.static(_TAPS)):
                 for i in range(wp.static(_TAPS)):
                     at = nearest + begin + i
-                    starts[i] = table.first_rows[source, octave] + cyclic(at, spokes) * nodes
+                    starts[i] = table.first_rows[source, octave] + cyclic(at, azimuths) * nodes
                     weights[i] = wp.where(
-                        begin + i <= reach, gaussian(wp.float32(at) - place, variance) / total, wp.float32(0.0)
+                        begin + i <= neighbour_extent,
+                        gaussian(wp.float32(at) - place, variance) / total,
+                        wp.float32(0.0),
                     )
                 for node in range(nodes):
-                    total_of_node = values_out[spoke * nodes + node]
+                    total_of_node = values_out[azimuth * nodes + node]
                     for i in range(wp.static(_TAPS)):
                         total_of_node += weights[i] * table.rows[starts[i] + node]
-                    values_out[spoke * nodes + node] = total_of_node
+                    values_out[azimuth * nodes + node] = total_of_node
 
     @wp.func_native(
-        f"warpdiff::look_up_points<{functions}, {RUN}, {_AHEAD}>(table, deflections, gains, begin, end, xyz_out);"
+        f"warpdiff::look_up_points<{functions}, {RUN}, {_AHEAD}>(table, scattering_vectors, gains, begin, end, xyz_out);"
     )
     def look_up_points(
         table: Colours,
-        deflections: wp.array(dtype=wp.vec3d),
+        scattering_vectors: wp.array(dtype=wp.vec3d),
         gains: wp.array(dtype=wp.float32),
         begin: wp.int32,
         end: wp.int32,
@@ -229,18 +231,18 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     @wp.func_native(
         f"warpdiff::look_up_footprints<{functions}, {str(source).lower()}, {RUN}, {MOST_PARTS}>(table, taps, "
         f"{{{DEVIATIONS}f, {1.0 / variance_before(DEVIATIONS):.8f}f}}, deflections, to_lights, gains, footprints, "
-        "begin, end, left_out, xyz_out);"
+        "begin, end, unserved_gain, xyz_out);"
     )
     def look_up_footprints(
         table: Colours,
-        deflections: wp.array(dtype=wp.vec3d),
+        scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
         footprints: wp.array(dtype=Footprint),
         taps: FootprintTaps,
         begin: wp.int32,
         end: wp.int32,
-        left_out: wp.array(dtype=wp.float32),
+        unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
         """Add the mean XYZ over footprints and the source of a run of deflections times their gains."""
@@ -249,7 +251,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     def integrate(
         # In:
         table: Colours,
-        deflections: wp.array(dtype=wp.vec3d),
+        scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
         footprints: wp.array(dtype=Footprint),
@@ -257,22 +259,26 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         run: wp.int32,
         first: wp.int32,
         # Out:
-        left_out: wp.array(dtype=wp.float32),
+        unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
         """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
 
-        Of a source, directions that the table does not serve are skipped, and ``left_out`` holds their gains, others'
+        Of a source, directions that the table does not serve are skipped, and ``unserved_gain`` holds their gains, others'
         are 0.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])
         if wp.static(source):
-            look_up_footprints(table, deflections, to_lights, gains, footprints, taps, begin, end, left_out, xyz_out)
+            look_up_footprints(
+                table, scattering_vectors, to_lights, gains, footprints, taps, begin, end, unserved_gain, xyz_out
+            )
         elif footprints.shape[0] > 0:
-            look_up_footprints(table, deflections, to_lights, gains, footprints, taps, begin, end, left_out, xyz_out)
+            look_up_footprints(
+                table, scattering_vectors, to_lights, gains, footprints, taps, begin, end, unserved_gain, xyz_out
+            )
         else:
-            look_up_points(table, deflections, gains, begin, end, xyz_out)
+            look_up_points(table, scattering_vectors, gains, begin, end, xyz_out)
 
     return types.SimpleNamespace(
         row=row_t, functions=functions_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate

@@ -14,14 +14,14 @@ LEAST_FACING = 1e-4
 
 
 @wp.func_native(
-    "warpdiff::find_footprints<16>(camera, surface, pixels, deflections, deviation, begin, end, "
+    "warpdiff::find_footprints<16>(camera, surface, pixels, scattering_vectors, deviation, begin, end, "
     f"{{{float(LEAST_COSINE)}f, {LEAST_FACING}f}}, footprints_out);"
 )
 def pixel_footprints_run(
     camera: Camera,
     surface: SurfaceArrays,
     pixels: Pixels,
-    deflections: wp.array(dtype=wp.vec3d),
+    scattering_vectors: wp.array(dtype=wp.vec3d),
     deviation: wp.float32,
     begin: wp.int32,
     end: wp.int32,

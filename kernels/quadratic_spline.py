@@ -6,6 +6,6 @@ import math
 POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 
-def prefilter(reach: int) -> list[float]:
+def prefilter(neighbour_extent: int) -> list[float]:
     """Weights, for a coefficient, of the values from ``reach`` nodes before to as many behind."""
-    return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-reach, reach + 1)]
+    return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-neighbour_extent, neighbour_extent + 1)]

@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from warpdiff.kernels import compile_options, spectral_sum
+from warpdiff.kernels import coefficient_sum, compile_options
 from warpdiff.kernels.colour_lookup import FILTER_REACH, OPTIONS, lookup, spline
 
 _SAMPLING_OPTIONS = compile_options.options("spectrum_sampling.h", max_unroll=1)
@@ -29,13 +29,13 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
             they are amplitudes, of the centred form, and a row of the table holds the power of their sum at some κ.
         nodes: Terms of a row of the values.
     """
-    coefficients_t = spectral_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
+    coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
     out_t = wp.types.vector(length=nodes, dtype=wp.float32)
     parts = 1 if powers else 2
 
     @wp.func_native(
         f"warpdiff::sample_spoke<{lanes}, {parts}, {nodes}>(table, bases, sine, cosine, nodes, first_t, ratio, "
-        "divisions, highest, scale, left_out, begin, values_out);"
+        "divisions, highest, scale, unserved_gain, begin, values_out);"
     )
     def sample_spoke(
         table: coefficients_t,
@@ -48,7 +48,7 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         divisions: wp.int32,
         highest: wp.float64,
         scale: wp.float32,
-        left_out: wp.int32,
+        unserved_gain: wp.int32,
         begin: wp.int32,
         values_out: wp.array(dtype=out_t),
     ):
@@ -59,12 +59,12 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         # In:
         table: coefficients_t,
         bases: wp.array(dtype=out_t),
-        spokes: wp.int32,
+        azimuths: wp.int32,
         nodes_an_octave: wp.int32,
         log_low: wp.float64,
         divisions: wp.int32,
         highest: wp.float64,
-        left_out: wp.int32,
+        unserved_gain: wp.int32,
         start: wp.int32,
         first: wp.int32,
         # Out:
@@ -74,16 +74,16 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
 
         The first node lies at the logarithm ``log_low`` of the frequency, and the row of spoke 0 at ``start``. The
         spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``, without the
-        coefficient ``left_out``. Amplitudes are multiplied by ``bases``, term by term.
+        coefficient ``unserved_gain``. Amplitudes are multiplied by ``bases``, term by term.
         """
-        spoke = first + wp.tid()
-        angle = wp.float64(2.0 * wp.PI) * wp.float64(spoke) / wp.float64(spokes)
+        azimuth = first + wp.tid()
+        angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(nodes_an_octave * divisions)
         # A node's spline begins one and a half nodes before it.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
         sample_spoke(
             table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, nodes_an_octave, first_t,
-            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), left_out, start + spoke * nodes_an_octave,
+            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), unserved_gain, start + azimuth * nodes_an_octave,
             values_out,
         )  # fmt: skip
 
@@ -126,13 +126,13 @@ def gatherer(lanes: int) -> Any:
             first: The first thread's spoke.
             values_out: Spoke after spoke, node by node.
         """
-        spoke = first + wp.tid()
-        start = spoke * nodes
+        azimuth = first + wp.tid()
+        start = azimuth * nodes
         for k in range(nodes):
             values_out[start + k] = row_t()
-        angle = wp.float32(wp.float64(2.0 * wp.PI) * wp.float64(spoke) / wp.float64(begins.shape[0]))
+        angle = wp.float32(wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(begins.shape[0]))
         scale = 1.0 / (wp.sqrt(2.0 * wp.PI) * blur)
-        for j in range(begins[spoke], ends[spoke]):
+        for j in range(begins[azimuth], ends[azimuth]):
             away = (angles[j] - angle) / blur
             node = wp.int32(wp.rint(places[j]))
             of_nodes = spline(places[j] - wp.float32(node))
@@ -156,13 +156,13 @@ def projector(lanes: int, functions: int) -> Any:
     abreast = 4 if functions <= 8 else 2
 
     @wp.func_native(
-        f"warpdiff::join_octaves<{lanes}, {abreast}>(values, starts, spokes, nodes, octave, first_spoke, sequence, at, "
+        f"warpdiff::join_octaves<{lanes}, {abreast}>(values, starts, azimuths, nodes, octave, first_spoke, sequence, at, "
         "length);"
     )
     def join_octaves(
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
-        spokes: wp.array(dtype=wp.int32),
+        azimuths: wp.array(dtype=wp.int32),
         nodes: wp.int32,
         octave: wp.int32,
         first_spoke: wp.int32,
@@ -195,7 +195,7 @@ def projector(lanes: int, functions: int) -> Any:
         # In:
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
-        spokes: wp.array(dtype=wp.int32),
+        azimuths: wp.array(dtype=wp.int32),
         matrices: wp.array(dtype=functions_t),
         weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
@@ -216,7 +216,7 @@ def projector(lanes: int, functions: int) -> Any:
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
             first_spoke = (first + wp.tid() * run + k) * wp.static(abreast)
-            join_octaves(values, starts, spokes, nodes, octave, first_spoke, sequence, at, length)
+            join_octaves(values, starts, azimuths, nodes, octave, first_spoke, sequence, at, length)
             project_spokes(sequence, at, length, 0, matrices, weights, terms, nodes, first_spoke, rows_out)
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import endurance
 import numpy as np
 import pytest
-import soaking
 import trimesh
 
 # What tests compute is not kept in the user's folder.
@@ -45,7 +45,7 @@ def scan(scan_path):
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A seeded generator."""
-    return np.random.default_rng(20140 + soaking.SEED)
+    return np.random.default_rng(20140 + endurance.SEED)
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])
@@ -70,7 +70,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_report_header() -> str | None:
     """What a soak drew from."""
-    return f"seed of the soak: {soaking.SEED}" if soaking.IS_SOAK else None
+    return f"seed of the soak: {endurance.SEED}" if endurance.IS_SOAK else None
 
 
 def slow(*values):
@@ -86,15 +86,15 @@ def _shares(item) -> int:
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """A soak's time is shared among the tests that are left."""
-    if soaking.IS_SOAK:
+    if endurance.IS_SOAK:
         left = item.session.items[item.session.items.index(item) :]
-        soaking.begin(_shares(item), sum(map(_shares, left)))
+        endurance.begin(_shares(item), sum(map(_shares, left)))
 
 
 @pytest.fixture
 def tries(record_property):
     """Counts what a test tries; one that does not ask for it tries once."""
-    counted = soaking.Tries()
+    counted = endurance.Tries()
     yield counted
     record_property("tried", counted.number)
 

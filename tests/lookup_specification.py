@@ -109,7 +109,7 @@ def lookup(functions: int, source: bool = False) -> Any:
     @wp.func
     def point(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32) -> wp.vec3f:
         """The colour of a single direction: splines between three nodes, and at each between three spokes."""
-        octaves = table.spokes.shape[1]
+        octaves = table.azimuths.shape[1]
         place = wp.min(node_of(table, u, v), wp.float32(octaves * table.nodes - 2))
         middle = wp.int32(wp.rint(place))
         of_nodes = colour_lookup.spline(place - wp.float32(middle))
@@ -117,11 +117,11 @@ def lookup(functions: int, source: bool = False) -> Any:
         for m in range(3):
             node = middle - 1 + m
             octave = node // table.nodes
-            position = turns_of(u, v) * wp.float32(table.spokes[0, octave])
-            spoke = wp.int32(wp.rint(position))
-            of_spokes = colour_lookup.spline(position - wp.float32(spoke))
+            position = turns_of(u, v) * wp.float32(table.azimuths[0, octave])
+            azimuth = wp.int32(wp.rint(position))
+            of_spokes = colour_lookup.spline(position - wp.float32(azimuth))
             for j in range(3):
-                row = table.first_rows[0, octave] + (spoke - 1 + j) * table.nodes + node - octave * table.nodes
+                row = table.first_rows[0, octave] + (azimuth - 1 + j) * table.nodes + node - octave * table.nodes
                 row_sum += of_nodes[m] * of_spokes[j] * table.rows[row]
         return colour_of(table, row_sum, w)
 
@@ -148,21 +148,21 @@ def lookup(functions: int, source: bool = False) -> Any:
         # Levels are blurred each twice as much as the one before.
         first = table.blurs[1, octave]
         level = wp.int32(wp.floor(0.5 * wp.log2(wp.max(level_of - line2, 1.0e-30) / (first * first)))) + 1
-        level = wp.clamp(level, 0, table.spokes.shape[0] - 1)
-        spokes = table.spokes[level, octave]
-        spacing = 2.0 * wp.PI / wp.float32(spokes)
+        level = wp.clamp(level, 0, table.azimuths.shape[0] - 1)
+        azimuths = table.azimuths[level, octave]
+        spacing = 2.0 * wp.PI / wp.float32(azimuths)
         left2 = (angle2 - table.blurs[level, octave] * table.blurs[level, octave] - line2) / (spacing * spacing)
         step = wp.int32(wp.max(left2 * taps.per_variance + 0.5, 0.0))
         step = wp.min(step, taps.weights.shape[0] - 1)
         count = taps.lengths[step]
-        start = turns * wp.float32(spokes) - 0.5 * wp.float32(count - 1)
-        spoke = wp.int32(wp.rint(start))
+        start = turns * wp.float32(azimuths) - 0.5 * wp.float32(count - 1)
+        azimuth = wp.int32(wp.rint(start))
         fractions = taps.weights.shape[1]
-        fraction = wp.int32((start - wp.float32(spoke) + 0.5) * wp.float32(fractions))
+        fraction = wp.int32((start - wp.float32(azimuth) + 0.5) * wp.float32(fractions))
         fraction = wp.clamp(fraction, 0, fractions - 1)
         result = row_t()
         for j in range(count):
-            at = colour_lookup.cyclic(spoke + j, spokes)
+            at = colour_lookup.cyclic(azimuth + j, azimuths)
             row = table.first_rows[level, octave] + at * table.nodes + node - octave * table.nodes
             result += taps.weights[step, fraction, j] * table.rows[row]
         return result
@@ -186,7 +186,7 @@ def lookup(functions: int, source: bool = False) -> Any:
         aside2 = wp.max(angle2 - turn_per_node * both * table.per_log, 0.0)
         skew = -0.5 * ratio2 * ratio2 * table.per_log * table.per_log * table.per_log / (variance * deviation)
 
-        octaves = table.spokes.shape[1]
+        octaves = table.azimuths.shape[1]
         spacing = table.blurs[1, wp.clamp(wp.int32(place * table.per_octave), 0, octaves - 1)]
         across2 = aside2 + spacing * spacing
         if wp.static(source):
@@ -241,15 +241,15 @@ def lookup(functions: int, source: bool = False) -> Any:
         """A node's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
         octave = node // table.nodes
         radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
-        reach = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
-        spokes = table.spokes[level, octave]
-        spacing = 2.0 * wp.PI / wp.float32(spokes)
+        neighbour_extent = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
+        azimuths = table.azimuths[level, octave]
+        spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
         # Coefficients of a spline are sharper than its values.
         blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
-        for spoke in range(spokes):
-            angle = wp.float32(spoke) * spacing
+        for azimuth in range(azimuths):
+            angle = wp.float32(azimuth) * spacing
             along = wp.vec2f(wp.cos(angle), wp.sin(angle))
             across = wp.vec2f(-along[1], along[0])
             away = radius * along - from_middle
@@ -257,10 +257,10 @@ def lookup(functions: int, source: bool = False) -> Any:
             bend = radius * radius * wp.dot(across, inverse * across) - radius * wp.dot(along, inverse * away)
             left = wp.max(1.0 - blur2 * bend, LEAST_LEFT)
             exponent = wp.dot(away, inverse * away)
-            if exponent < reach * reach:
+            if exponent < neighbour_extent * neighbour_extent:
                 weight = wp.exp(-0.5 * (exponent + slope * slope * blur2 / left)) / wp.sqrt(left)
                 weight *= radius * radius * spacing
-                row = table.rows[table.first_rows[level, octave] + spoke * table.nodes + node - octave * table.nodes]
+                row = table.rows[table.first_rows[level, octave] + azimuth * table.nodes + node - octave * table.nodes]
                 for k in range(wp.static(3 * functions)):
                     result[k] += weight * row[k]
                 result[wp.static(3 * functions)] += weight
@@ -282,7 +282,7 @@ def lookup(functions: int, source: bool = False) -> Any:
         across = wp.vec2f(-long[1], long[0])
         inverse = wp.outer(long, long) / widest2 + wp.outer(across, across) / narrow2
         outermost = node_of(table, away + OUTWARDS * wp.sqrt(widest2), 0.0)
-        node = wp.min(wp.int32(outermost), table.spokes.shape[1] * table.nodes - 1)
+        node = wp.min(wp.int32(outermost), table.azimuths.shape[1] * table.nodes - 1)
         nearest = wp.min(INNERMOST * wp.sqrt(narrow2), INNERMOST_OF_LOBE * table.lobe_uv)
         innermost = wp.max(wp.max(away - INWARDS * wp.sqrt(widest2), nearest), table.least_uv)
         steepness = wp.sqrt(wp.dot(middle, inverse * middle))
@@ -296,8 +296,8 @@ def lookup(functions: int, source: bool = False) -> Any:
             variance = narrow2 / (radius * wp.max(radius, away))
             level = wp.max(level - 1, 0)
             serves = wp.bool(True)
-            while serves and level + 1 < table.spokes.shape[0]:
-                spacing = 2.0 * wp.PI / wp.float32(table.spokes[level + 1, octave])
+            while serves and level + 1 < table.azimuths.shape[0]:
+                spacing = 2.0 * wp.PI / wp.float32(table.azimuths[level + 1, octave])
                 blur = table.blurs[level + 1, octave]
                 serves = (
                     blur * blur - 0.25 * spacing * spacing <= MOST_BLUR2 * variance
@@ -322,7 +322,7 @@ def lookup(functions: int, source: bool = False) -> Any:
     ) -> wp.bool:
         """Whether a source blurs less than the rows are blurred, or so much that it is no range of angles."""
         octave = wp.int32(node_of(table, u, v) * table.per_octave)
-        octave = wp.clamp(octave, 0, table.spokes.shape[1] - 1)
+        octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)
         over2 = polar[1, 1] + 0.25 / (table.per_log * table.per_log)
         if parts > 1:
             over2 -= (1.0 - within) * polar[0, 1] * polar[0, 1] / polar[0, 0]
@@ -333,7 +333,7 @@ def lookup(functions: int, source: bool = False) -> Any:
     def integrate(
         # In:
         table: Colours,
-        deflections: wp.array(dtype=wp.vec3d),
+        scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32),
         footprints: wp.array(dtype=Footprint),
@@ -341,15 +341,15 @@ def lookup(functions: int, source: bool = False) -> Any:
         run: wp.int32,
         first: wp.int32,
         # Out:
-        left_out: wp.array(dtype=wp.float32),
+        unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
         """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none."""
         begin = (first + wp.tid()) * run
         for i in range(begin, wp.min(begin + run, gains.shape[0])):
-            u = wp.float32(deflections[i][0])
-            v = wp.float32(deflections[i][1])
-            w = wp.float32(-deflections[i][2])
+            u = wp.float32(scattering_vectors[i][0])
+            v = wp.float32(scattering_vectors[i][1])
+            w = wp.float32(-scattering_vectors[i][2])
             covariance = wp.mat22f()
             source2 = wp.float32(0.0)
             if footprints.shape[0] > 0:
@@ -360,7 +360,7 @@ def lookup(functions: int, source: bool = False) -> Any:
                 aside = wp.vec2f(to_lights[i][0], to_lights[i][1])
                 covariance += table.spread2 * (wp.identity(2, dtype=wp.float32) - wp.outer(aside, aside))
                 source2 = table.spread2 * to_lights[i][2]
-                left_out[i] = wp.float32(0.0)
+                unserved_gain[i] = wp.float32(0.0)
             elif footprints.shape[0] == 0:
                 if gains[i] > 0.0:
                     colour = point(table, u, v, w)
@@ -384,7 +384,7 @@ def lookup(functions: int, source: bool = False) -> Any:
             within = taps.parts[count - 1, 0, 0]
             if wp.static(source):
                 if is_left_out(table, u, v, polar, within, count):
-                    left_out[i] = gains[i]
+                    unserved_gain[i] = gains[i]
                     continue
             xyz_out[i] += gains[i] * zeroth_order(table, u, v, w, covariance, source2)
             for k in range(count):

@@ -1,51 +1,53 @@
 """Iridescent colours of diffraction gratings given as measured height fields, on NVIDIA Warp.
 
-The rooms of the package, in the order in which data flows; each says in its docstring what comes in, what goes out and
-which rooms it may import. ``docs/architecture.md`` has the whole way, file by file.
+Packages, from the lowest layer to the highest; a package imports only packages above it in this list.
+``docs/architecture.md`` describes them and follows one pixel through them.
 
-- ``core``: checks, caches, threads, files, forks; ``compute``: devices and launches of kernels
-- ``optics``: coherence, reflectance factors, colorimetry; ``surface``: height fields, measured or synthetic
-- ``scene``: meshes, cameras, lights; ``fourier``: series of exp(2πiκh) and their transforms
-- ``plans``: the numbers that kernels get, and for which directions; ``image``: pictures and their files
-- ``tables``: coefficients and colours on a device; ``planning``: from a tolerance to a plan
-- ``evaluate``: reflectance at arrays of directions; ``render``: pictures of a mesh
-- ``sequences``: frames of turntables, moving lights and cameras; ``app``: the command line, and a page in the browser
+- ``core``: validation, caches, threads, files, forks
+- ``device``: Warp devices and launches of kernels; ``optics``: coherence, materials, spectra, colorimetry
+- ``heightfield``: measured height fields; ``samples``: synthetic gratings and sample bodies
+- ``diffraction``: series of exp(2πiκh) and their Fourier coefficients
+- ``request``: plans and ranges of directions; ``image``: pictures and their files; ``scene``: meshes and cameras
+- ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
+- ``evaluate``: reflectance at arrays of directions; ``baked``: tables for other renderers
+- ``render``: pictures of a mesh; ``apps``: command line, viewer, web page, sequences, Mitsuba
 
-``kernels`` holds the Warp kernels; ``gratings`` and ``meshes`` are public modules.
+``kernels`` holds the Warp kernels.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 # Forks wait for what other threads import below, once it is asked for.
-from warpdiff.core import fork_safety as _forks  # noqa: F401
+from warpdiff.core import forks as _forks  # noqa: F401
 
 if TYPE_CHECKING:
-    from warpdiff import gratings, meshes
-    from warpdiff.baking.bake import bake
-    from warpdiff.baking.bake_spectrum import bake_spectrum
-    from warpdiff.baking.baked_lobes import BakedLobes
-    from warpdiff.baking.baked_spectrum import BakedSpectrum
-    from warpdiff.bridges.mitsuba_bsdf import register_mitsuba_bsdf
-    from warpdiff.core.errors import WarpdiffWarning
-    from warpdiff.evaluate.directions import brdf, brdf_map, reflectance, spectral_reflectance
+    from warpdiff.apps.mitsuba.bsdf import register_mitsuba_bsdf
+    from warpdiff.apps.sequences.sequence import sequence
+    from warpdiff.apps.sequences.shots import Shot, camera_path, light_sweep, turntable
+    from warpdiff.apps.web_page.export_html import export_html
+    from warpdiff.baked.bake_lobes import bake
+    from warpdiff.baked.bake_spectrum import bake_spectrum
+    from warpdiff.baked.lobe_table import BakedLobes
+    from warpdiff.baked.spectrum_table import BakedSpectrum
+    from warpdiff.core.wording import ToleranceError, WarpdiffWarning
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
+    from warpdiff.evaluate.reflectance import brdf, reflectance, reflectance_map, spectral_reflectance
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.heightfield.periods import Period
     from warpdiff.image.image import Image
+    from warpdiff.lights.environment import Environment
+    from warpdiff.lights.light_types import DirectionalLight, PointLight
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
-    from warpdiff.planning.planner import plan
-    from warpdiff.plans.plan import Plan
+    from warpdiff.planner.strategy import plan
     from warpdiff.render.renderer import Renderer
     from warpdiff.render.shade import shade
+    from warpdiff.request.plan import Plan
+    from warpdiff.samples import bodies as meshes
+    from warpdiff.samples import gratings
     from warpdiff.scene.camera import View
-    from warpdiff.scene.environment import Environment
-    from warpdiff.scene.lights import DirectionalLight, PointLight
-    from warpdiff.sequences.sequence import sequence
-    from warpdiff.sequences.shots import Shot, camera_path, light_sweep, turntable
-    from warpdiff.surface.heightfield import HeightField
-    from warpdiff.surface.periods import Period
-    from warpdiff.web.export_html import export_html
 
     __version__: str
 
@@ -65,12 +67,12 @@ __all__ = [
     "Renderer",
     "Shot",
     "Spectrum",
+    "ToleranceError",
     "View",
     "WarpdiffWarning",
     "bake",
     "bake_spectrum",
     "brdf",
-    "brdf_map",
     "camera_path",
     "export_html",
     "gratings",
@@ -79,6 +81,7 @@ __all__ = [
     "order_efficiencies",
     "plan",
     "reflectance",
+    "reflectance_map",
     "register_mitsuba_bsdf",
     "sequence",
     "shade",
@@ -87,31 +90,32 @@ __all__ = [
 ]
 
 _MODULES = {
-    "baking.bake": ("bake",),
-    "baking.bake_spectrum": ("bake_spectrum",),
-    "baking.baked_lobes": ("BakedLobes",),
-    "baking.baked_spectrum": ("BakedSpectrum",),
-    "bridges.mitsuba_bsdf": ("register_mitsuba_bsdf",),
+    "baked.bake_lobes": ("bake",),
+    "baked.bake_spectrum": ("bake_spectrum",),
+    "baked.lobe_table": ("BakedLobes",),
+    "baked.spectrum_table": ("BakedSpectrum",),
+    "apps.mitsuba.bsdf": ("register_mitsuba_bsdf",),
     "optics.coherence": ("Coherence",),
     "optics.materials": ("Material",),
     "optics.spectra": ("Spectrum",),
-    "core.errors": ("WarpdiffWarning",),
-    "evaluate.directions": ("brdf", "brdf_map", "reflectance", "spectral_reflectance"),
-    "surface.heightfield": ("HeightField",),
-    "surface.periods": ("Period",),
+    "core.wording": ("ToleranceError", "WarpdiffWarning"),
+    "evaluate.reflectance": ("brdf", "reflectance_map", "reflectance", "spectral_reflectance"),
+    "heightfield.field": ("HeightField",),
+    "heightfield.periods": ("Period",),
     "image.image": ("Image",),
-    "scene.environment": ("Environment",),
-    "scene.lights": ("DirectionalLight", "PointLight"),
+    "lights.environment": ("Environment",),
+    "lights.light_types": ("DirectionalLight", "PointLight"),
     "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
-    "planning.planner": ("plan",),
-    "plans.plan": ("Plan",),
+    "planner.strategy": ("plan",),
+    "request.plan": ("Plan",),
     "render.shade": ("shade",),
     "render.renderer": ("Renderer",),
     "scene.camera": ("View",),
-    "sequences.sequence": ("sequence",),
-    "sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
-    "web.export_html": ("export_html",),
+    "apps.sequences.sequence": ("sequence",),
+    "apps.sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
+    "apps.web_page.export_html": ("export_html",),
 }
+_ALIASES = {"gratings": "samples.gratings", "meshes": "samples.bodies"}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
@@ -119,8 +123,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name once it is asked for: the command line meets signals before anything slow is imported."""
     if name in _MODULE_OF:
         value = getattr(import_module(f"warpdiff.{_MODULE_OF[name]}"), name)
-    elif name in ("gratings", "meshes"):
-        value = import_module(f"warpdiff.{name}")
+    elif name in _ALIASES:
+        value = import_module(f"warpdiff.{_ALIASES[name]}")
     elif name == "__version__":
         value = import_module("importlib.metadata").version("warpdiff")
     else:

@@ -16,13 +16,13 @@ def main() -> int:
         # There is nothing to tidy up yet.
         signal.signal(each, lambda number, _frame: os._exit(128 + number))
     # Few modules are imported before signals are handled, because imports take time.
-    from warpdiff.app import standard_streams
-    from warpdiff.app.signals import Interruption
+    from warpdiff.apps import standard_streams
+    from warpdiff.apps.signals import Interruption
 
     standard_streams.prepare()
     interruption = Interruption(signals)
     try:
-        from warpdiff.app import cli
+        from warpdiff.apps import cli
 
         code = cli.main()
     except SystemExit as stop:

@@ -28,10 +28,10 @@ from typing import Any
 import warp as wp
 
 from bench.dev import corpus
-from warpdiff.compute import pipeline
+from warpdiff.device import kernel_calls
 from warpdiff.kernels.compile_options import NATIVE
 
-CASES = ("footprints alone", "points", "source", "copies", "centred window", "snake", "box", "many directions")
+CASES = ("footprints alone", "points", "source", "periods", "centred window", "snake", "box", "many directions")
 COMPILER = shutil.which("g++") or "g++"
 CHECKED = "address,undefined"
 FLAGS = (
@@ -91,13 +91,13 @@ class Sanitized:
 def run(folder: Path) -> None:
     """Compute all cases by sanitized functions."""
     sanitized = Sanitized(folder)
-    init = pipeline._Recorded.__init__
+    init = kernel_calls._Recorded.__init__
 
-    def make(self: Any, step: pipeline.KernelCall) -> None:
+    def make(self: Any, step: kernel_calls.KernelCall) -> None:
         init(self, step)
         self._launch.hooks = types.SimpleNamespace(forward=sanitized.function(step.kernel))
 
-    pipeline._Recorded.__init__ = make  # type: ignore[method-assign]
+    kernel_calls._Recorded.__init__ = make  # type: ignore[method-assign]
     for name in CASES:
         corpus.CASES[name](2)
         print(f"{name}: nothing found in {len(sanitized.called)} kernels so far", flush=True)

@@ -27,16 +27,16 @@ import numpy as np
 import warpdiff as wd
 from bench import inputs
 from bench.truth import reference
-from bench.truth.errors import FLOOR, brightness
-from warpdiff.app import demo
-from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.compute.pipeline import launch
-from warpdiff.fourier.low_rank_basis import METHODS, POWER_METHODS
-from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
+from bench.truth.errors import FLOOR, reference_luminance
+from warpdiff.apps import demo
+from warpdiff.device.devices import resolve_device, resolve_threads
+from warpdiff.device.kernel_calls import launch
+from warpdiff.diffraction.coefficient_basis import METHODS, POWER_METHODS
+from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.planning import cost_model
-from warpdiff.plans.direction_range import DirectionRange, lateral
+from warpdiff.planner import cost_model
+from warpdiff.request.directions import DirectionRange, order_rate
 from warpdiff.tables import coefficient_table
 
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
@@ -64,7 +64,7 @@ class Configuration(NamedTuple):
     """What is planned for."""
 
     surface: str
-    hf: wd.HeightField
+    heightfield: wd.HeightField
     coherence: wd.Coherence
     tolerance: float
     lights: np.ndarray  # (40000, 3)
@@ -99,7 +99,7 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
     rng = np.random.default_rng(seed)
     fields = surfaces(data)
     # A reference sums a patch of copies sample by sample.
-    small = [name for name, hf in fields.items() if math.prod(hf.shape) <= 1 << 14]
+    small = [name for name, heightfield in fields.items() if math.prod(heightfield.shape) <= 1 << 14]
     drawn: dict[Any, list[Any]] = {}
 
     def draw(which: Any, among: Any) -> Any:
@@ -110,17 +110,17 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
     found = []
     for index in range(count):
         kind = KINDS[index % len(KINDS)]
-        copies = kind == "replicas"
-        surface = draw((copies, "surface"), small if copies else fields)
-        tolerance = draw((kind, "tolerance"), COPIES_TOLERANCES if copies else TOLERANCES)
+        periods = kind == "replicas"
+        surface = draw((periods, "surface"), small if periods else fields)
+        tolerance = draw((kind, "tolerance"), COPIES_TOLERANCES if periods else TOLERANCES)
         pair = None
-        if copies:
+        if periods:
             most = 40 if fields[surface].shape[0] == 1 else 12
             pair = (1 if fields[surface].shape[0] == 1 else int(rng.integers(2, most)), int(rng.integers(2, most)))
         # One light or many, as for a map or a picture.
         one = _upper(rng, 1) if rng.random() < 0.5 else None
         light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
-        coherence = wd.Coherence(kind, copies=pair)
+        coherence = wd.Coherence(kind, periods=pair)
         found.append(Configuration(surface, fields[surface], coherence, tolerance, light, _upper(rng, PLANNED)))
     return found
 
@@ -138,17 +138,21 @@ class Call:
     def __init__(self, given: Configuration, lights: np.ndarray, views: np.ndarray, *, threads: int | None) -> None:
         self.given, self.device, self.threads = given, resolve_device(None), resolve_threads(threads)
         coherence = given.coherence
-        self.deflections, self.lights = -lights - views, lights
+        self.scattering_vectors, self.lights = -lights - views, lights
         normal = reflectance_factors.normal_reflectance(1.5)
         self.gains = reflectance_factors.gain(
             lights, views, normal=normal, masking=True, per_light_cosine=coherence.kind == "source"
         )
-        self.scope = DirectionRange.of(given.hf, coherence, self.deflections, lights, self.gains > 0.0)
-        self.lateral = lateral(given.hf, coherence, self.deflections, lights)
-        self.w = np.abs(self.deflections[:, 2])
-        exact = reference.reference_reflectance(given.hf, lights, views, coherence, tolerance=given.tolerance / 5.0)
+        self.direction_range = DirectionRange.of(
+            given.heightfield, coherence, self.scattering_vectors, lights, self.gains > 0.0
+        )
+        self.order_rate = order_rate(given.heightfield, coherence, self.scattering_vectors, lights)
+        self.w = np.abs(self.scattering_vectors[:, 2])
+        exact = reference.reference_reflectance(
+            given.heightfield, lights, views, coherence, tolerance=given.tolerance / 5.0
+        )
         self.exact = exact
-        floor = FLOOR * brightness(exact[:, 1])
+        floor = FLOOR * reference_luminance(exact[:, 1])
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
         self._arrays: dict[int, Any] = {}
@@ -159,7 +163,7 @@ class Call:
 
         if repeats not in self._arrays:
             self._arrays[repeats] = [
-                wp.array(np.tile(self.deflections, (repeats, 1)), dtype=wp.vec3d, device=self.device),
+                wp.array(np.tile(self.scattering_vectors, (repeats, 1)), dtype=wp.vec3d, device=self.device),
                 wp.array(np.tile(self.lights, (repeats, 1)).astype(np.float32), dtype=wp.vec3f, device=self.device),
                 wp.array(np.tile(self.gains, repeats).astype(np.float32), dtype=wp.float32, device=self.device),
                 wp.zeros(len(self.gains) * repeats, dtype=wp.vec3f, device=self.device),
@@ -168,9 +172,11 @@ class Call:
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
         """A function that evaluates a plan, with its tables at hand; it takes the device's time only."""
-        hf, slices = self.given.hf, 8 if repeats == 1 else 64
-        table = coefficient_table.table_for(hf, plan, self.scope, device=self.device, threads=self.threads)
-        quadrature = coefficient_table.quadrature_for(hf, plan, "D65", device=self.device)
+        heightfield, slices = self.given.heightfield, 8 if repeats == 1 else 64
+        table = coefficient_table.table_for(
+            heightfield, plan, self.direction_range, device=self.device, threads=self.threads
+        )
+        quadrature = coefficient_table.quadrature_for(heightfield, plan, "D65", device=self.device)
         *inputs, xyz = self.load(repeats)
 
         def evaluate() -> None:
@@ -203,12 +209,12 @@ class Bandwidths:
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)
-        ladder = [coefficient_table.set_size(16.0)]
+        ladder = [coefficient_table.wavelength_set_size(16.0)]
         while ladder[-1] < most:
-            ladder.append(coefficient_table.set_size(ladder[-1] * 2.0**0.25))
+            ladder.append(coefficient_table.wavelength_set_size(ladder[-1] * 2.0**0.25))
         self.sizes = np.array([*FEWER, *ladder])
-        lateral_share = call.lateral / max(call.scope.max_lateral, 1e-9)
-        w_share = call.w / max(call.scope.max_w, 1e-9)
+        lateral_share = call.order_rate / max(call.direction_range.max_order_rate, 1e-9)
+        w_share = call.w / max(call.direction_range.max_w, 1e-9)
         self.shares: list[tuple[float, float, float]] = [(0.0, 0.0, 1.0)]
         for constant in CONSTANTS[1:]:
             self.shares += [((1.0 - constant) * s, (1.0 - constant) * (1.0 - s), constant) for s in SPLITS]
@@ -241,7 +247,7 @@ class Bandwidths:
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
-        bandwidth = a * scale / max(plan.max_lateral, 1e-9), b * scale / max(plan.max_w, 1e-9), c * scale
+        bandwidth = a * scale / max(plan.max_order_rate, 1e-9), b * scale / max(plan.max_w, 1e-9), c * scale
         count = int(self.sizes[top])
         return dataclasses.replace(plan, bandwidth_um=bandwidth, wavelengths=count, adaptive=c < 1.0)
 
@@ -266,7 +272,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Found]:
 
     def per_wavelength(plan: wd.Plan) -> float:
         many = dataclasses.replace(plan, wavelengths=1000, adaptive=False)
-        return cost_model.sampling_multiply_adds(given.hf, many, call.lateral, call.w) / 1000.0
+        return cost_model.sampling_multiply_adds(given.heightfield, many, call.order_rate, call.w) / 1000.0
 
     def near(plan: wd.Plan) -> bool:
         """Whether a plan's kernel, with the fewest wavelengths found so far, could be among the best."""
@@ -288,7 +294,9 @@ def settings(call: Call, automatic: wd.Plan) -> list[Found]:
             # A series far from its end has nothing to try.
             expansion = EXPANSIONS.get(method)
             if expansion is not None:
-                argument = 2.0 * math.pi * call.scope.kappas[1] * expansion.offset_and_scale(given.hf)[1]
+                argument = (
+                    2.0 * math.pi * call.direction_range.kappas[1] * expansion.offset_and_scale(given.heightfield)[1]
+                )
                 if terms < 0.5 * argument:
                     continue
             if call.error(with_terms) > tolerance:
@@ -361,7 +369,7 @@ def judge(given: Configuration, *, rounds: int, threads: int | None) -> tuple[st
         warnings.simplefilter("ignore")
         try:
             automatic = wd.plan(
-                given.hf, given.lights, given.views, tolerance=given.tolerance, coherence=given.coherence,
+                given.heightfield, given.lights, given.views, tolerance=given.tolerance, coherence=given.coherence,
                 method="low-rank" if given.coherence.kind != "replicas" else "auto", threads=threads,
             )  # fmt: skip
         except ValueError as error:
@@ -382,10 +390,13 @@ def judge(given: Configuration, *, rounds: int, threads: int | None) -> tuple[st
     at = int(np.argmin(times[1:]))
     best = plans[at]
     # How the loss divides: samples in the mean, and all that each of them costs.
-    costs = [cost_model.sampling_multiply_adds(given.hf, each, call.lateral, call.w) for each in (automatic, best)]
+    costs = [
+        cost_model.sampling_multiply_adds(given.heightfield, each, call.order_rate, call.w)
+        for each in (automatic, best)
+    ]
     bare = [
         cost_model.sampling_multiply_adds(
-            given.hf, dataclasses.replace(each, wavelengths=1000, adaptive=False), call.lateral, call.w
+            given.heightfield, dataclasses.replace(each, wavelengths=1000, adaptive=False), call.order_rate, call.w
         )
         / 1000.0
         for each in (automatic, best)

@@ -8,9 +8,9 @@ Shading, all of deflections (u, v, w) and gains as ``numba_published.shade`` tak
 - ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.
 
 Each has ``available()``, None or a sentence why it cannot run, ``SETTINGS``, from cheap to accurate, and
-``prepare(hf, coherence, **setting)``, which returns ``shade(deflections, gains, threads)`` -> XYZ (n, 3).
+``prepare(heightfield, coherence, **setting)``, which returns ``shade(scattering_vectors, gains, threads)`` -> XYZ (n, 3).
 
-``deflections`` (n, 3) and ``gains`` (n,) are float64. A first call may compile: warm up with arrays of the length that
+``scattering_vectors`` (n, 3) and ``gains`` (n,) are float64. A first call may compile: warm up with arrays of the length that
 is timed.
 
 - ``raycasters``: Mitsuba 3 and Embree, for the rays.

@@ -42,32 +42,32 @@ def available() -> str | None:
     return None
 
 
-def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
     """What shades directions at one setting of :func:`peers.series.series`.
 
     Args:
-        hf: The height field.
+        heightfield: The height field.
         coherence: A window, averaged or centred.
         setting: One of ``SETTINGS``.
 
     Returns:
-        ``shade(deflections, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3). Its first call of a length
+        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3). Its first call of a length
         compiles.
     """
     import drjit as dr
     from drjit.llvm import Float
 
-    made = series(hf, coherence, **setting)
+    made = series(heightfield, coherence, **setting)
     terms = made.rows.shape[2]
     rows = made.rows / np.array([math.factorial(n) for n in range(terms)], dtype=np.float64)
     rows = np.pad(rows, ((0, 0), (0, 0), (0, -terms % PACKET)))
     tables = [Float(_aligned(each.ravel())) for each in (rows, made.wavenumbers, made.colours)]
     dr.eval(*tables)
 
-    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+    def shade(scattering_vectors: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
         if dr.thread_count() != threads:
             dr.set_thread_count(threads)
-        u, v, w, gain = (Float(_aligned(each)) for each in (*deflections.T, gains))
+        u, v, w, gain = (Float(_aligned(each)) for each in (*scattering_vectors.T, gains))
         xyz = _integral(made, tables, u, v, w)
         found = [gain * each for each in xyz]
         dr.eval(*found)
@@ -93,7 +93,7 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
     packets = math.ceil(made.rows.shape[2] / PACKET)
     # A basis' first factor beyond 1 is 2πa/λ: that of the first wavelength gives 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
-    steps = range(-made.reach, made.reach + 1)
+    steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 
     def weights(q: Any, near: Any, falloff: float) -> list[Any]:
         return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]

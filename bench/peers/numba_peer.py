@@ -24,9 +24,9 @@ SETTINGS = [each for each in series.SETTINGS if each["reach"] > 0]
 
 
 @functools.lru_cache(maxsize=4)
-def _tables(hf: wd.HeightField, terms: int, *, centred: bool) -> numba_published.Tables:
+def _tables(heightfield: wd.HeightField, terms: int, *, centred: bool) -> numba_published.Tables:
     """Those of all settings with so many terms."""
-    return numba_published.tables(hf, terms=terms, centred=centred, frequency=series.FREQUENCY)
+    return numba_published.tables(heightfield, terms=terms, centred=centred, frequency=series.FREQUENCY)
 
 
 def available() -> str | None:
@@ -34,17 +34,17 @@ def available() -> str | None:
     return None
 
 
-def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """What shades directions: ``shade(deflections, gains, threads)`` to XYZ (n, 3)."""
+def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+    """What shades directions: ``shade(scattering_vectors, gains, threads)`` to XYZ (n, 3)."""
     if coherence.sigma_um != DEFAULT_UM:
         raise ValueError(f"coherence must have the default window, σ = {DEFAULT_UM} µm, got {coherence}")
     options = dict(setting)
-    held = _tables(hf, options.pop("terms"), centred=options.pop("centred"))
+    held = _tables(heightfield, options.pop("terms"), centred=options.pop("centred"))
     powers = coherence.kind == "averaged"
 
-    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+    def shade(scattering_vectors: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
         numba.set_num_threads(threads)
-        return numba_published.shade(held, deflections, gains, powers=powers, **options)
+        return numba_published.shade(held, scattering_vectors, gains, powers=powers, **options)
 
     # Refuses what it cannot do before anything is timed.
     shade(np.zeros((1, 3)), np.ones(1), 1)

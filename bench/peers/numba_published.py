@@ -25,8 +25,8 @@ from numba import types
 from numba.core import cgutils
 
 import warpdiff as wd
-from warpdiff.fourier import transforms
-from warpdiff.fourier.phase_series import EXPANSIONS
+from warpdiff.diffraction import fourier_coefficients
+from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.optics import colorimetry
 from warpdiff.tables.coefficient_table import falloff_um2
 
@@ -59,18 +59,18 @@ class Tables:
     """
 
     rows: NDArray[np.float32]
-    block: transforms.Block
+    block: fourier_coefficients.Block
     lengths_um: tuple[float, float]
     scale_um: float
     terms: int
     frequency: float
 
 
-def tables(hf: wd.HeightField, *, terms: int, centred: bool, frequency: float) -> Tables:
+def tables(heightfield: wd.HeightField, *, terms: int, centred: bool, frequency: float) -> Tables:
     """Transform a height field, once for all settings with this series.
 
     Args:
-        hf: The height field.
+        heightfield: The height field.
         terms: Terms of the Taylor series, n = 0 … terms − 1.
         centred: Whether heights count from the middle of their range; otherwise from the lowest.
         frequency: Largest |(u, v)|/λ [1/µm] to be shaded, at 380 nm.
@@ -78,32 +78,34 @@ def tables(hf: wd.HeightField, *, terms: int, centred: bool, frequency: float) -
     Returns:
         The tables.
     """
-    grid = transforms.patch_grid(hf)
-    block = transforms.Block.covering(grid, frequency, (MOST_REACH + 1,) * 2)
+    grid = fourier_coefficients.patch_grid(heightfield)
+    block = fourier_coefficients.Block.covering(grid, frequency, (MOST_REACH + 1,) * 2)
     if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
-        raise ValueError(f"{hf!r} is too coarse for {frequency:.3g} /µm: coefficients are not repeated here")
+        raise ValueError(f"{heightfield!r} is too coarse for {frequency:.3g} /µm: coefficients are not repeated here")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
-    series = transforms.series_coefficients(
-        hf, expansion, terms, block, threads=numba.get_num_threads(), dtype=np.complex64
+    series = fourier_coefficients.series_coefficients(
+        heightfield, expansion, terms, block, threads=numba.get_num_threads(), dtype=np.complex64
     )
     # A centred window lies at the patch's centre; powers do not see this phase.
     s, r = block.orders()
-    turns = s[:, None] * (hf.shape[0] // 2 / hf.shape[0]) + r * (hf.shape[1] // 2 / hf.shape[1])
+    turns = s[:, None] * (heightfield.shape[0] // 2 / heightfield.shape[0]) + r * (
+        heightfield.shape[1] // 2 / heightfield.shape[1]
+    )
     series *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
     rows = _aligned((block.count[0] * block.count[1], 2, LANES * math.ceil(terms / LANES)))
     rows[:, 0, :terms] = series.real.reshape(-1, terms)
     rows[:, 1, :terms] = series.imag.reshape(-1, terms)
-    scale = 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
+    scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
     return Tables(rows, block, grid.lengths_um, scale, terms, frequency)
 
 
 def shade(
     tables: Tables,
-    deflections: NDArray[np.float64],
+    scattering_vectors: NDArray[np.float64],
     gains: NDArray[np.float32],
     *,
     wavelengths: int,
-    reach: int,
+    neighbour_extent: int,
     rounded: bool,
     powers: bool,
 ) -> NDArray[np.float32]:
@@ -111,33 +113,33 @@ def shade(
 
     Args:
         tables: Those of the height field.
-        deflections: (u, v, w) of each direction, shape (n, 3).
+        scattering_vectors: (u, v, w) of each direction, shape (n, 3).
         gains: Factors of the colours, shape (n,).
         wavelengths: Number of wavelengths.
-        reach: Neighbours on either side of the one that is found: 1 is 3 × 3.
+        neighbour_extent: Neighbours on either side of the one that is found: 1 is 3 × 3.
         rounded: Whether that one is found by rounding in place of floor().
         powers: Whether coefficients add as powers (the averaged form) or as amplitudes (the published one).
 
     Returns:
         CIE XYZ, shape (n, 3).
     """
-    if not 1 <= reach <= MOST_REACH:
-        raise ValueError(f"reach is {reach}: 1 to {MOST_REACH} are accepted")
+    if not 1 <= neighbour_extent <= MOST_REACH:
+        raise ValueError(f"reach is {neighbour_extent}: 1 to {MOST_REACH} are accepted")
     most = tables.frequency * colorimetry.LAMBDA_MIN_NM * 1e-3
-    if np.max(deflections[:, 0] ** 2 + deflections[:, 1] ** 2, initial=0.0) > most * most * (1.0 + 1e-9):
+    if np.max(scattering_vectors[:, 0] ** 2 + scattering_vectors[:, 1] ** 2, initial=0.0) > most * most * (1.0 + 1e-9):
         raise ValueError(f"deflections go beyond |(u, v)| = {most:.4g}, which the tables are for")
     lanes = tables.rows.shape[2]
     factors, wavenumbers, weights = _wavelengths(wavelengths, tables.scale_um, tables.terms, lanes)
     falloff = falloff_um2(wd.Coherence("averaged" if powers else "centred"))
     across, along = (np.float32(falloff / length**2) for length in tables.lengths_um)
-    if -max(across, along) * (reach + 1) ** 2 < LEAST_EXPONENT:
-        raise ValueError(f"reach is {reach}: the window's Gaussian ends before in float32")
-    xyz = np.empty((len(deflections), 3), dtype=np.float32)
-    _kernel(lanes, reach, powers)(
+    if -max(across, along) * (neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
+        raise ValueError(f"reach is {neighbour_extent}: the window's Gaussian ends before in float32")
+    xyz = np.empty((len(scattering_vectors), 3), dtype=np.float32)
+    _kernel(lanes, neighbour_extent, powers)(
         tables.rows, tables.block.count[1], *tables.block.origin, *np.float32(tables.lengths_um),
         across, along, factors, wavenumbers, weights,
         np.float32(0.5 if rounded else 0.0),
-        np.asarray(deflections, dtype=np.float64), np.asarray(gains, dtype=np.float32), xyz,
+        np.asarray(scattering_vectors, dtype=np.float64), np.asarray(gains, dtype=np.float32), xyz,
     )  # fmt: skip
     return xyz
 
@@ -198,13 +200,13 @@ def _exp(x):
 
 
 @functools.cache
-def _kernel(lanes: int, reach: int, powers: bool) -> Any:  # noqa: PLR0915
+def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
     """The kernel for one shape of the sum, whose loops have fixed lengths."""
-    side = 2 * reach + 1
+    side = 2 * neighbour_extent + 1
     # Neighbours go three at a time: a loop of a shorter body would be unrolled before it could become SIMD. What is
     # left of the last three has the weight 0.
     triples = math.ceil(side * side / 3)
-    zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(reach)
+    zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(neighbour_extent)
 
     @numba.njit(fastmath=True, forceinline=True)
     def sum_of_powers(rows, at, weights, factors, w_powers):
@@ -246,13 +248,13 @@ def _kernel(lanes: int, reach: int, powers: bool) -> Any:  # noqa: PLR0915
     def kernel(
         # In:
         rows, count_x, origin_y, origin_x, length_y, length_x, across, along, factors, wavenumbers, colours, shift,
-        deflections, gains,
+        scattering_vectors, gains,
         # Out:
         xyz_out,
     ):  # fmt: skip
         shrink_y = math.exp(-two * across)
         shrink_x = math.exp(-two * along)
-        count, wavelengths = len(deflections), len(wavenumbers)
+        count, wavelengths = len(scattering_vectors), len(wavenumbers)
         for part in numba.prange((count + SLICE - 1) // SLICE):
             w_powers = np.empty(lanes, dtype=np.float32)
             corners = np.zeros(wavelengths + AHEAD, dtype=np.int32)
@@ -260,9 +262,9 @@ def _kernel(lanes: int, reach: int, powers: bool) -> Any:  # noqa: PLR0915
             at = np.zeros(3 * triples, dtype=np.uintp)
             weights = np.zeros(3 * triples, dtype=np.float32)
             for i in range(part * SLICE, min(count, (part + 1) * SLICE)):
-                u = np.float32(deflections[i, 0]) * length_x
-                v = np.float32(deflections[i, 1]) * length_y
-                w = np.float32(deflections[i, 2])
+                u = np.float32(scattering_vectors[i, 0]) * length_x
+                v = np.float32(scattering_vectors[i, 1]) * length_y
+                w = np.float32(scattering_vectors[i, 2])
                 power = one
                 for n in range(lanes):
                     w_powers[n] = power
@@ -279,8 +281,8 @@ def _kernel(lanes: int, reach: int, powers: bool) -> Any:  # noqa: PLR0915
                     gaussians[1, k] = _exp(-across * (two * dy + one))
                     gaussians[2, k] = _exp(-along * dx * dx)
                     gaussians[3, k] = _exp(-along * (two * dx + one))
-                    row = np.int32(near_y) + origin_y - reach
-                    corners[k] = row * count_x + np.int32(near_x) + origin_x - reach
+                    row = np.int32(near_y) + origin_y - neighbour_extent
+                    corners[k] = row * count_x + np.int32(near_x) + origin_x - neighbour_extent
                 x = y = z = zero
                 for k in range(wavelengths):
                     for j in range(side):

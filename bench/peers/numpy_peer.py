@@ -30,25 +30,25 @@ def available() -> str | None:
     return None
 
 
-def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
     """What shades directions at one setting of :func:`peers.series.series`.
 
     Args:
-        hf: The height field.
+        heightfield: The height field.
         coherence: A window, averaged or centred.
         setting: One of ``SETTINGS``.
 
     Returns:
-        ``shade(deflections, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
+        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
     """
-    made = series(hf, coherence, **setting)
+    made = series(heightfield, coherence, **setting)
 
-    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+    def shade(scattering_vectors: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
         xyz = np.empty((len(gains), 3), dtype=np.float32)
 
         def run(first: int) -> None:
             part = slice(first, first + CHUNK)
-            xyz[part] = gains[part, None] * _chunk(made, deflections[part])
+            xyz[part] = gains[part, None] * _chunk(made, scattering_vectors[part])
 
         with ThreadPoolExecutor(max_workers=threads) as pool:
             list(pool.map(run, range(0, len(gains), CHUNK)))
@@ -57,21 +57,21 @@ def prepare(hf: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Call
     return shade
 
 
-def _chunk(made: Series, deflections: NDArray[np.float64]) -> NDArray[np.float32]:
+def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float32]:
     """XYZ of few directions without their gains."""
     terms = made.rows.shape[2]
     # Shapes below are (directions, wavelengths, neighbours), the last along one axis.
-    offsets = np.arange(-made.reach, made.reach + 1, dtype=np.float32)
+    offsets = np.arange(-made.neighbour_extent, made.neighbour_extent + 1, dtype=np.float32)
     near, gaussians = [], []
     for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):
-        q = np.float32(deflections[:, 1 - axis] * length)[:, None] * made.wavenumbers
+        q = np.float32(scattering_vectors[:, 1 - axis] * length)[:, None] * made.wavenumbers
         found = np.floor(q + np.float32(made.shift))
         near.append(found.astype(np.intp) + made.origin[axis])
         gaussians.append(np.exp(np.float32(-falloff) * ((found - q)[:, :, None] + offsets) ** 2))
     middle = near[0] * made.columns + near[1]
     square = (offsets[:, None] * made.columns + offsets).ravel().astype(np.intp)
-    w_powers = np.float32(deflections[:, 2])[:, None] ** np.arange(terms, dtype=np.float32)
-    result = np.zeros((len(deflections), 3), dtype=np.float32)
+    w_powers = np.float32(scattering_vectors[:, 2])[:, None] ** np.arange(terms, dtype=np.float32)
+    result = np.zeros((len(scattering_vectors), 3), dtype=np.float32)
     for k, colour in enumerate(made.colours):
         rows = made.rows.take(middle[:, k, None] + square, axis=0)
         basis = made.factors[k] * w_powers

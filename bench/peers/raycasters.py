@@ -15,10 +15,10 @@ import numpy as np
 import warp as wp
 
 from bench.truth import brute_force
-from warpdiff.compute.device import resolve_device
-from warpdiff.compute.pipeline import launch
+from warpdiff.device.devices import resolve_device
+from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels import bvh, compile_options
-from warpdiff.render.frame import Frame
+from warpdiff.render.picture import Frame
 from warpdiff.scene import device_mesh
 from warpdiff.scene.mesh_import import prepare_surface
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.fourier import transforms
-from warpdiff.fourier.phase_series import EXPANSIONS
+from warpdiff.diffraction import fourier_coefficients
+from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.optics import colorimetry
 from warpdiff.tables.coefficient_table import falloff_um2
 
@@ -34,8 +34,8 @@ PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "reach": 1, "rounde
 # enough of patches that are small against the window.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
-    {"wavelengths": wavelengths, "terms": terms, "reach": reach, "rounded": True, "centred": True}
-    for wavelengths, terms, reach in _SHAPES
+    {"wavelengths": wavelengths, "terms": terms, "reach": neighbour_extent, "rounded": True, "centred": True}
+    for wavelengths, terms, neighbour_extent in _SHAPES
 ]
 
 
@@ -52,7 +52,7 @@ class Series:
         factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is that times wⁿ.
         wavenumbers: 1/λ [1/µm], shape (m,).
         colours: What a wavelength adds to XYZ, shape (m, 3).
-        reach: Neighbours on either side.
+        neighbour_extent: Neighbours on either side.
         shift: What is added before floor(): 0.5 rounds.
         powers: Whether coefficients add as powers (averaged) or as amplitudes (centred).
     """
@@ -65,29 +65,29 @@ class Series:
     factors: NDArray[np.float32]
     wavenumbers: NDArray[np.float32]
     colours: NDArray[np.float32]
-    reach: int
+    neighbour_extent: int
     shift: float
     powers: bool
 
 
 def series(
-    hf: wd.HeightField,
+    heightfield: wd.HeightField,
     coherence: wd.Coherence,
     *,
     wavelengths: int,
     terms: int,
-    reach: int,
+    neighbour_extent: int,
     rounded: bool,
     centred: bool,
 ) -> Series:
     """Transform a height field for one setting.
 
     Args:
-        hf: The height field.
+        heightfield: The height field.
         coherence: A window, averaged or centred.
         wavelengths: Their number, 380 to 780 nm.
         terms: Terms of the Taylor series, n = 0 … terms − 1.
-        reach: Neighbours on either side of the one that is found, 0 to 4.
+        neighbour_extent: Neighbours on either side of the one that is found, 0 to 4.
         rounded: Whether that one is found by rounding in place of floor().
         centred: Whether heights count from the middle of their range; otherwise from the lowest.
 
@@ -96,9 +96,9 @@ def series(
     """
     if coherence.kind not in ("averaged", "centred"):
         raise ValueError(f"coherence must be a window, 'averaged' or 'centred', got {coherence.kind!r}")
-    if not 0 <= reach <= MOST_REACH:
-        raise ValueError(f"reach must be 0 to {MOST_REACH}, got {reach}")
-    rows, block, lengths, scale = _rows(hf, terms, centred)
+    if not 0 <= neighbour_extent <= MOST_REACH:
+        raise ValueError(f"reach must be 0 to {MOST_REACH}, got {neighbour_extent}")
+    rows, block, lengths, scale = _rows(heightfield, terms, centred)
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, wavelengths)
     products = colorimetry.colour_products()
     grid = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, len(products))
@@ -113,7 +113,7 @@ def series(
         factors=np.float32(EXPANSIONS["taylor"].basis(scale * 1e3 / nodes, terms)),
         wavenumbers=np.float32(1e3 / nodes),
         colours=np.float32(colours / colours[:, 1].sum()),
-        reach=reach,
+        neighbour_extent=neighbour_extent,
         shift=0.5 if rounded else 0.0,
         powers=coherence.adds_powers,
     )
@@ -121,18 +121,22 @@ def series(
 
 @functools.lru_cache(maxsize=3)
 def _rows(
-    hf: wd.HeightField, terms: int, centred: bool
-) -> tuple[NDArray[np.float32], transforms.Block, tuple[float, float], float]:
+    heightfield: wd.HeightField, terms: int, centred: bool
+) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
     """The rows, which coefficients they are, how many there are per unit of frequency [µm], and the basis' 2πa [µm]."""
-    grid = transforms.patch_grid(hf)
-    block = transforms.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
+    grid = fourier_coefficients.patch_grid(heightfield)
+    block = fourier_coefficients.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
     if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
-        raise ValueError(f"hf must be finer, got {hf!r}: coefficients are not repeated here; use hf.resampled()")
+        raise ValueError(
+            f"heightfield must be finer, got {heightfield!r}: coefficients are not repeated here; use heightfield.resampled()"
+        )
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
-    made = transforms.series_coefficients(hf, expansion, terms, block, dtype=np.complex64)
+    made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
     # A centred window lies at the patch's centre; powers do not see this phase.
     s, r = block.orders()
-    turns = s[:, None] * (hf.shape[0] // 2 / hf.shape[0]) + r * (hf.shape[1] // 2 / hf.shape[1])
+    turns = s[:, None] * (heightfield.shape[0] // 2 / heightfield.shape[0]) + r * (
+        heightfield.shape[1] // 2 / heightfield.shape[1]
+    )
     made *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
     rows = np.stack([made.real, made.imag], axis=2).reshape(-1, 2, terms)
-    return rows, block, grid.lengths_um, 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
+    return rows, block, grid.lengths_um, 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]

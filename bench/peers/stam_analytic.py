@@ -51,73 +51,73 @@ def available() -> str | None:
     return None if numba else "Numba, which compiles the analytic shader, is not installed: pip install numba"
 
 
-def grating_um(hf: wd.HeightField) -> float:
+def grating_um(heightfield: wd.HeightField) -> float:
     """The distance d along x [µm] of what repeats: of the strongest order, with the noise of 1/f scans evened out."""
-    power = np.sum(np.abs(np.fft.rfft(hf.heights_um, axis=1)) ** 2, axis=0)
-    return float(hf.size_um[1] / np.argmax(power * np.arange(len(power))))
+    power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
+    return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))
 
 
 def prepare(
-    hf: wd.HeightField, coherence: wd.Coherence, *, colours: str, period_um: float | None = None
+    heightfield: wd.HeightField, coherence: wd.Coherence, *, colours: str, period_um: float | None = None
 ) -> Callable[..., NDArray[np.float32]]:
     """What shades directions.
 
     Args:
-        hf: The height field, a grating along x.
+        heightfield: The height field, a grating along x.
         coherence: An averaged window.
         colours: ``"rainbow"`` or ``"cie"``.
         period_um: The distance d [µm]; None takes :func:`grating_um`.
 
     Returns:
-        ``shade(deflections, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
+        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
     """
     if coherence.kind != "averaged" or coherence.sigma_um is None:
         raise ValueError(f"coherence must be an averaged window, got {coherence}")
     if colours not in ("rainbow", "cie"):
         raise ValueError(f"colours must be 'rainbow' or 'cie', got {colours!r}")
-    period = grating_um(hf) if period_um is None else period_um
+    period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
         # exp(−(r u/w)²) at w = 2 is the window's Gaussian at 550 nm.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
-        fixed: tuple[Any, ...] = (_brightness(hf, coherence, run),)
+        fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)
     else:
         products = np.ascontiguousarray(colorimetry.colour_products())
         nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, MIRROR_WAVELENGTHS)
         mirror = colorimetry.quadrature_weights(nodes)
         run = functools.partial(_kernels()[1], period, sigma, products, nodes * 1e-3, mirror)
-        fixed = (order_powers(hf, period),)
+        fixed = (order_powers(heightfield, period),)
 
-    def shade(deflections: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+    def shade(scattering_vectors: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
         numba.set_num_threads(threads)
         xyz = np.empty((len(gains), 3), dtype=np.float32)
-        run(*fixed, np.float64(deflections), np.float64(gains), xyz)
+        run(*fixed, np.float64(scattering_vectors), np.float64(gains), xyz)
         return xyz
 
     return shade
 
 
-def order_powers(hf: wd.HeightField, period_um: float) -> NDArray[np.float64]:
+def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
     """|H_n0|² of the orders n = −7 … 7 at κ = 0 … −2/0.38 /µm, shape (nodes, 15).
 
     The frequency n/d need not be one of the patch's: then it is the power at the nearest.
     """
-    orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * hf.size_um[1] / period_um).astype(int)
+    orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * heightfield.size_um[1] / period_um).astype(int)
     result = np.empty((NODES, len(orders)))
     for node, kappa in enumerate(np.linspace(0.0, -LARGEST_KAPPA, NODES)):
-        mean = np.exp(2j * math.pi * kappa * hf.heights_um).mean(axis=0)
-        result[node] = np.abs(np.fft.ifft(mean)[orders % hf.shape[1]]) ** 2
+        mean = np.exp(2j * math.pi * kappa * heightfield.heights_um).mean(axis=0)
+        result[node] = np.abs(np.fft.ifft(mean)[orders % heightfield.shape[1]]) ** 2
     return result
 
 
-def _brightness(hf: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
+def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
     """What gives the rainbow's orders the mean luminance of the true colours, highlights left out."""
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
     s = np.sqrt(1.0 - z * z)
     lights, views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=2)
-    true = wd.reflectance(hf, lights, views, tolerance=3e-2, coherence=coherence)[:, 1]
+    true = wd.reflectance(heightfield, lights, views, tolerance=3e-2, coherence=coherence)[:, 1]
     found = np.empty((CALIBRATING, 3), dtype=np.float32)
     run(1.0, -lights - views, np.zeros(CALIBRATING), found)
     return float(true.mean() / found[:, 1].mean())
@@ -128,9 +128,9 @@ def _kernels() -> tuple[Any, Any]:
     """The two forms, compiled where they are first used."""
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
-    def rainbow(period, roughness, to_xyz, brightness, deflections, gains, xyz_out):
+    def rainbow(period, roughness, to_xyz, reference_luminance, scattering_vectors, gains, xyz_out):
         for i in numba.prange(len(gains)):
-            u, w = abs(deflections[i, 0]), deflections[i, 2]
+            u, w = abs(scattering_vectors[i, 0]), scattering_vectors[i, 2]
             red = green = blue = 0.0
             for n in range(1, ORDERS + 1):
                 # Wavelengths of 0.5 to 1 µm as 0 to 1.
@@ -142,14 +142,14 @@ def _kernels() -> tuple[Any, Any]:
             for c in range(3):
                 orders = to_xyz[c, 0] * red + to_xyz[c, 1] * green + to_xyz[c, 2] * blue
                 white = to_xyz[c, 0] + to_xyz[c, 1] + to_xyz[c, 2]
-                xyz_out[i, c] = brightness * orders + highlight * white
+                xyz_out[i, c] = reference_luminance * orders + highlight * white
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
-    def cie(period, sigma, products, wavelengths, mirror, powers, deflections, gains, xyz_out):
+    def cie(period, sigma, products, wavelengths, mirror, powers, scattering_vectors, gains, xyz_out):
         falloff = (2.0 * math.pi * sigma) ** 2
         per_kappa = (len(powers) - 1) / LARGEST_KAPPA
         for i in numba.prange(len(gains)):
-            u, v, w = deflections[i]
+            u, v, w = scattering_vectors[i]
             x = y = z = 0.0
             side = 1 if u > 0.0 else -1
             for n in range(1, ORDERS + 1):

@@ -22,9 +22,9 @@ HIDE = "import sys; sys.modules['matplotlib'] = None; "
 IMPORT = HIDE + "from warpdiff import *"
 PICTURE = HIDE + (
     "import warpdiff as wd; from pathlib import Path; "
-    "hf = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2); "
+    "heightfield = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2); "
     "view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=640, height=480); "
-    "image = wd.shade(wd.meshes.tube(), hf, wd.DirectionalLight((0.1, 0.9, 1.2)), view); "
+    "image = wd.shade(wd.meshes.tube(), heightfield, wd.DirectionalLight((0.1, 0.9, 1.2)), view); "
     "image.save(Path(sys.argv[1]) / 'first.png'); import time; print(time.monotonic())"
 )
 

@@ -25,7 +25,7 @@ import warpdiff as wd
 from bench import inputs
 from bench.truth import reference
 from bench.truth.brute_force import intersect, pixel_rays
-from bench.truth.errors import FLOOR, brightness, colour_difference
+from bench.truth.errors import FLOOR, colour_difference, reference_luminance
 from bench.truth.pictures import finer, scaled
 from warpdiff import meshes
 from warpdiff.scene.mesh_import import prepare_surface
@@ -56,7 +56,7 @@ class Crop(NamedTuple):
 
     name: str
     mesh: Any
-    hf: wd.HeightField
+    heightfield: wd.HeightField
     light: wd.DirectionalLight
     view: wd.View
     white: float  # Y* of the whole picture
@@ -130,7 +130,7 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
 
 
 def crop(
-    name: str, mesh: Any, hf: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
+    name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
     """A crop around a lit pixel of a picture, of this share of its white or more."""
     low, high = mesh.bounds
@@ -139,11 +139,11 @@ def crop(
     eye = centre + towards / np.linalg.norm(towards) * RADII * radius
     width, height = WHOLE
     whole = wd.View(tuple(eye), tuple(centre), fov_y_deg=FOV_DEG, width=width, height=height)
-    image = wd.shade(mesh, hf, light, whole, tolerance=0.1, pigment=0.0)
+    image = wd.shade(mesh, heightfield, light, whole, tolerance=0.1, pigment=0.0)
     luminance = image.xyz[..., 1].astype(np.float64)
-    white, brightest = brightness(luminance[image.lit]), float(np.quantile(luminance, 1.0 - CLIPPED))
+    white, brightest = reference_luminance(luminance[image.illuminated]), float(np.quantile(luminance, 1.0 - CLIPPED))
     # Rays through the centres of pixels that are covered in part may miss the body.
-    pixel = rng.choice(np.flatnonzero(image.lit & (image.coverage > 0.999) & (luminance >= least * white)))
+    pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (each[[pixel]] for each in pixel_rays(whole.eye, whole.target, whole.up, **size))
     body = reference.Body.of(prepare_surface(mesh))
@@ -152,7 +152,7 @@ def crop(
     eye = target + distance * (eye - target)
     fov = scaled(FOV_DEG, HEIGHT / height)
     view = wd.View(tuple(eye), tuple(target), fov_y_deg=fov, width=WIDTH, height=HEIGHT)
-    return Crop(name, mesh, hf, light, view, white, brightest)
+    return Crop(name, mesh, heightfield, light, view, white, brightest)
 
 
 def truth(given: Crop, tolerance: float) -> Truth:
@@ -165,7 +165,7 @@ def filtered(given: Crop, tolerance: float, points: int) -> Truth:
     """A crop by so many points along a side of a pixel."""
     view = finer(given.view, points, MARGIN)
     image = wd.shade(
-        given.mesh, given.hf, given.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
+        given.mesh, given.heightfield, given.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
         pigment=0.0,
     )  # fmt: skip
     rows, columns = (_filter(size, points) for size in (HEIGHT, WIDTH))
@@ -178,9 +178,9 @@ def filtered(given: Crop, tolerance: float, points: int) -> Truth:
         inner = mask[MARGIN * points : -MARGIN * points, MARGIN * points : -MARGIN * points]
         return np.asarray(inner.reshape(HEIGHT, points, WIDTH, points).all(axis=(1, 3)))
 
-    lit, hit_all = all_of(image.lit), all_of(image.mask)
-    some_lit, some_hit = ~all_of(~image.lit), ~all_of(~image.mask)
-    return Truth(xyz, lit, some_hit & ~hit_all, hit_all & some_lit & ~lit, np.zeros((HEIGHT, WIDTH)))
+    illuminated, hit_all = all_of(image.illuminated), all_of(image.mask)
+    some_lit, some_hit = ~all_of(~image.illuminated), ~all_of(~image.mask)
+    return Truth(xyz, illuminated, some_hit & ~hit_all, hit_all & some_lit & ~illuminated, np.zeros((HEIGHT, WIDTH)))
 
 
 def _filter(size: int, points: int) -> np.ndarray:
@@ -191,13 +191,15 @@ def _filter(size: int, points: int) -> np.ndarray:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
-def judged(given: Crop, exact: Truth, image: wd.Image) -> Errors:
+def validation_size(given: Crop, exact: Truth, image: wd.Image) -> Errors:
     """The errors of a picture of a crop."""
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * given.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
     # Relative to what the crop's own white tells.
-    own = np.maximum(np.linalg.norm(xyz, axis=2), FLOOR * brightness(image.xyz[image.lit][:, 1].astype(np.float64)))
+    own = np.maximum(
+        np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
+    )
     return Errors(
         error[exact.interior],
         error[exact.silhouette],
@@ -212,10 +214,10 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
     for body, make in names.items():
         mesh = make()
         for surface, field in fields.items():
-            hf = field()
+            heightfield = field()
             for distance in DISTANCES:
                 name = f"{body} | {surface} | {distance:g}"
-                yield crop(name, mesh, hf, distance, np.random.default_rng([seed, zlib.crc32(name.encode())]))
+                yield crop(name, mesh, heightfield, distance, np.random.default_rng([seed, zlib.crc32(name.encode())]))
 
 
 def pictured(given: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
@@ -223,7 +225,13 @@ def pictured(given: Crop, view: wd.View, tolerance: float, samples: int = 1) -> 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         image = wd.shade(
-            given.mesh, given.hf, given.light, view, tolerance=tolerance, samples_per_pixel=samples, pigment=0.0
+            given.mesh,
+            given.heightfield,
+            given.light,
+            view,
+            tolerance=tolerance,
+            samples_per_pixel=samples,
+            pigment=0.0,
         )
     return image, any(issubclass(one.category, wd.WarpdiffWarning) for one in caught)
 
@@ -237,7 +245,7 @@ def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, toler
         for tolerance in tolerances:
             image, warns = pictured(each, view, tolerance)
             found.append(warns)
-            shares = f"{100.0 * image.plan.unsettled:.2f} % | {100.0 * image.plan.unsettled_edges:.2f} %"
+            shares = f"{100.0 * image.plan.unconverged_share:.2f} % | {100.0 * image.plan.unconverged_edge_share:.2f} %"
             print(f"| {each.name} | {tolerance:g} | {shares} | {warns:d} |", flush=True)
     print(f"\n{sum(found)} of {len(found)} whole pictures warn; seed {seed}.")
 
@@ -271,7 +279,7 @@ def main() -> None:
         for tolerance in options.tolerances:
             for samples in options.samples:
                 image, told = pictured(each, each.view, tolerance, samples)
-                found = judged(each, exact, image)
+                found = validation_size(each, exact, image)
                 p50, p99 = _percentiles(found.interior, 50.0, 99.0) / tolerance
                 everything += 1
                 within += bool(not len(found.interior) or (p99 <= 1.0 and p50 <= 0.25))
@@ -284,7 +292,7 @@ def main() -> None:
                     f"| {each.name} | {tolerance:g} | {samples} | {100.0 * exact.interior.mean():.0f} % "
                     f"| {_percentiles(found.settled, 99.0)[0] / tolerance:.2f} | {p50:.3f} | {p99:.2f} "
                     f"| {edges[0]:.2f} | {edges[1]:.2f} | {colours:.1f} | {_estimates(found)} "
-                    f"| {'blurs' if image.plan.blurs else 'points'} | {told:d} |",
+                    f"| {'blurs' if image.plan.uses_footprints else 'points'} | {told:d} |",
                     flush=True,
                 )
     print(

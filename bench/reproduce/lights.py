@@ -109,9 +109,9 @@ def sizes(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     """Print errors of lights of a size, of cases that are drawn, against sums over rays from points of the disc."""
     rng = np.random.default_rng(seed + 2)
     print("| light | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
-    for index, (case, _, mesh, hf, view, sigma_um) in enumerate(drawn_cases(seed)):
+    for index, (case, _, mesh, heightfield, view, sigma_um) in enumerate(drawn_cases(seed)):
         window = wd.Coherence(sigma_um=sigma_um)
-        sums = SkySums(mesh, hf, view, window)
+        sums = SkySums(mesh, heightfield, view, window)
         inside = rng.permutation(sums.interior())[:pixels]
         # From where the eye is, or aside.
         towards = np.asarray(view.eye) - np.asarray(view.target)
@@ -120,7 +120,7 @@ def sizes(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
         light = wd.DirectionalLight(tuple(towards), angular_diameter_deg=degrees)
         name = f"{degrees:g}° | {case.split(' | ')[1]}"
         _judge(name, inside, functools.partial(sums.under_disc, light=light), across, seed, tolerances, options={
-            "mesh": mesh, "hf": hf, "light": light, "view": view, "coherence": window,
+            "mesh": mesh, "heightfield": heightfield, "light": light, "view": view, "coherence": window,
         })  # fmt: skip
 
 
@@ -132,13 +132,13 @@ def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     """
     rng = np.random.default_rng(seed + 1)
     print("| sky | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
-    for name, grey, mesh, hf, view, sigma_um in drawn_cases(seed):
+    for name, grey, mesh, heightfield, view, sigma_um in drawn_cases(seed):
         window = wd.Coherence(sigma_um=sigma_um)
-        sums = SkySums(mesh, hf, view, window)
+        sums = SkySums(mesh, heightfield, view, window)
         environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
         inside = rng.permutation(sums.interior())[:pixels]
         _judge(name, inside, functools.partial(sums.under_sky, sky=grey), across, seed, tolerances, options={
-            "mesh": mesh, "hf": hf, "light": environment, "view": view, "coherence": window,
+            "mesh": mesh, "heightfield": heightfield, "light": environment, "view": view, "coherence": window,
         })  # fmt: skip
 
 
@@ -150,10 +150,12 @@ def _judge(
     if not len(chosen):
         print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
         return
-    exact, unsettled, rays = settled(summed, chosen, across, seed, min(tolerances) / 3.0)
-    keeps = (unsettled <= min(tolerances) / 3.0) & (exact[:, 1] > 0.0)
-    left_out = f"sums by {rays:,} rays or more, {np.count_nonzero(~keeps)} do not settle or are black, and are left out"
-    print(f"| {name} | {len(chosen)} | {left_out} | {percentiles(unsettled)} | | | |", flush=True)
+    exact, unconverged_share, rays = settled(summed, chosen, across, seed, min(tolerances) / 3.0)
+    keeps = (unconverged_share <= min(tolerances) / 3.0) & (exact[:, 1] > 0.0)
+    unserved_gain = (
+        f"sums by {rays:,} rays or more, {np.count_nonzero(~keeps)} do not settle or are black, and are left out"
+    )
+    print(f"| {name} | {len(chosen)} | {unserved_gain} | {percentiles(unconverged_share)} | | | |", flush=True)
     if not keeps.any():
         return
     exact, at = exact[keeps], tuple(chosen[keeps].T)
@@ -162,12 +164,12 @@ def _judge(
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, shadows=False, strict=False)
         took = time.perf_counter() - begin
         # Pixels that are chosen may all be darker than what the picture's tolerance is relative to.
-        bright = float(np.percentile(image.xyz[image.lit][:, 1], 99.0))
+        bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         found, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = found > tolerance
         seen = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
         print(
-            f"| {name} | {len(exact)} | {tolerance:g}, {image.plan.lit_by:,} | {percentiles(found)} | "
+            f"| {name} | {len(exact)} | {tolerance:g}, {image.plan.light_sample_count:,} | {percentiles(found)} | "
             f"{percentiles(expected, ' / ')} | {seen} | {took:.1f} s |", flush=True,
         )  # fmt: skip
 
@@ -180,14 +182,14 @@ def settled(
     Where the four do not tell their mean well enough, there are four and sixteen times as many rays.
     """
     sets = np.zeros((4, len(chosen), 3))
-    unsettled = np.zeros(len(chosen))
+    unconverged_share = np.zeros(len(chosen))
     again = np.arange(len(chosen))
     for more in (1, 2, 4):
         sets[:, again] = [summed(chosen[again], across=more * across, seed=4 * seed + each) for each in range(4)]
         exact = sets.mean(axis=0)
-        unsettled = np.sqrt(sum(distances(each, exact) ** 2 for each in sets) / 12.0)
-        again = np.flatnonzero(unsettled > bound)
-    return exact, unsettled, len(sets) * across**2
+        unconverged_share = np.sqrt(sum(distances(each, exact) ** 2 for each in sets) / 12.0)
+        again = np.flatnonzero(unconverged_share > bound)
+    return exact, unconverged_share, len(sets) * across**2
 
 
 def picture(path: str) -> None:

@@ -30,16 +30,16 @@ from bench import inputs
 from bench.peers import numba_published
 from bench.truth import reference
 from warpdiff import meshes
-from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.device.devices import resolve_device, resolve_threads
+from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics import reflectance_factors
-from warpdiff.optics.materials import LitMaterial
-from warpdiff.planning import planner
-from warpdiff.planning.request import Request
-from warpdiff.plans.direction_range import DirectionRange, DirectionSample
-from warpdiff.render.frame import Frame as Picture
-from warpdiff.scene.lights import lobes_of
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.planner import strategy
+from warpdiff.render.picture import Frame as Picture
+from warpdiff.request.directions import DirectionRange, DirectionSample
+from warpdiff.request.evaluation import Request
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.integrator import Integrator
+from warpdiff.tables.lookup import ColourLookup
 
 # The published numbers.
 WAVELENGTHS, TERMS, REACH = 81, 37, 1
@@ -60,7 +60,7 @@ class Setting(NamedTuple):
 
     wavelengths: int = WAVELENGTHS
     terms: int = TERMS
-    reach: int = REACH
+    neighbour_extent: int = REACH
     centred: bool = False
     rounded: bool = False
 
@@ -77,10 +77,10 @@ class Setting(NamedTuple):
     @property
     def multiply_adds(self) -> float:
         """Those of the sum over terms and neighbours, in thousands a pixel."""
-        return self.wavelengths * 2 * self.lanes * (2 * self.reach + 1) ** 2 / 1e3
+        return self.wavelengths * 2 * self.lanes * (2 * self.neighbour_extent + 1) ** 2 / 1e3
 
     def __str__(self) -> str:
-        side = 2 * self.reach + 1
+        side = 2 * self.neighbour_extent + 1
         heights = "centred" if self.centred else "as they are"
         found = "rounding" if self.rounded else "floor"
         return f"{self.wavelengths} λ, {self.terms} terms, {side} × {side} by {found}, heights {heights}"
@@ -89,14 +89,14 @@ class Setting(NamedTuple):
 class Frame:
     """The lit pixels of the frame, the sample of them that is shaded, and what both methods need."""
 
-    def __init__(self, hf: wd.HeightField, *, pixels: int, width: int, threads: int | None) -> None:
-        self.hf, self.device, self.threads = hf, resolve_device(None), resolve_threads(threads)
+    def __init__(self, heightfield: wd.HeightField, *, pixels: int, width: int, threads: int | None) -> None:
+        self.heightfield, self.device, self.threads = heightfield, resolve_device(None), resolve_threads(threads)
         surface = prepare_surface(meshes.tube(segments_along=128, segments_around=64))
         view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=width * 3 // 4)
         frame, window = Picture(surface, view, device=self.device, threads=self.threads), wd.Coherence()
         light = wd.DirectionalLight((0.1, 0.9, 1.2))
         frame.set_lights(lobes_of(light), window, 1.0, normal=reflectance_factors.normal_reflectance(1.5))
-        frame.measure_directions(hf, window)
+        frame.measure_directions(heightfield, window)
         self.all = frame.directions()
         self._choose(pixels)
 
@@ -108,14 +108,14 @@ class Frame:
 
     def _choose(self, pixels: int) -> None:
         """Shade a stratified sample of the lit pixels, in the order of the frame."""
-        lit = self.all[2] > 0.0
-        chosen = np.sort(reference.stratified(lit, pixels))
-        self.lit, self.count = int(np.count_nonzero(lit)), len(chosen)
-        self.deflections, self.to_lights, self.gains = (part[chosen] for part in self.all)
+        illuminated = self.all[2] > 0.0
+        chosen = np.sort(reference.stratified(illuminated, pixels))
+        self.illuminated, self.count = int(np.count_nonzero(illuminated)), len(chosen)
+        self.scattering_vectors, self.to_lights, self.gains = (part[chosen] for part in self.all)
         import warp as wp
 
         self.on_device = [
-            wp.array(self.deflections, dtype=wp.vec3d, device=self.device),
+            wp.array(self.scattering_vectors, dtype=wp.vec3d, device=self.device),
             wp.array(self.to_lights.astype(np.float32), dtype=wp.vec3f, device=self.device),
             wp.array(self.gains, dtype=wp.float32, device=self.device),
         ]
@@ -123,7 +123,7 @@ class Frame:
 
     def judge(self, coherence: wd.Coherence) -> None:
         """Compute the truth for a coherence."""
-        found = reference.colours(self.hf, self.deflections, self.to_lights, coherence, tolerance=TRUTH)
+        found = reference.colours(self.heightfield, self.scattering_vectors, self.to_lights, coherence, tolerance=TRUTH)
         every, none = np.ones(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
         self.truth = reference.Pixels(self.gains[:, None] * found, every, every, none, none)
 
@@ -138,14 +138,14 @@ class Published:
     def __init__(self, frame: Frame, coherence: wd.Coherence, setting: Setting) -> None:
         self.frame, self._setting, self._powers = frame, setting, coherence.adds_powers
         frequency = float(np.max(np.hypot(frame.all[0][:, 0], frame.all[0][:, 1]))) / 0.38
-        self._tables = _tables(frame.hf, setting.terms, frequency, centred=setting.centred)
+        self._tables = _tables(frame.heightfield, setting.terms, frequency, centred=setting.centred)
         self._found: Any = None
 
     def shade(self) -> None:
         """Shade the sample."""
         each, frame = self._setting, self.frame
         self._found = numba_published.shade(
-            self._tables, frame.deflections, frame.gains, wavelengths=each.wavelengths, reach=each.reach,
+            self._tables, frame.scattering_vectors, frame.gains, wavelengths=each.wavelengths, neighbour_extent=each.neighbour_extent,
             rounded=each.rounded, powers=self._powers,
         )  # fmt: skip
 
@@ -156,9 +156,9 @@ class Published:
 
 
 @functools.lru_cache(maxsize=3)
-def _tables(hf: wd.HeightField, terms: int, frequency: float, *, centred: bool) -> numba_published.Tables:
+def _tables(heightfield: wd.HeightField, terms: int, frequency: float, *, centred: bool) -> numba_published.Tables:
     """The tables of a series; they serve both forms."""
-    return numba_published.tables(hf, terms=terms, centred=centred, frequency=frequency)
+    return numba_published.tables(heightfield, terms=terms, centred=centred, frequency=frequency)
 
 
 class Automatic:
@@ -166,22 +166,22 @@ class Automatic:
 
     def __init__(self, frame: Frame, coherence: wd.Coherence, tolerance: float) -> None:
         self.frame, self.tolerance = frame, tolerance
-        hf, (deflections, to_lights, gains) = frame.hf, frame.all
-        scope = DirectionRange.of(hf, coherence, deflections, to_lights, gains > 0.0)
+        heightfield, (scattering_vectors, to_lights, gains) = frame.heightfield, frame.all
+        direction_range = DirectionRange.of(heightfield, coherence, scattering_vectors, to_lights, gains > 0.0)
         begin = time.perf_counter()
         request = Request.checked(
-            hf, tolerance=tolerance, method="auto", coherence=coherence, ior=1.5, masking=True, strict=True,
+            heightfield, tolerance=tolerance, method="auto", coherence=coherence, ior=1.5, masking=True, strict=True,
             device=frame.device, threads=frame.threads,
         )  # fmt: skip
-        sample = DirectionSample.among(deflections, to_lights, gains)
-        self.plan = planner.plan_for(request, scope, sample, float(frame.lit))
+        sample = DirectionSample.among(scattering_vectors, to_lights, gains)
+        self.plan = strategy.plan_for(request, direction_range, sample, float(frame.illuminated))
         self.seconds = time.perf_counter() - begin
-        self._integrator = Integrator(hf, self.plan, scope, device=frame.device, threads=frame.threads)
+        self._lookup = ColourLookup(heightfield, self.plan, direction_range, device=frame.device, threads=frame.threads)
 
     def shade(self) -> None:
         """Shade the sample."""
         self.frame.xyz.zero_()
-        self._integrator.add(*self.frame.on_device, LitMaterial("D65"), self.frame.xyz, slice_size=SLICE)
+        self._lookup.add(*self.frame.on_device, IlluminatedMaterial("D65"), self.frame.xyz, slice_size=SLICE)
 
     def on(self, frame: Frame) -> Automatic:
         """Shade other pixels of the frame."""
@@ -196,7 +196,11 @@ class Automatic:
 
     def __str__(self) -> str:
         plan = self.plan
-        how = f"a table of {plan.nodes} nodes an octave" if plan.nodes else f"up to {plan.wavelengths} λ"
+        how = (
+            f"a table of {plan.rings_per_octave} nodes an octave"
+            if plan.rings_per_octave
+            else f"up to {plan.wavelengths} λ"
+        )
         return f"tolerance {self.tolerance:.2g}: {plan.method}, {plan.terms} terms, {how}"
 
 
@@ -234,16 +238,16 @@ def raised(frame: Frame, coherence: wd.Coherence, target: float) -> tuple[list[S
 
     most = MOST_REACH[coherence.kind]
     for centred in (False, True):
-        ample = Setting(MORE_WAVELENGTHS[-1], TERMS, most, centred)
+        upper_bound_plan = Setting(MORE_WAVELENGTHS[-1], TERMS, most, centred)
         enough: list[int] = []
         for terms in MORE_TERMS:
-            if len(enough) < 2 and error(ample._replace(terms=terms)) <= target:
+            if len(enough) < 2 and error(upper_bound_plan._replace(terms=terms)) <= target:
                 enough.append(terms)
         if not centred and TERMS not in enough:
             enough.append(TERMS)
         for terms in enough:
-            for reach in range(1, most + 1):
-                tried = ample._replace(terms=terms, reach=reach)
+            for neighbour_extent in range(1, most + 1):
+                tried = upper_bound_plan._replace(terms=terms, neighbour_extent=neighbour_extent)
                 if error(tried) > target:
                     continue
                 low, high = -1, len(MORE_WAVELENGTHS) - 1
@@ -262,7 +266,7 @@ def raised(frame: Frame, coherence: wd.Coherence, target: float) -> tuple[list[S
 def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: int, timed: int) -> None:
     """Judge and time all settings of a coherence, and print their table and the four numbers."""
     frame.judge(coherence)
-    print(f"\n{coherence}, {frame.count} of {frame.lit} lit pixels\n", flush=True)
+    print(f"\n{coherence}, {frame.count} of {frame.illuminated} lit pixels\n", flush=True)
     published = str(Setting())
     chosen = Automatic(frame, coherence, tolerance)
     plans = {str(chosen): chosen}
@@ -272,8 +276,8 @@ def compare(frame: Frame, coherence: wd.Coherence, *, tolerance: float, rounds: 
     target = float(error_of(chosen).p99)
     found, least = raised(frame, coherence, target)
     settings = [Setting(), Setting(rounded=True), Setting(centred=True), *found]
-    judged: dict[str, Any] = {str(each): Published(frame, coherence, each) for each in settings}
-    errors = {name: error_of(each) for name, each in (judged | plans).items()}
+    validation_size: dict[str, Any] = {str(each): Published(frame, coherence, each) for each in settings}
+    errors = {name: error_of(each) for name, each in (validation_size | plans).items()}
     many = frame.more(timed)
     what: dict[str, Any] = {str(each): Published(many, coherence, each) for each in settings}
     what |= {name: each.on(many) for name, each in plans.items()}

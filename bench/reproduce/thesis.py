@@ -45,9 +45,9 @@ BLAZED_UM, BLAZED_DEPTH_UM, SCAN_PERIOD_UM = 2.5, 0.25, 1.1
 # Means and variances over the wavelengths [nm, nm²], as published.
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
-    ("blazed", "copies"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
+    ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
     ("scan", "full"): "1144.262 (0.401)",
-    ("scan", "copies"): "1052.308 (49.678)",
+    ("scan", "periods"): "1052.308 (49.678)",
 }
 PUBLISHED_SCAN_NM = 1144.262
 SEAM = wd.Coherence("centred", centre_um=(0.0, 0.0))
@@ -262,19 +262,19 @@ def first_order(
 
 
 def library(
-    hf: wd.HeightField, *, opposite: bool = False, **options: Any
+    heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
     """The library's ρ, for :func:`first_order`; ``opposite`` turns light and views by 180° about the normal."""
-    turned = np.array([-1.0, -1.0, 1.0]) if opposite else np.ones(3)
+    rotated = np.array([-1.0, -1.0, 1.0]) if opposite else np.ones(3)
     return lambda light, views, wavelengths: wd.spectral_reflectance(
-        hf, light * turned, views * turned, wavelengths, masking=False, **options
+        heightfield, light * rotated, views * rotated, wavelengths, masking=False, **options
     )
 
 
 def blazed_period(**options: Any) -> Floats:
     """Periods [nm] of the blazed grating at the wavelengths; options are those of ``wd.spectral_reflectance``."""
-    hf = wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM)
-    return periods_at(first_order(library(hf, **options), BLAZED_UM)[2], WAVELENGTHS)
+    heightfield = wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM)
+    return periods_at(first_order(library(heightfield, **options), BLAZED_UM)[2], WAVELENGTHS)
 
 
 def written(periods: Floats) -> str:
@@ -286,41 +286,43 @@ def written(periods: Floats) -> str:
 
 
 def ways(
-    hf: wd.HeightField, raw: wd.HeightField | None, *, copies: tuple[int, int]
+    heightfield: wd.HeightField, raw: wd.HeightField | None, *, periods: tuple[int, int]
 ) -> dict[str, tuple[str, Any, float]]:
     """The ways to the periods: which published number they stand beside, ρ, and the grid [degrees] they can afford."""
-    repeated = wd.Coherence("replicas", copies=copies)
-    many = f"{copies[0]} × {copies[1]} copies"
-    other = library(hf, opposite=True, strict=False)
-    coarse = 0.005 if hf.shape[0] == 1 else 0.02
+    repeated = wd.Coherence("replicas", periods=periods)
+    many = f"{periods[0]} × {periods[1]} copies"
+    other = library(heightfield, opposite=True, strict=False)
+    coarse = 0.005 if heightfield.shape[0] == 1 else 0.02
     found: dict[str, tuple[str, Any, float]] = {
-        f"averaged, {method}": ("full", library(hf, method=method, strict=False), GRID_DEG)
+        f"averaged, {method}": ("full", library(heightfield, method=method, strict=False), GRID_DEG)
         for method in ("low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred")
     }
     found |= {
         "averaged, light from the other side": ("full", other, GRID_DEG),
-        "centred on the middle": ("full", library(hf, coherence=wd.Coherence("centred"), strict=False), GRID_DEG),
-        "centred on the seam": ("full", library(hf, coherence=SEAM, strict=False), GRID_DEG),
-        FLOOR: ("full", functools.partial(variants.neighbours, hf, masking=False), coarse),
-        "source of 0.53°": ("full", library(hf, coherence=wd.Coherence("source"), strict=False), GRID_DEG),
-        f"{many}, exact": ("copies", library(hf, coherence=repeated, tolerance=1e-3, strict=False), GRID_DEG),
+        "centred on the middle": ("full", library(heightfield, coherence=wd.Coherence("centred"), strict=False), GRID_DEG),
+        "centred on the seam": ("full", library(heightfield, coherence=SEAM, strict=False), GRID_DEG),
+        FLOOR: ("full", functools.partial(variants.neighbours, heightfield, masking=False), coarse),
+        "source of 0.53°": ("full", library(heightfield, coherence=wd.Coherence("source"), strict=False), GRID_DEG),
+        f"{many}, exact": ("periods", library(heightfield, coherence=repeated, tolerance=1e-3, strict=False), GRID_DEG),
     }  # fmt: skip
     if raw is not None:
         found["centred on the seam, not levelled"] = ("full", library(raw, coherence=SEAM, strict=False), GRID_DEG)
     for interpolation in ("linear", "sinc"):
-        rho = functools.partial(variants.copies, hf, count=copies, interpolation=interpolation, masking=False)
-        found[f"{many}, {interpolation}"] = ("copies", rho, coarse)
+        rho = functools.partial(
+            variants.periods, heightfield, count=periods, interpolation=interpolation, masking=False
+        )
+        found[f"{many}, {interpolation}"] = ("periods", rho, coarse)
     return found
 
 
 def period_figure(
     setup: Setup,
     name: str,
-    hf: wd.HeightField,
+    heightfield: wd.HeightField,
     expected_um: float,
     shown: list[str],
     *,
-    copies: tuple[int, int],
+    periods: tuple[int, int],
     raw: wd.HeightField | None = None,
 ) -> tuple[Any, list[list[str]]]:
     """Reflectance over wavelength and angle for the ways that are shown, and the table of all of them."""
@@ -330,7 +332,7 @@ def period_figure(
     rows = [["method", "mean (variance) [nm, nm²]", "smallest, largest", "grid", "published"]]
     figure, axes = plt.subplots(1, len(shown), figsize=(4.0 * len(shown), 4.2), sharey=True)
     panels = iter(axes)
-    for label, (kind, rho_of, finest) in ways(hf, raw, copies=copies).items():
+    for label, (kind, rho_of, finest) in ways(heightfield, raw, periods=periods).items():
         grid = max(finest, 0.04) if setup.quick else finest
         angles, rho, best = first_order(rho_of, expected_um, wavelengths_nm=wavelengths, grid_deg=grid)
         periods = periods_at(best, wavelengths)
@@ -355,8 +357,8 @@ def period_figure(
 def blazed_periods(setup: Setup) -> Figure:
     """The blazed grating's."""
     shown = ["averaged, low-rank", FLOOR, "1 × 26 copies, exact", "1 × 26 copies, linear"]
-    hf = wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM)
-    figure, table = period_figure(setup, "blazed", hf, BLAZED_UM, shown, copies=(1, 26))
+    heightfield = wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM)
+    figure, table = period_figure(setup, "blazed", heightfield, BLAZED_UM, shown, periods=(1, 26))
     made = Figure("periods_blazed", "Periods: a blazed grating of 2500 nm", BLAZED_DIFFERS, table)
     return save(setup, figure, made)
 
@@ -364,7 +366,7 @@ def blazed_periods(setup: Setup) -> Figure:
 def scan_periods(setup: Setup) -> Figure:
     """The scan's."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 copies, linear"]
-    figure, table = period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, copies=(1, 1), raw=setup.raw)
+    figure, table = period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, periods=(1, 1), raw=setup.raw)
     return save(setup, figure, Figure("periods_scan", "Periods: the scan of Elaphe", SCAN_DIFFERS, table))
 
 
@@ -372,11 +374,11 @@ def scan_windows(setup: Setup) -> Figure:
     """The first-order period under windows all over the scan."""
     from matplotlib import pyplot as plt
 
-    hf, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
-    places = np.arange(0.0, hf.size_um[1], 22.0 if setup.quick else 5.0)
+    heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
+    places = np.arange(0.0, heightfield.size_um[1], 22.0 if setup.quick else 5.0)
 
     def period(coherence: wd.Coherence, *, opposite: bool) -> float:
-        rho = library(hf, coherence=coherence, opposite=opposite, strict=False)
+        rho = library(heightfield, coherence=coherence, opposite=opposite, strict=False)
         best = first_order(rho, SCAN_PERIOD_UM, wavelengths_nm=wavelengths, grid_deg=0.05)[2]
         return float(np.median(periods_at(best, wavelengths)))
 
@@ -404,7 +406,9 @@ def scan_windows(setup: Setup) -> Figure:
             (wd.Coherence(), {"lw": 1.8}, "averaged"),
             (SEAM, {"lw": 0.9, "ls": "--"}, "window on the seam"),
         ):
-            rho = library(hf, coherence=coherence, opposite=opposite)(at_angle(INCIDENCE_DEG), views, np.array([550.0]))
+            rho = library(heightfield, coherence=coherence, opposite=opposite)(
+                at_angle(INCIDENCE_DEG), views, np.array([550.0])
+            )
             x = periods_at(angles, np.array(550.0))
             axes[3].plot(x, rho[:, 0] / rho.max(), color=colour, label=f"{what}, {label}", **style)
     for axis in axes[2:]:
@@ -423,9 +427,9 @@ def scan_copies(setup: Setup) -> Figure:
     """Why whole copies fail on a natural grating: the period is that of the cut."""
     from matplotlib import pyplot as plt
 
-    hf, wavelengths = setup.scan, np.array([450.0, 550.0, 650.0])
+    heightfield, wavelengths = setup.scan, np.array([450.0, 550.0, 650.0])
     sizes = np.arange(24.0, 65.1, 20.0 if setup.quick else 1.5)
-    copies = wd.Coherence("replicas", copies=(4, 4))
+    periods = wd.Coherence("replicas", periods=(4, 4))
 
     def period(cut: wd.HeightField, coherence: wd.Coherence) -> float:
         rho = library(cut, coherence=coherence, strict=False)
@@ -433,9 +437,11 @@ def scan_copies(setup: Setup) -> Figure:
         return float(np.median(periods_at(best, wavelengths)))
 
     found = {
-        "4 × 4 copies of a cut": [period(hf.cropped(size), copies) for size in sizes],
+        "4 × 4 copies of a cut": [period(heightfield.cropped(size), periods) for size in sizes],
         # As much of the surface, under a smooth window that repeats nothing.
-        "one window, σ a quarter of the cut": [period(hf, wd.Coherence("centred", size / 4.0)) for size in sizes],
+        "one window, σ a quarter of the cut": [
+            period(heightfield, wd.Coherence("centred", size / 4.0)) for size in sizes
+        ],
     }
     figure, axes = plt.subplots(1, 2, figsize=(14.0, 4.8))
     rows = [["24 to 65 µm", "mean (variance) [nm, nm²]", "distance from L/r, mean of 0 … 0.5 orders"]]
@@ -446,8 +452,10 @@ def scan_copies(setup: Setup) -> Figure:
     for order in range(18, 73):
         axes[0].plot(sizes, 1e3 * sizes / order, color="#bbbbbb", lw=0.6, zorder=0)
     angles, green = view_angles(1250.0, 950.0, 3000, np.array(550.0)), np.array([550.0])
-    for coherence, colour in ((copies, "#c51b7d"), (wd.Coherence(), "black")):
-        rho = library(hf, coherence=coherence, strict=False)(at_angle(INCIDENCE_DEG), at_angle(angles), green)[:, 0]
+    for coherence, colour in ((periods, "#c51b7d"), (wd.Coherence(), "black")):
+        rho = library(heightfield, coherence=coherence, strict=False)(at_angle(INCIDENCE_DEG), at_angle(angles), green)[
+            :, 0
+        ]
         axes[1].plot(periods_at(angles, green), rho / rho.max(), color=colour, lw=1.0, label=str(coherence))
     axes[0].set(xlabel="side L of the cut [µm]; grey: L/r", ylabel="period found [nm]", ylim=(900.0, 1300.0))
     axes[1].set(xlabel="period of the first order [nm]", ylabel="reflectance at 550 nm, of the largest")
@@ -461,7 +469,7 @@ def scan_copies(setup: Setup) -> Figure:
 
 @dataclasses.dataclass(frozen=True)
 class Disc:
-    """The pixels of ``wd.brdf_map`` as directions, for what the library has no map of.
+    """The pixels of ``wd.reflectance_map`` as directions, for what the library has no map of.
 
     Attributes:
         size: Width and height [pixels].
@@ -474,9 +482,9 @@ class Disc:
     views: Floats
 
     @classmethod
-    def of(cls, size: int, *, reach: float = 1.0) -> Disc:
+    def of(cls, size: int, *, neighbour_extent: float = 1.0) -> Disc:
         """The disc of all directions, or its square of −reach … reach."""
-        axis = reach * ((2.0 * np.arange(size) + 1.0) / size - 1.0)
+        axis = neighbour_extent * ((2.0 * np.arange(size) + 1.0) / size - 1.0)
         x, y = np.meshgrid(axis, -axis)
         mask = x * x + y * y < 1.0
         views = np.stack([x[mask], y[mask], np.sqrt(1.0 - x[mask] ** 2 - y[mask] ** 2)], axis=1)
@@ -504,10 +512,12 @@ def of_map(image: wd.Image) -> Floats:
     return np.where(image.coverage[..., None] == 1.0, image.xyz.astype(np.float64), np.nan)
 
 
-def mean_map(setup: Setup, hf: wd.HeightField, light: Floats, pixels: int, **options: Any) -> Floats:
+def mean_map(setup: Setup, heightfield: wd.HeightField, light: Floats, pixels: int, **options: Any) -> Floats:
     """XYZ of a map, each pixel the mean of 3 × 3 directions, of one if quick, nan outside."""
     samples = 1 if setup.quick else 9
-    return of_map(wd.brdf_map(hf, light, size=setup.pixels(pixels), samples_per_pixel=samples, **options))
+    return of_map(
+        wd.reflectance_map(heightfield, light, size=setup.pixels(pixels), samples_per_pixel=samples, **options)
+    )
 
 
 def exposure(xyz: Floats) -> float:
@@ -567,8 +577,8 @@ def map_gratings(setup: Setup) -> Figure:
         setup.natural_name: (setup.natural, AREA),
     }
     tiles = []
-    for name, (hf, factor) in made.items():
-        xyz = mean_map(setup, hf, LIGHT, 300)
+    for name, (heightfield, factor) in made.items():
+        xyz = mean_map(setup, heightfield, LIGHT, 300)
         tiles.append((name, xyz, factor * exposure(xyz)))
     return mosaic(
         setup, Figure("map_gratings", "Maps: gratings", GRATINGS_DIFFER), [("", tiles[:4]), ("", tiles[4:])], inch=3.0
@@ -579,20 +589,22 @@ def map_steps(setup: Setup) -> Figure:
     """Wavelength steps: the published sum and the library's weights for the same number of samples."""
     disc = Disc.of(setup.pixels(210))
     rows, table = [], [["P99 of the error", *(f"{step} nm" for step in STEPS_NM)]]
-    for name, hf, cut, factor in (
+    for name, heightfield, cut, factor in (
         ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), strip, LINE),
         (setup.natural_name, setup.natural, np.asarray, AREA),
     ):
-        truth = of_map(wd.brdf_map(hf, LIGHT, size=disc.size, tolerance=1e-3))
+        truth = of_map(wd.reflectance_map(heightfield, LIGHT, size=disc.size, tolerance=1e-3))
         exposed = factor * exposure(truth)
-        rho = wd.spectral_reflectance(hf, LIGHT, disc.views, WAVELENGTHS, tolerance=1e-3)
-        plan = wd.plan(hf, LIGHT, method="low-rank", tolerance=1e-3, strict=False)
+        rho = wd.spectral_reflectance(heightfield, LIGHT, disc.views, WAVELENGTHS, tolerance=1e-3)
+        plan = wd.plan(heightfield, LIGHT, method="low-rank", tolerance=1e-3, strict=False)
         published, ours = [], []
         for step in STEPS_NM:
             products = colorimetry.colour_products()[::step]
             published.append(disc.image(rho[:, ::step] @ (products / products[:, 1].sum())))
-            fewer = dataclasses.replace(plan, wavelengths=400 // step + 1, adaptive=False, nodes=0, footprint=False)
-            ours.append(of_map(wd.brdf_map(hf, LIGHT, size=disc.size, plan=fewer)))
+            fewer = dataclasses.replace(
+                plan, wavelengths=400 // step + 1, adaptive=False, rings_per_octave=0, footprint=False
+            )
+            ours.append(of_map(wd.reflectance_map(heightfield, LIGHT, size=disc.size, plan=fewer)))
         for title, images in (("plain sum", published), ("library", ours)):
             labels = [f"{step} nm: {error_of(image, truth)}" for step, image in zip(STEPS_NM, images, strict=True)]
             tiles = [(label, cut(image), exposed) for label, image in zip(labels, images, strict=True)]
@@ -604,7 +616,7 @@ def map_steps(setup: Setup) -> Figure:
 def map_sigmas(setup: Setup) -> Figure:
     """Widths of the window."""
     rows = []
-    for name, hf, factor in (
+    for name, heightfield, factor in (
         ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), LINE),
         (setup.natural_name, setup.natural, AREA),
     ):
@@ -612,7 +624,7 @@ def map_sigmas(setup: Setup) -> Figure:
             tiles = []
             for sigma in setup.some(SIGMAS_UM):
                 options = {"coherence": wd.Coherence(kind, sigma), "tolerance": 3e-2, "strict": False}
-                xyz = mean_map(setup, hf, LIGHT, 210, **options)
+                xyz = mean_map(setup, heightfield, LIGHT, 210, **options)
                 tiles.append((f"σ = {sigma:g} µm", xyz, factor * exposure(xyz)))
             rows.append((f"{name}\n{kind}", tiles))
             if name == "blazed":
@@ -622,15 +634,15 @@ def map_sigmas(setup: Setup) -> Figure:
 
 def map_terms(setup: Setup) -> Figure:
     """Terms of the Taylor series, with heights as they are, as published, and centred."""
-    hf, size = setup.natural, setup.pixels(180)
-    truth = of_map(wd.brdf_map(hf, LIGHT, size=size, tolerance=1e-3))
+    heightfield, size = setup.natural, setup.pixels(180)
+    truth = of_map(wd.reflectance_map(heightfield, LIGHT, size=size, tolerance=1e-3))
     rows, table = [], [["P99 of the error", *(f"N = {last}" for last in setup.some(TAYLOR))]]
     for title, method in (("as published", "taylor-uncentred"), ("centred", "taylor")):
-        plan = wd.plan(hf, LIGHT, method=method, tolerance=1e-3, strict=False)
+        plan = wd.plan(heightfield, LIGHT, method=method, tolerance=1e-3, strict=False)
         tiles, errors = [], []
         for last in setup.some(TAYLOR):
-            fewer = dataclasses.replace(plan, terms=last + 1, adaptive=False, nodes=0, footprint=False)
-            image = of_map(wd.brdf_map(hf, LIGHT, size=size, plan=fewer))
+            fewer = dataclasses.replace(plan, terms=last + 1, adaptive=False, rings_per_octave=0, footprint=False)
+            image = of_map(wd.reflectance_map(heightfield, LIGHT, size=size, plan=fewer))
             errors.append(error_of(image, truth))
             tiles.append((f"N = {last}: {errors[-1]}", image, AREA * exposure(truth)))
         rows.append((title, tiles))
@@ -641,13 +653,13 @@ def map_terms(setup: Setup) -> Figure:
 def map_incidences(setup: Setup) -> Figure:
     """Angles of incidence."""
     rows = []
-    for name, hf, factor in (
+    for name, heightfield, factor in (
         ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), LINE),
         (setup.natural_name, setup.natural, AREA),
     ):
         tiles = []
         for angle in setup.some((0.0, 10.0, 20.0)):
-            xyz = mean_map(setup, hf, at_angle(angle), 300)
+            xyz = mean_map(setup, heightfield, at_angle(angle), 300)
             tiles.append((f"{angle:g}°", xyz, factor * exposure(xyz)))
         rows.append((name, tiles))
     return mosaic(setup, Figure("map_incidences", "Maps: angles of incidence", INCIDENCES_DIFFER), rows, inch=3.0)
@@ -658,7 +670,7 @@ def map_methods(setup: Setup) -> Figure:
     disc = Disc.of(setup.pixels(120))
     wavelengths = WAVELENGTHS[:: 20 if setup.quick else 5]
     weights = colorimetry.quadrature_weights(wavelengths)
-    deflections = -LIGHT - disc.views
+    scattering_vectors = -LIGHT - disc.views
     gains = reflectance_factors.gain(
         np.broadcast_to(LIGHT, disc.views.shape),
         disc.views,
@@ -666,23 +678,27 @@ def map_methods(setup: Setup) -> Figure:
         masking=True,
     )
     rows = []
-    for name, hf, copies, factor in (
+    for name, heightfield, periods, factor in (
         ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), (1625, 26), LINE),
         ("CD", wd.gratings.disc("CD"), (2, 2), AREA),
         (setup.natural_name, setup.natural, (1, 1), AREA),
     ):
         images = {
-            "averaged": of_map(wd.brdf_map(hf, LIGHT, size=disc.size)),
-            "centred": of_map(wd.brdf_map(hf, LIGHT, size=disc.size, coherence=wd.Coherence("centred"))),
-            "3 × 3 by floor": disc.image(variants.neighbours(hf, LIGHT, disc.views, wavelengths) @ weights),
+            "averaged": of_map(wd.reflectance_map(heightfield, LIGHT, size=disc.size)),
+            "centred": of_map(
+                wd.reflectance_map(heightfield, LIGHT, size=disc.size, coherence=wd.Coherence("centred"))
+            ),
+            "3 × 3 by floor": disc.image(variants.neighbours(heightfield, LIGHT, disc.views, wavelengths) @ weights),
         }
-        many = wd.Coherence("replicas", copies=copies)
-        images["copies, exact"] = of_map(wd.brdf_map(hf, LIGHT, size=disc.size, coherence=many, tolerance=3e-2))
+        many = wd.Coherence("replicas", periods=periods)
+        images["copies, exact"] = of_map(
+            wd.reflectance_map(heightfield, LIGHT, size=disc.size, coherence=many, tolerance=3e-2)
+        )
         for how in ("linear", "sinc"):
-            rho = variants.copies(hf, LIGHT, disc.views, wavelengths, count=copies, interpolation=how)
+            rho = variants.periods(heightfield, LIGHT, disc.views, wavelengths, count=periods, interpolation=how)
             images[f"copies, {how}"] = disc.image(rho @ weights)
         for colours in ("rainbow", "cie"):
-            found = variants.stam_directions(hf, deflections, gains, colours=colours)
+            found = variants.stam_directions(heightfield, scattering_vectors, gains, colours=colours)
             images[f"Stam, {colours}"] = disc.image(found)
         # The rainbow's brightness is that of the true colours; its own highest percentile is a white highlight.
         exposures = {label: exposure(image) for label, image in images.items()}
@@ -693,26 +709,28 @@ def map_methods(setup: Setup) -> Figure:
 
 def map_orders(setup: Setup) -> Figure:
     """The shortcut by wavelengths of orders, and the library without it."""
-    hf = setup.natural
+    heightfield = setup.natural
     rows = []
     table = [["mean colour, Y = 1: X, Z", "whole disc", "within 0.05 to 0.25 of the mirror direction"]]
     colours: dict[str, list[str]] = {}
-    for name, reach in (("whole disc", 1.0), ("around the mirror direction", 0.25)):
-        disc = Disc.of(setup.pixels(240), reach=reach)
-        rho = wd.spectral_reflectance(hf, LIGHT, disc.views, WAVELENGTHS, tolerance=1e-3)
-        deflections = -LIGHT - disc.views
+    for name, neighbour_extent in (("whole disc", 1.0), ("around the mirror direction", 0.25)):
+        disc = Disc.of(setup.pixels(240), neighbour_extent=neighbour_extent)
+        rho = wd.spectral_reflectance(heightfield, LIGHT, disc.views, WAVELENGTHS, tolerance=1e-3)
+        scattering_vectors = -LIGHT - disc.views
         images = {
-            "where orders fall": variants.order_colour(rho, deflections, hf.size_um),
-            "the same, weighted by λ²": variants.order_colour(rho, deflections, hf.size_um, jacobian=True),
-            "library": wd.reflectance(hf, LIGHT, disc.views),
+            "where orders fall": variants.order_colour(rho, scattering_vectors, heightfield.size_um),
+            "the same, weighted by λ²": variants.order_colour(
+                rho, scattering_vectors, heightfield.size_um, jacobian=True
+            ),
+            "library": wd.reflectance(heightfield, LIGHT, disc.views),
         }
         radius = np.hypot(disc.views[:, 0], disc.views[:, 1])
-        chosen = (radius > 0.05) & (radius < reach)
+        chosen = (radius > 0.05) & (radius < neighbour_extent)
         for label, xyz in images.items():
             # Every direction's colour counts alike, or the mirror's tail would be all.
             mean = (xyz[chosen] / np.maximum(xyz[chosen, 1:2], 1e-12)).clip(0.0, 10.0).mean(axis=0)
             colours.setdefault(label, []).append(f"{mean[0]:.2f}, {mean[2]:.2f}")
-        exposed = AREA * exposure(disc.image(images["library"])) * (1.0 if reach == 1.0 else 0.3)
+        exposed = AREA * exposure(disc.image(images["library"])) * (1.0 if neighbour_extent == 1.0 else 0.3)
         rows.append((name, [(label, disc.image(xyz), exposed) for label, xyz in images.items()]))
     table += [[label, *values] for label, values in colours.items()]
     return mosaic(
@@ -728,11 +746,11 @@ def pictures(setup: Setup, made: Figure, views: list[tuple[str, dict[str, Any]]]
     tiles = []
     for label, options in views:
         arguments: dict[str, Any] = {
-            "mesh": snake(setup), "hf": setup.natural, "light": LIGHTS["right, behind"], "view": camera(setup),
+            "mesh": snake(setup), "heightfield": setup.natural, "light": LIGHTS["right, behind"], "view": camera(setup),
             "tolerance": 3e-2, "samples_per_pixel": 1 if setup.quick else 4, "pigment": 0.05,
         }  # fmt: skip
         image = wd.shade(**(arguments | options))
-        tiles.append((label, image.xyz, RENDERED * exposure(np.where(image.lit[..., None], image.xyz, np.nan))))
+        tiles.append((label, image.xyz, RENDERED * exposure(np.where(image.illuminated[..., None], image.xyz, np.nan))))
     rows = [("", tiles[first : first + 2]) for first in range(0, len(tiles), 2)]
     return mosaic(setup, made, rows, inch=4.2)
 
@@ -806,18 +824,19 @@ def render_stam(setup: Setup) -> Figure:
     of_disc = wd.View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=side, height=side * 7 // 10)
     cd = wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
     rows = []
-    for name, mesh, hf, light, view, factor in (
+    for name, mesh, heightfield, light, view, factor in (
         ("CD", wd.meshes.disc(), cd, wd.DirectionalLight((0.15, 0.9, 1.0)), of_disc, 6.0),
         ("skin", snake(setup), setup.natural, LIGHTS["right, behind"], camera(setup), RENDERED),
     ):
-        image = wd.shade(mesh, hf, light, view, pigment=0.0, tolerance=3e-2)
+        image = wd.shade(mesh, heightfield, light, view, pigment=0.0, tolerance=3e-2)
         colours = {
-            f"Stam, {how}": variants.stam_picture(mesh, hf, light, view, colours=how) for how in ("rainbow", "cie")
+            f"Stam, {how}": variants.stam_picture(mesh, heightfield, light, view, colours=how)
+            for how in ("rainbow", "cie")
         }
         colours["library"] = image.xyz
         tiles = []
         for label, xyz in colours.items():
-            exposed = factor * exposure(np.where(image.lit[..., None], xyz, np.nan))
+            exposed = factor * exposure(np.where(image.illuminated[..., None], xyz, np.nan))
             tiles.append((label, xyz, exposed))
         rows.append((name, tiles))
     return mosaic(

@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
     refusal: str
     warned: str
     tabled: bool
-    judged: int
+    validation_size: int
     seconds: float
     truth_seconds: float
 
@@ -85,7 +85,7 @@ def run(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, 
     t = case.tolerance
     return Outcome(
         index, case.stratum, case.layout, str(case), found.whole / t, found.bright / t, found.dim / t, found.share_dim,
-        result.plan.error / t, found.white, "", result.warned, result.plan.nodes > 0, len(chosen), seconds,
+        result.plan.error / t, found.white, "", result.warned, result.plan.rings_per_octave > 0, len(chosen), seconds,
         time.perf_counter() - begin,
     )  # fmt: skip
 
@@ -225,7 +225,7 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
     lights, views = result.to_light[chosen], result.to_view[chosen]
     for name, change in {**finer, "all of these": everything}.items():
         changed = dataclasses.replace(settings, **change)
-        again = wd.reflectance(case.hf, lights, views, illuminant=case.illuminant, plan=changed)
+        again = wd.reflectance(case.heightfield, lights, views, illuminant=case.illuminant, plan=changed)
         each = judge.figure(again, exact, weights, white=result.white)
         print(f"  with {name}: all {each.whole / t:.3g}, bright {each.bright / t:.3g}, dim {each.dim / t:.3g}")
     print("| direction | cos θi | cos θr | (u, v) | w | Y / Y* | error / tolerance | XYZ | truth |")
@@ -292,7 +292,7 @@ def main() -> int:
         f"{PREDICTED[0]:g} to {PREDICTED[1]:g}): {'not met: ' + '; '.join(short) if short else 'met'}."
     )
     circumstances = (
-        f"{'With' if scan else 'Without'} crops of the scan. {sum(each.judged for each in outcomes)} directions "
+        f"{'With' if scan else 'Without'} crops of the scan. {sum(each.validation_size for each in outcomes)} directions "
         f"judged, all of calls of fewer than {configurations.FEW}, else {judge.COUNT} and more that no plan read. "
         f"{time.perf_counter() - begin:.0f} s. {options.jobs} processes on {platform.machine()}; calls "
         f"{library:.0f} s, truths {truth:.0f} s."

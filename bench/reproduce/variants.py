@@ -2,7 +2,7 @@
 
 - ``neighbours``: the Gaussian window as a sum over the 3 × 3 coefficients that floor() finds, without the phase that
   moves the window off the transform's origin (Single 2014, eq. 3.34): a window on the patch's seam.
-- ``copies``: whole copies of the patch (eq. 3.50), whose coefficients are interpolated linearly or by a sinc (eq. 3.51)
+- ``periods``: whole copies of the patch (eq. 3.50), whose coefficients are interpolated linearly or by a sinc (eq. 3.51)
   cut off. They lack a phase, too: the sinc's is the transform of the patch with its halves swapped, its seam inside.
 - ``order_colour``: the integral over λ as a mean over the wavelengths at which an order falls on the direction.
 - ``stam_directions`` and ``stam_picture``: Stam's analytic model of ``peers.stam_analytic``.
@@ -20,12 +20,12 @@ import numpy as np
 
 import warpdiff as wd
 from bench.peers import stam_analytic
-from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.fourier import transforms
-from warpdiff.fourier.phase_series import EXPANSIONS
+from warpdiff.device.devices import resolve_device, resolve_threads
+from warpdiff.diffraction import fourier_coefficients
+from warpdiff.diffraction.phase_series import EXPANSIONS
+from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.render.frame import Frame
-from warpdiff.scene.lights import lobes_of
+from warpdiff.render.picture import Frame
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ CHUNK = 1 << 15
 
 
 def neighbours(
-    hf: wd.HeightField,
+    heightfield: wd.HeightField,
     to_light: Floats,
     to_view: Floats,
     wavelengths_nm: Floats,
@@ -54,7 +54,7 @@ def neighbours(
     """ρ by 3 × 3 coefficients around the one that floor() finds.
 
     Args:
-        hf: The height field.
+        heightfield: The height field.
         to_light: Unit vector to the light, shape (3,).
         to_view: Unit vectors to the viewer, shape (n, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,).
@@ -66,15 +66,15 @@ def neighbours(
     """
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
-        order = _spread(np.floor(position), -1, 1, hf.shape[axis])
-        away = (order - position[:, None]) / hf.size_um[axis]
+        order = _spread(np.floor(position), -1, 1, heightfield.shape[axis])
+        away = (order - position[:, None]) / heightfield.size_um[axis]
         return order, np.exp(-2.0 * (math.pi * sigma_um * away) ** 2)
 
-    return _reflectance(hf, to_light, to_view, wavelengths_nm, weights, masking=masking)
+    return _reflectance(heightfield, to_light, to_view, wavelengths_nm, weights, masking=masking)
 
 
-def copies(
-    hf: wd.HeightField,
+def periods(
+    heightfield: wd.HeightField,
     to_light: Floats,
     to_view: Floats,
     wavelengths_nm: Floats,
@@ -86,21 +86,21 @@ def copies(
     """ρ of so many copies (y, x) by ``interpolation``, "linear" or "sinc"; the rest as in :func:`neighbours`."""
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
-        if hf.shape[axis] == 1:
+        if heightfield.shape[axis] == 1:
             # One sample has the same value at every frequency: there is nothing to interpolate.
             order = np.zeros((len(position), 1))
             weight = order + 1.0
         elif interpolation == "linear":
-            order = _spread(np.floor(position), 0, 1, hf.shape[axis])
+            order = _spread(np.floor(position), 0, 1, heightfield.shape[axis])
             weight = 1.0 - np.abs(order - position[:, None])
         else:
-            order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, hf.shape[axis])
+            order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
         # sin(πNt) / (N sin(πt)) of the amplitudes, t reduced to its distance from a whole number.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
-    return _reflectance(hf, to_light, to_view, wavelengths_nm, weights, masking=masking)
+    return _reflectance(heightfield, to_light, to_view, wavelengths_nm, weights, masking=masking)
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
@@ -109,7 +109,7 @@ def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
 
 
 def _reflectance(
-    hf: wd.HeightField,
+    heightfield: wd.HeightField,
     to_light: Floats,
     to_view: Floats,
     wavelengths_nm: Floats,
@@ -122,17 +122,17 @@ def _reflectance(
     gains = reflectance_factors.gain(
         lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=masking
     )
-    deflections = -lights - to_view
+    scattering_vectors = -lights - to_view
     tau = 1e3 / np.asarray(wavelengths_nm)
-    frequency = float(np.max(np.hypot(deflections[:, 0], deflections[:, 1])) * tau.max())
-    rows, block, scale = _coefficients(hf, math.ceil(frequency))
-    u, v, w = (np.outer(part, tau).ravel() for part in deflections.T)
+    frequency = float(np.max(np.hypot(scattering_vectors[:, 0], scattering_vectors[:, 1])) * tau.max())
+    rows, block, scale = _coefficients(heightfield, math.ceil(frequency))
+    u, v, w = (np.outer(part, tau).ravel() for part in scattering_vectors.T)
     result = np.empty(len(w))
     for first in range(0, len(w), CHUNK):
         part = slice(first, first + CHUNK)
         places, factors = [], []
         for axis, along in enumerate((v, u)):
-            order, weight = weights(along[part] * hf.size_um[axis], axis)
+            order, weight = weights(along[part] * heightfield.size_um[axis], axis)
             places.append((order.astype(int) + block.origin[axis]) % block.shape[axis])
             factors.append(weight.astype(np.float32))
         basis = SERIES.basis(scale * w[part], rows.shape[2]).astype(np.float32)
@@ -143,24 +143,30 @@ def _reflectance(
                 found = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * found
         result[part] = np.abs(amplitude) ** 2
-    return gains[:, None] * result.reshape(len(deflections), len(tau))
+    return gains[:, None] * result.reshape(len(scattering_vectors), len(tau))
 
 
 @functools.lru_cache(maxsize=2)
-def _coefficients(hf: wd.HeightField, frequency: int) -> tuple[NDArray[np.complex64], transforms.Block, float]:
+def _coefficients(
+    heightfield: wd.HeightField, frequency: int
+) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
     """Rows of the coefficients up to a frequency [1/µm], which they are, and the 2πa [µm] of the series' argument."""
-    scale = 2.0 * math.pi * SERIES.offset_and_scale(hf)[1]
+    scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)
-    block = transforms.Block.covering(transforms.patch_grid(hf), frequency, (SINC_REACH + 1,) * 2)
-    return transforms.series_coefficients(hf, SERIES, terms, block, dtype=np.complex64), block, scale
+    block = fourier_coefficients.Block.covering(
+        fourier_coefficients.patch_grid(heightfield), frequency, (SINC_REACH + 1,) * 2
+    )
+    return fourier_coefficients.series_coefficients(heightfield, SERIES, terms, block, dtype=np.complex64), block, scale
 
 
-def order_colour(rho: Floats, deflections: Floats, size_um: tuple[float, float], *, jacobian: bool = False) -> Floats:
+def order_colour(
+    rho: Floats, scattering_vectors: Floats, size_um: tuple[float, float], *, jacobian: bool = False
+) -> Floats:
     """XYZ from the wavelengths L|u|/n and L|v|/n alone, as if they were evenly spread over the spectrum.
 
     Args:
         rho: ρ at 380, 381 … 780 nm, shape (n, 401); it is interpolated linearly.
-        deflections: (u, v, w), shape (n, 3).
+        scattering_vectors: (u, v, w), shape (n, 3).
         size_um: The patch's extent (y, x) [µm].
         jacobian: Whether a wavelength stands for what of the spectrum lies between it and the next, λ²/(L|u|), so that
             it weighs λ².
@@ -171,7 +177,7 @@ def order_colour(rho: Floats, deflections: Floats, size_um: tuple[float, float],
     products = colorimetry.colour_products()
     total, white = np.zeros((len(rho), 3)), np.zeros(len(rho))
     row = np.arange(len(rho))
-    for length, along in zip(size_um, (deflections[:, 1], deflections[:, 0]), strict=True):
+    for length, along in zip(size_um, (scattering_vectors[:, 1], scattering_vectors[:, 0]), strict=True):
         path = 1e3 * length * np.abs(along)
         for order in range(1, math.floor(path.max() / colorimetry.LAMBDA_MIN_NM) + 1):
             wavelength = path / order
@@ -187,19 +193,23 @@ def order_colour(rho: Floats, deflections: Floats, size_um: tuple[float, float],
     return total / np.maximum(white, 1e-30)[:, None]
 
 
-def stam_directions(hf: wd.HeightField, deflections: Floats, gains: Floats, *, colours: str) -> NDArray[np.float32]:
+def stam_directions(
+    heightfield: wd.HeightField, scattering_vectors: Floats, gains: Floats, *, colours: str
+) -> NDArray[np.float32]:
     """XYZ of Stam's analytic model, shape (n, 3); ``colours`` is "rainbow", as published, or "cie"."""
-    return stam_analytic.prepare(hf, wd.Coherence(), colours=colours)(deflections, gains, resolve_threads(None))
+    return stam_analytic.prepare(heightfield, wd.Coherence(), colours=colours)(
+        scattering_vectors, gains, resolve_threads(None)
+    )
 
 
 def stam_picture(
-    mesh: Any, hf: wd.HeightField, light: wd.DirectionalLight, view: wd.View, *, colours: str
+    mesh: Any, heightfield: wd.HeightField, light: wd.DirectionalLight, view: wd.View, *, colours: str
 ) -> NDArray[np.float32]:
     """XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
     window, normal = wd.Coherence(), reflectance_factors.normal_reflectance(1.5)
     frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
     frame.set_lights(lobes_of(light), window, 1.0, normal=normal)
-    frame.measure_directions(hf, window)
-    deflections, _, gains = frame.directions()
-    found = light.power * stam_directions(hf, deflections, np.float64(gains), colours=colours)
+    frame.measure_directions(heightfield, window)
+    scattering_vectors, _, gains = frame.directions()
+    found = light.power * stam_directions(heightfield, scattering_vectors, np.float64(gains), colours=colours)
     return np.where(gains[:, None] > 0.0, found, 0.0).reshape(view.height, view.width, 3)

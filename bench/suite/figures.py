@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core.file_writing import replacing
+from warpdiff.core.file_writing import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +39,7 @@ def save(figure: Any, folder: Path, name: str) -> Path:
     """Write a figure as PNG and SVG, each under another name until it is whole; returns the PNG."""
     folder.mkdir(parents=True, exist_ok=True)
     for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 110})):
-        with replacing(folder / f"{name}{suffix}") as unfinished:
+        with atomic_write(folder / f"{name}{suffix}") as unfinished:
             figure.savefig(unfinished, format=suffix[1:], **options)
     pyplot().close(figure)
     return folder / f"{name}.png"

@@ -52,13 +52,13 @@ def ways(quick: bool) -> dict[str, dict[str, Any]]:
 
 
 def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
-    hf = crops.surfaces(None)[SURFACE]()
+    heightfield = crops.surfaces(None)[SURFACE]()
     options = {"device": setting.device, "threads": setting.threads, "pigment": 0.0}
-    made, judged = ways(setting.quick), []
+    made, validation_size = ways(setting.quick), []
     for index in range(1 if setting.quick else CROPS):
         rng = np.random.default_rng([SEED, index, zlib.crc32(body.encode())])
-        crop = crops.crop(body, mesh, hf, 1.0, rng)
-        judged.append((crop, crops.truth(crop, TABLE)))
+        crop = crops.crop(body, mesh, heightfield, 1.0, rng)
+        validation_size.append((crop, crops.truth(crop, TABLE)))
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
 
@@ -68,7 +68,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
         view = wd.View(tuple(eye), tuple(centre), fov_y_deg=crops.FOV_DEG, width=640, height=480)
         return wd.DirectionalLight((0.1 + 0.05 * np.sin(k), 0.9, 1.2)), view
 
-    drawn = {name: wd.Renderer(mesh, hf, *moved(0), **way, **options) for name, way in made.items()}
+    drawn = {name: wd.Renderer(mesh, heightfield, *moved(0), **way, **options) for name, way in made.items()}
     number = iter(range(1, 10_000))
     taken = in_turns(
         {name: lambda r=each: r.draw(*moved(next(number))) for name, each in drawn.items()}, setting.rounds
@@ -76,10 +76,12 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     result = {}
     for name, way in made.items():
         errors = []
-        for crop, exact in judged:
+        for crop, exact in validation_size:
             plan = {"plan": drawn[name].plan, "samples_per_pixel": way.get("samples_per_pixel", 1)}
-            image = wd.shade(mesh, hf, crop.light, crop.view, **plan, refine=way.get("refine", True), **options)
-            errors.append(crops.judged(crop, exact, image).interior)
+            image = wd.shade(
+                mesh, heightfield, crop.light, crop.view, **plan, refine=way.get("refine", True), **options
+            )
+            errors.append(crops.validation_size(crop, exact, image).interior)
         every = np.concatenate(errors)
         result[name] = {
             "ms": [1e3 * each for each in taken[name][:3]],

@@ -18,10 +18,10 @@ from bench.suite import figures
 from bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
 from bench.suite.timing import in_turns
 from bench.truth import errors, reference
-from warpdiff.compute.device import resolve_device
-from warpdiff.optics.materials import LitMaterial
-from warpdiff.plans.direction_range import DirectionRange
-from warpdiff.tables.integrator import Integrator
+from warpdiff.device.devices import resolve_device
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.request.directions import DirectionRange
+from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,23 +58,27 @@ STYLES = {
 }
 
 
-def ours(hf: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Shade:
+def ours(heightfield: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Shade:
     """A plan, called like a peer."""
     import warp as wp
 
-    scope = DirectionRange.of(hf, plan.coherence, seen.deflections, seen.to_lights, seen.gains > 0.0)
+    direction_range = DirectionRange.of(
+        heightfield, plan.coherence, seen.scattering_vectors, seen.to_lights, seen.gains > 0.0
+    )
     lights: dict[int, Any] = {}
-    made: dict[int, Integrator] = {}
+    made: dict[int, ColourLookup] = {}
 
-    def shade(deflections: np.ndarray, gains: np.ndarray, threads: int) -> np.ndarray:
+    def shade(scattering_vectors: np.ndarray, gains: np.ndarray, threads: int) -> np.ndarray:
         if threads not in made:
-            made[threads] = Integrator(hf, plan, scope, device=device, threads=threads)
+            made[threads] = ColourLookup(heightfield, plan, direction_range, device=device, threads=threads)
         count = len(gains)
         if count not in lights:
             lights[count] = wp.array(np.float32(seen.some(count).to_lights), dtype=wp.vec3f, device=device)
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
-        given = wp.array(deflections, dtype=wp.vec3d, device=device), lights[count]
-        made[threads].add(*given, wp.array(np.float32(gains), dtype=wp.float32, device=device), LitMaterial("D65"), xyz)
+        given = wp.array(scattering_vectors, dtype=wp.vec3d, device=device), lights[count]
+        made[threads].add(
+            *given, wp.array(np.float32(gains), dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz
+        )
         return np.asarray(xyz.numpy())
 
     return shade
@@ -109,11 +113,11 @@ def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]
     return found
 
 
-def best(peer: Any, settings: list[dict[str, Any]], hf: wd.HeightField, coherence: wd.Coherence) -> Shade:
+def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField, coherence: wd.Coherence) -> Shade:
     """A peer at the last of its settings that it can do."""
     for each in reversed(settings):
         try:
-            return cast("Shade", peer.prepare(hf, coherence, **each))
+            return cast("Shade", peer.prepare(heightfield, coherence, **each))
         except ValueError:
             continue
     raise ValueError(f"{peer.__name__} can do none of its settings")
@@ -131,14 +135,14 @@ def label(setting: dict[str, Any]) -> str:
 def plans(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Setting) -> dict[tuple[str, str], wd.Plan]:
     """Plans of ours for the scene's pixels, by (method, tolerance)."""
     found = {}
-    pairs = seen.to_lights, -seen.deflections - seen.to_lights
+    pairs = seen.to_lights, -seen.scattering_vectors - seen.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
     tolerances = TOLERANCES[:2] if setting.quick else TOLERANCES
     for method in (AUTOMATIC, *METHODS[coherence.kind]):
         for tolerance in tolerances:
             name = "auto" if method == AUTOMATIC else method
             try:
-                plan = wd.plan(scene.hf, *pairs, tolerance=tolerance, method=name, **options)
+                plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, method=name, **options)
             except ValueError:
                 # Out of the method's reach.
                 continue
@@ -152,17 +156,17 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
     device = resolve_device(setting.device)
     few = seen.some(JUDGED // 4 if setting.quick else JUDGED)
     exact = few.gains[:, None] * reference.colours(
-        scene.hf, few.deflections, few.to_lights, coherence, tolerance=1e-3 if setting.quick else 3e-4
+        scene.heightfield, few.scattering_vectors, few.to_lights, coherence, tolerance=1e-3 if setting.quick else 3e-4
     )
     shades: dict[tuple[str, str], Shade] = {
-        key: ours(scene.hf, plan, seen, device) for key, plan in plans(scene, coherence, seen, setting).items()
+        key: ours(scene.heightfield, plan, seen, device) for key, plan in plans(scene, coherence, seen, setting).items()
     }
     before = dict(_before(scene, coherence, seen, setting))
     for name, (peer, settings) in peers(coherence).items():
         for each in settings if not setting.quick else settings[:1] + settings[1::2]:
             begin = time.perf_counter()
             try:
-                shades[name, label(each)] = peer.prepare(scene.hf, coherence, **each)
+                shades[name, label(each)] = peer.prepare(scene.heightfield, coherence, **each)
             except ValueError as error:
                 print(f"{name}, {label(each)}: {error}")
                 continue
@@ -170,15 +174,15 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
     curves: dict[str, dict[str, Any]] = {}
     calls, counts = {}, {}
     for key, shade in shades.items():
-        found = shade(few.deflections, few.gains, setting.threads)
+        found = shade(few.scattering_vectors, few.gains, setting.threads)
         some = seen.some(FEWEST)
-        shade(some.deflections, some.gains, setting.threads)
+        shade(some.scattering_vectors, some.gains, setting.threads)
         begin = time.perf_counter()
-        shade(some.deflections, some.gains, setting.threads)
+        shade(some.scattering_vectors, some.gains, setting.threads)
         each = (time.perf_counter() - begin) / len(some.gains)
         counts[key] = int(np.clip(TARGET_S / each, FEWEST, len(seen.gains)))
         timed = seen.some(counts[key])
-        calls[" | ".join(key)] = lambda s=shade, t=timed: s(t.deflections, t.gains, setting.threads)
+        calls[" | ".join(key)] = lambda s=shade, t=timed: s(t.scattering_vectors, t.gains, setting.threads)
         error = errors.relative(found, exact)
         columns = ("setting", "median", "p99", "delta_e", "us", "pixels")
         curve = curves.setdefault(key[0], {column: [] for column in columns})
@@ -199,11 +203,13 @@ def _before(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Se
     few = seen.some(FEWEST)
     for method in ("low-rank/table", "low-rank"):
         if method in METHODS[coherence.kind]:
-            hf = scene.make()
+            heightfield = scene.make()
             begin = time.perf_counter()
             options: dict[str, Any] = {"device": setting.device, "threads": setting.threads, "strict": False}
-            plan = wd.plan(hf, coherence=coherence, method=method, **options)
-            ours(hf, plan, few, resolve_device(setting.device))(few.deflections, few.gains, setting.threads)
+            plan = wd.plan(heightfield, coherence=coherence, method=method, **options)
+            ours(heightfield, plan, few, resolve_device(setting.device))(
+                few.scattering_vectors, few.gains, setting.threads
+            )
             yield method, time.perf_counter() - begin
 
 

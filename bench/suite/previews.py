@@ -10,7 +10,7 @@ import warpdiff as wd
 from bench.suite import figures, pareto
 from bench.suite.scenes import scenes
 from bench.truth import errors
-from warpdiff.compute.device import resolve_device
+from warpdiff.device.devices import resolve_device
 from warpdiff.optics.colorimetry import srgb_encode, xyz_to_rgb
 
 if TYPE_CHECKING:
@@ -30,20 +30,22 @@ def measure(setting: Setting) -> dict[str, Any]:
         if coherence.kind != "averaged" or (setting.quick and scene.name != "fingers"):
             continue
         setting.say(f"previews: {scene.title}")
-        seen, lit = scene.seen(coherence, WIDTH)
-        finest = wd.plan(scene.hf, coherence=coherence, tolerance=1e-3, device=setting.device, threads=setting.threads)
-        shades = {"warpdiff, 1e-3": pareto.ours(scene.hf, finest, seen, resolve_device(setting.device))}
+        seen, illuminated = scene.seen(coherence, WIDTH)
+        finest = wd.plan(
+            scene.heightfield, coherence=coherence, tolerance=1e-3, device=setting.device, threads=setting.threads
+        )
+        shades = {"warpdiff, 1e-3": pareto.ours(scene.heightfield, finest, seen, resolve_device(setting.device))}
         for name, (peer, settings) in pareto.peers(coherence).items():
-            shades[pareto.STYLES[name][2]] = pareto.best(peer, settings, scene.hf, coherence)
+            shades[pareto.STYLES[name][2]] = pareto.best(peer, settings, scene.heightfield, coherence)
         pictures, mine = {}, None
         for name, shade in shades.items():
-            xyz = np.float64(shade(seen.deflections, seen.gains, setting.threads))
+            xyz = np.float64(shade(seen.scattering_vectors, seen.gains, setting.threads))
             mine = xyz if mine is None else mine
             error = errors.relative(xyz, mine)
             # The brightness of the published rainbow is the artist's.
             by, exposure = (xyz, 1.0) if "rainbow" in name else (mine, EXPOSURE)
             image = np.zeros((3 * WIDTH // 4 * WIDTH, 3))
-            image[lit] = srgb_encode(exposure / np.percentile(by[:, 1], 99.0) * xyz_to_rgb(xyz))
+            image[illuminated] = srgb_encode(exposure / np.percentile(by[:, 1], 99.0) * xyz_to_rgb(xyz))
             pictures[name] = {
                 "srgb": np.uint8(np.round(255.0 * np.clip(image, 0.0, 1.0))).reshape(-1, WIDTH, 3),
                 "median": float(np.median(error)),

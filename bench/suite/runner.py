@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.core.file_writing import check_folder, replacing
+from warpdiff.core.file_writing import atomic_write, check_folder
+from warpdiff.device.devices import resolve_device, resolve_threads
 
 # Modules with measure(setting), numbers(found) and chart(found, folder), in the order of the report.
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
@@ -154,13 +154,13 @@ def commit() -> str:
 
 def write(path: Path, text: str) -> None:
     """Write a file under another name until it is whole."""
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
 
 
 def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
     """One figure a line."""
-    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("figure", "value", "least", "most", "unit"))
         writer.writerows((name, *each) for name, each in numbers.items())

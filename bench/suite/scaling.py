@@ -67,7 +67,7 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     """Measure one point, in this process."""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     p = BASE | parameters
-    hf = wd.gratings.fingers(size_um=p["size_um"], pitch_um=p["pitch_um"], height_um=p["height_um"], seed=2)
+    heightfield = wd.gratings.fingers(size_um=p["size_um"], pitch_um=p["pitch_um"], height_um=p["height_um"], seed=2)
     mesh = wd.meshes.tube(segments_along=p["along"], segments_around=max(p["along"] // 2, 3))
     view = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=p["width"], height=3 * p["width"] // 4)
     options = {"device": device, "threads": p["threads"]}
@@ -79,12 +79,12 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     before = most_memory()
     begin = time.perf_counter()
     # Of patches that are small against the window no table keeps the tolerance.
-    plan = wd.plan(hf, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
+    plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:
         lights = [wd.DirectionalLight((0.1 + 0.02 * k + 0.1 * i, 0.9, 1.2)) for i in range(p["lights"])]
         start = time.perf_counter()
-        wd.shade(mesh, hf, lights, view, plan=plan, footprint=plan.nodes > 0, **options)
+        wd.shade(mesh, heightfield, lights, view, plan=plan, footprint=plan.rings_per_octave > 0, **options)
         return time.perf_counter() - start
 
     frame(0)

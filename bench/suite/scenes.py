@@ -11,10 +11,10 @@ import numpy as np
 import warpdiff as wd
 from bench import inputs
 from warpdiff import meshes
-from warpdiff.compute.device import resolve_device, resolve_threads
+from warpdiff.device.devices import resolve_device, resolve_threads
+from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics import reflectance_factors
-from warpdiff.render.frame import Frame
-from warpdiff.scene.lights import lobes_of
+from warpdiff.render.picture import Frame
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Directions(NamedTuple):
     """Directions to the light, deflections (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
 
     to_lights: np.ndarray
-    deflections: np.ndarray
+    scattering_vectors: np.ndarray
     gains: np.ndarray
 
     def some(self, count: int) -> Directions:
@@ -66,7 +66,7 @@ class Scene:
     coherences: tuple[wd.Coherence, ...]
 
     @functools.cached_property
-    def hf(self) -> wd.HeightField:
+    def heightfield(self) -> wd.HeightField:
         """The height field."""
         return self.make()
 
@@ -76,19 +76,21 @@ class Scene:
 
     def seen(self, coherence: wd.Coherence, width: int = WIDTH) -> tuple[Directions, np.ndarray]:
         """What the lit pixels of a picture see, and which pixels (n,) these are."""
-        return seen(self.mesh, self.light, self.view(width), self.hf, coherence)
+        return seen(self.mesh, self.light, self.view(width), self.heightfield, coherence)
 
 
 def seen(
-    mesh: Any, light: wd.DirectionalLight, view: wd.View, hf: wd.HeightField, coherence: wd.Coherence
+    mesh: Any, light: wd.DirectionalLight, view: wd.View, heightfield: wd.HeightField, coherence: wd.Coherence
 ) -> tuple[Directions, np.ndarray]:
     """What the lit pixels of a picture see, and which pixels (n,) these are."""
     frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
     frame.set_lights(lobes_of(light), coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
-    frame.measure_directions(hf, coherence)
-    deflections, to_lights, gains = frame.directions()
-    lit = np.flatnonzero(gains > 0.0)
-    return Directions(np.float64(to_lights[lit]), deflections[lit], np.float64(gains[lit])), lit
+    frame.measure_directions(heightfield, coherence)
+    scattering_vectors, to_lights, gains = frame.directions()
+    illuminated = np.flatnonzero(gains > 0.0)
+    return Directions(
+        np.float64(to_lights[illuminated]), scattering_vectors[illuminated], np.float64(gains[illuminated])
+    ), illuminated
 
 
 def scenes(data: Path | None) -> list[Scene]:
@@ -130,7 +132,7 @@ def scenes(data: Path | None) -> list[Scene]:
         Scene("disc", "compact disc, 64 µm", disc, **on_disc, coherences=(averaged,)),
         Scene(
             "blazed", "blazed grating, 2.5 µm, 10 periods", blazed, **on_disc,
-            coherences=(wd.Coherence("replicas", copies=(1, 10)),),
+            coherences=(wd.Coherence("replicas", periods=(1, 10)),),
         ),
     ]  # fmt: skip
     if measured:

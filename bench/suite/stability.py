@@ -16,7 +16,7 @@ import warpdiff as wd
 from bench.suite import figures
 from bench.truth import numpy_methods as methods
 from bench.truth import reference
-from warpdiff.fourier import direct_sum
+from warpdiff.diffraction import direct_sum
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,14 +83,14 @@ class Points:
         self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
 
     def automatic(
-        self, hf: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence, exact: np.ndarray,
+        self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence, exact: np.ndarray,
         name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
         """Set the error of the automatic choice."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
-        xyz, message = methods.outcome(wd.reflectance, hf, lights, views, **arguments)
+        xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:
-            xyz = methods.best_effort(wd.reflectance, hf, lights, views, **arguments)
+            xyz = methods.best_effort(wd.reflectance, heightfield, lights, views, **arguments)
             at = len(self._points) - 1
             print(f"point {at}, {name}: {message}")
             self.told.setdefault(name, [])
@@ -98,26 +98,31 @@ class Points:
         self.add(name, methods.colour_error(xyz, exact))
 
     def fixed_steps(
-        self, hf: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence, exact: np.ndarray
+        self,
+        heightfield: wd.HeightField,
+        lights: np.ndarray,
+        views: np.ndarray,
+        coherence: wd.Coherence,
+        exact: np.ndarray,
     ) -> None:
         """Set the errors of wavelengths 5 nm and 1 nm apart."""
         for step, label in STEPS.items():
-            found = methods.fixed_step_colour(hf, lights, views, step, coherence)
+            found = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
             self.add(label, methods.colour_error(found, exact))
 
     def neighbourhoods(
-        self, hf: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
+        self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
     ) -> None:
         """Set the errors of 3 × 3 coefficients against all of them, on the same wavelengths."""
         wavelengths, weights = methods.fixed_steps(step_nm)
 
         def colour(**keywords: Any) -> np.ndarray:
-            found = methods.series_reflectance(hf, lights, views, wavelengths * 1e-3, sigma=sigma, **keywords)
+            found = methods.series_reflectance(heightfield, lights, views, wavelengths * 1e-3, sigma=sigma, **keywords)
             return np.asarray(found @ weights)
 
         exact = colour()
-        self.add(FLOOR, methods.colour_error(colour(reach=1, floor=True), exact))
-        self.add(ROUNDED, methods.colour_error(colour(reach=1), exact))
+        self.add(FLOOR, methods.colour_error(colour(neighbour_extent=1, floor=True), exact))
+        self.add(ROUNDED, methods.colour_error(colour(neighbour_extent=1), exact))
 
     def panel(self, title: str, axis: str, x: Any, note: str, ticks: tuple[float, ...]) -> Panel:
         """All of them."""
@@ -133,21 +138,26 @@ def height_range(which: slice = ALL) -> Panel:
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
     for height in x:
         points.start()
-        hf = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
-        exact = reference.reference_spectral(hf, lights, views, WAVELENGTHS_UM, window)
-        request = {"hf": hf, "to_light": lights, "to_view": views, "wavelengths_nm": 1e3 * WAVELENGTHS_UM}
+        heightfield = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
+        exact = reference.reference_spectral(heightfield, lights, views, WAVELENGTHS_UM, window)
+        request = {
+            "heightfield": heightfield,
+            "to_light": lights,
+            "to_view": views,
+            "wavelengths_nm": 1e3 * WAVELENGTHS_UM,
+        }
         for name, label in SERIES.items():
             singles = methods.best_effort(
                 wd.spectral_reflectance, **request, coherence=window, method=name, tolerance=FINEST
             )
-            terms = methods.most_terms(hf, name, 2.0 / WAVELENGTHS_UM[0])
+            terms = methods.most_terms(heightfield, name, 2.0 / WAVELENGTHS_UM[0])
             doubles = methods.series_reflectance(
-                hf, lights, views, WAVELENGTHS_UM, sigma=sigma, method=name, terms=terms
+                heightfield, lights, views, WAVELENGTHS_UM, sigma=sigma, method=name, terms=terms
             )
             points.add(label, methods.spectral_error(singles, exact))
             points.add(label + FLOAT64, methods.spectral_error(doubles, exact))
         published = methods.series_reflectance(
-            hf, lights, views, WAVELENGTHS_UM, sigma=sigma, method="taylor-uncentred", terms=methods.PUBLISHED_TERMS,
+            heightfield, lights, views, WAVELENGTHS_UM, sigma=sigma, method="taylor-uncentred", terms=methods.PUBLISHED_TERMS,
             dtype=np.float32,
         )  # fmt: skip
         points.add(PUBLISHED, methods.spectral_error(published, exact))
@@ -159,17 +169,17 @@ def height_range(which: slice = ALL) -> Panel:
 
 def window_width(which: slice = ALL) -> Panel:
     """Neighbourhoods fail under short windows, fixed wavelengths under long ones."""
-    hf, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
+    heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
     for sigma in x.tolist():
         points.start()
         window, centred = wd.Coherence(sigma_um=sigma), wd.Coherence("centred", sigma)
-        exact = reference.reference_reflectance(hf, lights, views, window)
-        points.fixed_steps(hf, lights, views, window, exact)
-        points.neighbourhoods(hf, lights, views, sigma, min(1.0, 10.0 / sigma))
-        points.automatic(hf, lights, views, window, exact)
-        exact = reference.reference_reflectance(hf, lights, views, centred)
-        points.automatic(hf, lights, views, centred, exact, AUTOMATIC_CENTRED)
+        exact = reference.reference_reflectance(heightfield, lights, views, window)
+        points.fixed_steps(heightfield, lights, views, window, exact)
+        points.neighbourhoods(heightfield, lights, views, sigma, min(1.0, 10.0 / sigma))
+        points.automatic(heightfield, lights, views, window, exact)
+        exact = reference.reference_reflectance(heightfield, lights, views, centred)
+        points.automatic(heightfield, lights, views, centred, exact, AUTOMATIC_CENTRED)
     return points.panel("window", "σ of the window [µm]", x, "line of 25.6 µm", (1, 10, 100, 1000))
 
 
@@ -179,11 +189,11 @@ def patch_size(which: slice = ALL) -> Panel:
     window, x, points = wd.Coherence(), (2.0, 3.0, 5.0, 8.0, 12.5, 20.0, 32.0, 50.0, 70.0, 100.0)[which], Points()
     for size in x:
         points.start()
-        hf = wd.gratings.fingers(size_um=size, pitch_um=0.09, length_um=min(3.0, size), seed=4)
-        exact = reference.reference_reflectance(hf, lights, views, window)
-        points.fixed_steps(hf, lights, views, window, exact)
-        points.neighbourhoods(hf, lights, views, 16.25, 1.0)
-        points.automatic(hf, lights, views, window, exact)
+        heightfield = wd.gratings.fingers(size_um=size, pitch_um=0.09, length_um=min(3.0, size), seed=4)
+        exact = reference.reference_reflectance(heightfield, lights, views, window)
+        points.fixed_steps(heightfield, lights, views, window, exact)
+        points.neighbourhoods(heightfield, lights, views, 16.25, 1.0)
+        points.automatic(heightfield, lights, views, window, exact)
     return points.panel("patch", "side of the patch [µm]", x, "fingers, σ = 16.25 µm", (2, 5, 10, 20, 50, 100))
 
 
@@ -194,18 +204,18 @@ def tilted_up(directions: np.ndarray) -> np.ndarray:
     return moved
 
 
-def lateral(which: slice = ALL) -> Panel:
+def order_rate(which: slice = ALL) -> Panel:
     """Fixed wavelengths fail far from the mirror direction, one point an order close to it."""
     x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
-    hf, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
+    heightfield, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
     for seed, across in enumerate(x):
         points.start()
         lights, views = methods.with_lateral(64, across, seed)
-        exact = reference.reference_reflectance(hf, lights, views, window)
-        points.fixed_steps(hf, lights, views, window, exact)
-        one_point = methods.order_wise_colour(hf, lights, views, sigma=16.25)
+        exact = reference.reference_reflectance(heightfield, lights, views, window)
+        points.fixed_steps(heightfield, lights, views, window, exact)
+        one_point = methods.order_wise_colour(heightfield, lights, views, sigma=16.25)
         points.add(ORDER_WISE, methods.colour_error(one_point, exact))
-        points.automatic(hf, lights, views, window, exact)
+        points.automatic(heightfield, lights, views, window, exact)
     ticks = (0.01, 0.03, 0.1, 0.3, 1, 2)
     return points.panel("distance from the mirror", "|(u, v)|", x, "fingers, 25.6 µm", ticks)
 
@@ -213,7 +223,7 @@ def lateral(which: slice = ALL) -> Panel:
 def grazing(which: slice = ALL) -> Panel:
     """1 + ωi·ωr cancels at the mirror direction towards the horizon, and a source is foreshortened without end."""
     window, source = wd.Coherence(), wd.Coherence("source")
-    hf = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)
     x, points = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 45.0)[which], Points()
     wavelengths, weights = methods.fixed_steps(1.0)
     for seed, elevation in enumerate(x):
@@ -221,17 +231,17 @@ def grazing(which: slice = ALL) -> Panel:
         # The mirror direction's brightness would hide all others: the worse of two calls.
         for spread in (0.1, None):
             lights, views = methods.at_elevation(48, elevation, spread, seed)
-            same = reference.reference_spectral(hf, lights, views, wavelengths * 1e-3, window)
-            single = methods.single_precision(hf, lights, views, wavelengths * 1e-3, sigma=16.25)
+            same = reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, window)
+            single = methods.single_precision(heightfield, lights, views, wavelengths * 1e-3, sigma=16.25)
             points.add(SINGLE, methods.colour_error(single @ weights, same @ weights))
-            exact = reference.reference_reflectance(hf, lights, views, window)
-            points.fixed_steps(hf, lights, views, window, exact)
-            points.automatic(hf, lights, views, window, exact)
-            exact = reference.reference_reflectance(hf, lights, views, source)
+            exact = reference.reference_reflectance(heightfield, lights, views, window)
+            points.fixed_steps(heightfield, lights, views, window, exact)
+            points.automatic(heightfield, lights, views, window, exact)
+            exact = reference.reference_reflectance(heightfield, lights, views, source)
             if spread is not None:
-                facing = methods.unforeshortened_colour(hf, lights, views, source)
+                facing = methods.unforeshortened_colour(heightfield, lights, views, source)
                 points.add(FACING, methods.colour_error(facing, exact))
-            points.automatic(hf, lights, views, source, exact, AUTOMATIC_SOURCE)
+            points.automatic(heightfield, lights, views, source, exact, AUTOMATIC_SOURCE)
     axis, ticks = "both so far above the horizon [°]", (0.1, 0.3, 1, 3, 10, 45)
     return points.panel("grazing light and view", axis, x, "fingers, 6.4 µm", ticks)
 
@@ -239,13 +249,13 @@ def grazing(which: slice = ALL) -> Panel:
 def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
     """XYZ of a sine that no sample stands for: |H_m|² = J_m(πκ·depth)², in the plane of incidence."""
     tau, weights = reference.quadrature(512, "D65")
-    deflections = -(lights + views)
+    scattering_vectors = -(lights + views)
     total = np.zeros((len(lights), len(tau)))
     theta = 2.0 * math.pi * np.arange(256) / 256
-    wave = np.exp(1j * math.pi * depth * deflections[:, 2][:, None, None] * tau[:, None] * np.sin(theta))
+    wave = np.exp(1j * math.pi * depth * scattering_vectors[:, 2][:, None, None] * tau[:, None] * np.sin(theta))
     orders = np.fft.fft(wave, axis=-1) / len(theta)
     for m in range(-40, 41):
-        away = deflections[:, :1] * tau - m / period
+        away = scattering_vectors[:, :1] * tau - m / period
         total += np.abs(orders[..., m]) ** 2 * np.exp(-4.0 * (math.pi * sigma * away) ** 2)
     return np.asarray(reference.gain(lights, views)[:, None] * total @ weights)
 
@@ -258,32 +268,38 @@ def pitch(which: slice = ALL) -> Panel:
     samples, points = (80, 56, 40, 32, 26, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4)[which], Points()
     for count in samples:
         points.start()
-        hf = wd.gratings.sinusoidal(period, depth, samples=count)
-        points.add(SAMPLED, methods.colour_error(reference.reference_reflectance(hf, lights, views, window), exact))
-        points.automatic(hf.resampled(0.02), lights, views, window, exact, RESAMPLED)
-        points.automatic(hf, lights, views, window, exact)
+        heightfield = wd.gratings.sinusoidal(period, depth, samples=count)
+        points.add(
+            SAMPLED, methods.colour_error(reference.reference_reflectance(heightfield, lights, views, window), exact)
+        )
+        points.automatic(heightfield.resampled(0.02), lights, views, window, exact, RESAMPLED)
+        points.automatic(heightfield, lights, views, window, exact)
     limit = 0.38 / (2.0 * np.abs((lights + views)[:, 0]).max())
     note, ticks = f"sine; limit {limit:.2f} µm", (0.02, 0.05, 0.1, 0.2, 0.4)
     return points.panel("pitch at its limit", "pitch [µm]", period / np.array(samples), note, ticks)
 
 
-def copies(which: slice = ALL) -> Panel:
+def periods(which: slice = ALL) -> Panel:
     """A thousand copies near whole turns from one to the next."""
     count, wavelength = 1000, 0.5
-    hf, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", copies=(1, count))
+    heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
     for away in x.tolist():
         points.start()
-        lights, views = methods.near_resonance(hf, away, wavelength)
-        deflections, gain = -(lights + views), reference.gain(lights, views)
+        lights, views = methods.near_resonance(heightfield, away, wavelength)
+        scattering_vectors, gain = -(lights + views), reference.gain(lights, views)
         # As the vectors have it, to the last digit.
-        turns = deflections[:, 0] / wavelength * hf.size_um[1]
+        turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
-            direct_sum.window_power(hf, each, deflections, np.array([wavelength]))[:, 0]
-            for each in (coherence, wd.Coherence("replicas", copies=(1, 1)))
+            direct_sum.window_power(heightfield, each, scattering_vectors, np.array([wavelength]))[:, 0]
+            for each in (coherence, wd.Coherence("replicas", periods=(1, 1)))
         )
-        nearest = np.array([methods.nearest_orders_power(hf, each, wavelength, 3) for each in deflections])
-        found = wd.spectral_reflectance(hf, lights, views, 1e3 * wavelength, coherence=coherence, tolerance=TOLERANCE)
+        nearest = np.array(
+            [methods.nearest_orders_power(heightfield, each, wavelength, 3) for each in scattering_vectors]
+        )
+        found = wd.spectral_reflectance(
+            heightfield, lights, views, 1e3 * wavelength, coherence=coherence, tolerance=TOLERANCE
+        )
         for name, power in {
             PQ: methods.published_copies(turns, count, np.float32) * patch,
             PQ64: methods.published_copies(turns, count) * patch,
@@ -301,23 +317,23 @@ def wavelength_steps(which: slice = ALL) -> Panel:
     lights, views = methods.hemisphere_pairs(64)
     x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
     for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):
-        hf, window = wd.gratings.fingers(size_um=size, pitch_um=0.09, seed=4), wd.Coherence(sigma_um=sigma)
-        cases.append((name, hf, window, reference.reference_reflectance(hf, lights, views, window)))
+        heightfield, window = wd.gratings.fingers(size_um=size, pitch_um=0.09, seed=4), wd.Coherence(sigma_um=sigma)
+        cases.append((name, heightfield, window, reference.reference_reflectance(heightfield, lights, views, window)))
     for step in x:
         points.start()
-        for name, hf, window, exact in cases:
-            fixed = methods.fixed_step_colour(hf, lights, views, step, window)
-            equal = methods.wavenumber_colour(hf, lights, views, round(400.0 / step) + 1, window)
+        for name, heightfield, window, exact in cases:
+            fixed = methods.fixed_step_colour(heightfield, lights, views, step, window)
+            equal = methods.wavenumber_colour(heightfield, lights, views, round(400.0 / step) + 1, window)
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
             # It has no steps to be told: a level line, the worse of both.
-            points.automatic(hf, lights, views, window, exact)
+            points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
     )
 
 
-REGIMES = (height_range, window_width, patch_size, lateral, grazing, pitch, copies, wavelength_steps)
+REGIMES = (height_range, window_width, patch_size, order_rate, grazing, pitch, periods, wavelength_steps)
 
 # Colours of ColorBrewer and their kind: a family of methods has a family of hues.
 RED, ORANGE, BLUE, TEAL, PURPLE = "#b2182b", "#e08214", "#1b6cb5", "#1a9879", "#7b4fa3"

@@ -26,8 +26,8 @@ import numpy as np
 
 import warpdiff as wd
 from bench.suite import figures
+from warpdiff.heightfield.scalar_validity import UNTRUSTED, error_bound
 from warpdiff.optics import reflectance_factors
-from warpdiff.surface.scalar_validity import UNTRUSTED, error_bound
 
 if TYPE_CHECKING:
     from bench.suite.runner import Setting
@@ -168,10 +168,10 @@ def errors(shape: str, index: float | None, period: float, depth: float, angle: 
     """Largest error of an order, and largest relative one of orders of more than a hundredth."""
     exact, ours = flat_reflectance(index, angle)
     right = np.array(row[1:]) * UNIT / exact
-    hf = GRATINGS[shape](period, depth, samples=SAMPLES)
+    heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
     # Lengths are in wavelengths: of 1 µm here.
-    scalar = wd.order_efficiencies(hf, light, 1000.0, ior=index or math.inf, energy="stam")
+    scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
     found = np.array([scalar[0, row[0] + n][0] for n in range(len(right))]) / ours
     strong = right > STRONG
     return [float(np.max(np.abs(found - right))), float(np.max(np.abs(found - right)[strong] / right[strong]))]

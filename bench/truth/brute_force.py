@@ -69,9 +69,9 @@ def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents,
     geometric = np.cross(p1 - p0, p2 - p0)
     geometric /= np.linalg.norm(geometric, axis=1, keepdims=True)
     away = -directions
-    turned = np.where(np.sum(geometric * away, axis=1) < 0.0, -1.0, 1.0)[:, None]
+    rotated = np.where(np.sum(geometric * away, axis=1) < 0.0, -1.0, 1.0)[:, None]
     n = np.einsum("kc,kcd->kd", bary, normals[corners]) if smooth else geometric
-    n = turned * n / np.linalg.norm(n, axis=1, keepdims=True)
+    n = rotated * n / np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.sum(n * away, axis=1, keepdims=True)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
     # In the plane of n and the view, at the angle whose cosine is 0.01.

@@ -67,7 +67,7 @@ class Configuration(NamedTuple):
 
     index: int
     seed: int
-    hf: wd.HeightField
+    heightfield: wd.HeightField
     coherence: wd.Coherence
     tolerance: float
     illuminant: str
@@ -85,10 +85,10 @@ class Configuration(NamedTuple):
         return self.coherence.kind, self.tolerance
 
     def __str__(self):
-        pitch = " × ".join(f"{p:.3g}" for p in self.hf.pitch_um)
-        size = " × ".join(f"{s:.3g}" for s in self.hf.size_um)
+        pitch = " × ".join(f"{p:.3g}" for p in self.heightfield.pitch_um)
+        size = " × ".join(f"{s:.3g}" for s in self.heightfield.size_um)
         return (
-            f"{self.surface}, {size} µm, pitch {pitch}, height range {self.hf.height_range_um:.3g} µm; {self.coherence}"
+            f"{self.surface}, {size} µm, pitch {pitch}, height range {self.heightfield.height_range_um:.3g} µm; {self.coherence}"
             f"; tolerance {self.tolerance:g}; {self.words}; {self.illuminant}"
             f"{'' if self.material is None else f'; {self.material}'}"
         )
@@ -100,13 +100,15 @@ def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
     names = GRATINGS if layout == "map" else SURFACES
-    hf, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
-    coherence = a_coherence(rng, kind, hf)
+    heightfield, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
+    coherence = a_coherence(rng, kind, heightfield)
     illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
     # Drawn apart, so that all else of a seed stays as it was.
     apart = np.random.default_rng([seed, index, 26])
     material = MATERIALS[apart.integers(len(MATERIALS))] if apart.random() < 0.5 else None
-    case = Configuration(index, seed, hf, coherence, tolerance, illuminant, name, layout, "", material=material)
+    case = Configuration(
+        index, seed, heightfield, coherence, tolerance, illuminant, name, layout, "", material=material
+    )
     most = MOST_COPIES if kind == "replicas" else MOST_SAMPLED if tolerance < 1e-2 else MOST
     if layout == "frame":
         return a_frame(rng, case, most)
@@ -127,9 +129,9 @@ def surface(rng, name, scan, *, small=False):
     if name == "scan" and scan is not None:
         size = log_uniform(rng, 2.0, 60.0)
         place = tuple(rng.uniform(0.0, length - size - 0.1) for length in scan.size_um)
-        hf = scan.cropped(size, offset_um=place)
-        if rng.random() < 0.3 or hf.heights_um.size > MOST_PATCH_SAMPLES >= (size / COARSEST_PITCH_UM) ** 2:
-            hf = hf.resampled(rng.uniform(hf.pitch_um[0], 0.09) if not small else 0.09)
+        heightfield = scan.cropped(size, offset_um=place)
+        if rng.random() < 0.3 or heightfield.heights_um.size > MOST_PATCH_SAMPLES >= (size / COARSEST_PITCH_UM) ** 2:
+            heightfield = heightfield.resampled(rng.uniform(heightfield.pitch_um[0], 0.09) if not small else 0.09)
     elif name in {"scan", "fingers", "diagonal"}:
         name = "fingers" if name == "scan" else name
         period, length = log_uniform(rng, 0.8, 2.0), log_uniform(rng, 1.0, 5.0)
@@ -137,30 +139,30 @@ def surface(rng, name, scan, *, small=False):
         pitch = 0.09 if small else rng.uniform(0.05, 0.09)
         if name == "diagonal":
             size = (max(size), max(size))
-        hf = wd.gratings.fingers(size_um=size, pitch_um=pitch, period_um=period, length_um=length, seed=seed)
+        heightfield = wd.gratings.fingers(size_um=size, pitch_um=pitch, period_um=period, length_um=length, seed=seed)
         if name == "diagonal":
-            hf = diagonal(rng, hf)
+            heightfield = diagonal(rng, heightfield)
     elif name in {"sinusoidal", "blazed"}:
-        hf = getattr(wd.gratings, name)(log_uniform(rng, 0.5, 20.0), 1.0)
+        heightfield = getattr(wd.gratings, name)(log_uniform(rng, 0.5, 20.0), 1.0)
     elif name == "lamellar":
-        hf = wd.gratings.lamellar(log_uniform(rng, 0.5, 20.0), 1.0, duty=rng.uniform(0.1, 0.9))
+        heightfield = wd.gratings.lamellar(log_uniform(rng, 0.5, 20.0), 1.0, duty=rng.uniform(0.1, 0.9))
     elif name == "disc":
         kind = ("CD", "DVD", "Blu-ray")[rng.integers(3)]
         track, least, pitch = {"CD": (1.6, 12.3, 0.09), "DVD": (0.74, 5.9, 0.09), "Blu-ray": (0.32, 2.4, 0.064)}[kind]
         tracks, length = max(1, round(log_uniform(rng, 2.0, 25.6) / track)), log_uniform(rng, least, 25.6)
         if not small:
             pitch = rng.uniform(0.04, pitch)
-        hf = wd.gratings.disc(kind, tracks=tracks, length_um=length, pitch_um=pitch, seed=seed)
+        heightfield = wd.gratings.disc(kind, tracks=tracks, length_um=length, pitch_um=pitch, seed=seed)
         name = f"disc {kind}"
     elif name == "rough":
-        hf = rough(rng)
+        heightfield = rough(rng)
     else:
         length, width = log_uniform(rng, 0.3, 3.0), log_uniform(rng, 0.3, 3.0)
         apart = (1.0, 3.0) if name == "bumps" else (5.0, 12.0)
         spacing = tuple(min(each * log_uniform(rng, *apart), 25.0) for each in (length, width))
         pitch = rng.uniform(0.04, 0.09)
-        hf = wd.gratings.bumps(width_um=width, length_um=length, spacing_um=spacing, pitch_um=pitch)
-    heights, pitch = hf.heights_um, hf.pitch_um
+        heightfield = wd.gratings.bumps(width_um=width, length_um=length, spacing_um=spacing, pitch_um=pitch)
+    heights, pitch = heightfield.heights_um, heightfield.pitch_um
     if small:
         heights = fewer(heights)
     scale = np.ptp(heights)
@@ -169,12 +171,12 @@ def surface(rng, name, scan, *, small=False):
     return wd.HeightField.of_known_scale(heights * (log_uniform(rng, 0.001, 3.0) / scale), pitch), name
 
 
-def diagonal(rng, hf):
+def diagonal(rng, heightfield):
     """Ridges along the diagonal of a square patch, which stays periodic, with some roughness on them."""
-    n = min(hf.shape)
+    n = min(heightfield.shape)
     rows, columns = np.mgrid[:n, :n]
-    ridges = hf.heights_um[rows, (columns + rows) % n]
-    return wd.HeightField.of_known_scale(ridges + 0.1 * np.ptp(ridges) * rng.normal(size=(n, n)), hf.pitch_um)
+    ridges = heightfield.heights_um[rows, (columns + rows) % n]
+    return wd.HeightField.of_known_scale(ridges + 0.1 * np.ptp(ridges) * rng.normal(size=(n, n)), heightfield.pitch_um)
 
 
 def rough(rng):
@@ -196,16 +198,16 @@ def fewer(heights):
     return heights[:ny, :nx]
 
 
-def a_coherence(rng, kind, hf):
-    """A window, source or number of copies."""
+def a_coherence(rng, kind, heightfield):
+    """A window, source or number of periods."""
     if kind == "source":
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":
-        most = [max(1.0, min(3000.0, MOST_IN_STEP_UM / length)) for length in hf.size_um]
-        return wd.Coherence(kind, copies=tuple(max(1, round(log_uniform(rng, 1.0, each))) for each in most))
+        most = [max(1.0, min(3000.0, MOST_IN_STEP_UM / length)) for length in heightfield.size_um]
+        return wd.Coherence(kind, periods=tuple(max(1, round(log_uniform(rng, 1.0, each))) for each in most))
     centre = None
     if kind == "centred" and rng.random() < 0.5:
-        centre = tuple(float(rng.uniform(0.0, length)) for length in hf.size_um)
+        centre = tuple(float(rng.uniform(0.0, length)) for length in heightfield.size_um)
     # The default half of the time.
     sigma = 16.25 if rng.random() < 0.5 else log_uniform(rng, 3.0, 65.0)
     return wd.Coherence(kind, sigma, centre_um=centre)
@@ -228,7 +230,7 @@ def a_list(rng, case, most):
     views = np.zeros((count, 3))
     ways = np.array(WAYS[:4])[rng.integers(4, size=count)] if way == "mixed" else np.full(count, way)
     for each in np.unique(ways):
-        views[ways == each] = some_views(rng, each, lights[ways == each], spread, case.hf, case.coherence)
+        views[ways == each] = some_views(rng, each, lights[ways == each], spread, case.heightfield, case.coherence)
     order = ("as drawn", "sorted by u", "sorted by w")[rng.integers(3)]
     if order != "as drawn":
         by = np.argsort((lights + views)[:, 0 if order == "sorted by u" else 2], kind="stable")
@@ -244,7 +246,7 @@ def a_list(rng, case, most):
     return case._replace(to_light=lights, to_view=views, words=words)
 
 
-def some_views(rng, way, lights, spread, hf, coherence):
+def some_views(rng, way, lights, spread, heightfield, coherence):
     """A unit vector not beyond the steepest view for each light."""
     views = np.zeros_like(lights)
     left = np.arange(len(lights))
@@ -259,22 +261,22 @@ def some_views(rng, way, lights, spread, hf, coherence):
             found = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(left), 3))
             found /= np.linalg.norm(found, axis=1, keepdims=True)
         elif way == "orders":
-            found = by_an_order(rng, light, found, hf, coherence)
+            found = by_an_order(rng, light, found, heightfield, coherence)
         fine = found[:, 2] >= LOWEST
         views[left[fine]] = found[fine]
         left = left[~fine]
     return views
 
 
-def by_an_order(rng, lights, views, hf, coherence):
+def by_an_order(rng, lights, views, heightfield, coherence):
     """Views by the order that is nearest at a random wavelength, some widths of its lobe away; z = −1 below."""
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
-    lengths = np.array([hf.size_um[1], hf.size_um[0]])
+    lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])
     orders = np.rint(-(lights + views)[:, :2] / wavelength * lengths)
     # An axis of one sample is constant: it has no order but 0.
-    orders[:, [hf.shape[1] == 1, hf.shape[0] == 1]] = 0.0
+    orders[:, [heightfield.shape[1] == 1, heightfield.shape[0] == 1]] = 0.0
     if coherence.kind == "replicas":
-        width = wavelength / (lengths * np.array(coherence.copies[::-1]))
+        width = wavelength / (lengths * np.array(coherence.periods[::-1]))
     elif coherence.kind == "source":
         width = coherence.spread
     else:

@@ -11,7 +11,7 @@ import numpy as np
 FLOOR = 1e-3
 
 
-def brightness(luminance: np.ndarray, weights: np.ndarray | None = None) -> float:
+def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None) -> float:
     """Y*: the larger of percentile 99 of Y and the luminance-weighted median of Y."""
     weights = np.ones(len(luminance)) if weights is None else weights
     return max(percentile(luminance, weights, 0.99), percentile(luminance, weights * luminance, 0.5))
@@ -28,7 +28,7 @@ def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
 
 def relative(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """The design's, (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f)."""
-    size = np.maximum(np.linalg.norm(exact, axis=1), FLOOR * brightness(exact[:, 1]))
+    size = np.maximum(np.linalg.norm(exact, axis=1), FLOOR * reference_luminance(exact[:, 1]))
     return np.asarray(np.linalg.norm(found - exact, axis=1) / size)
 
 

@@ -18,9 +18,9 @@ import warpdiff as wd
 from bench.suite import scenes
 from bench.truth import reference
 from bench.truth.configurations import FEW, Configuration
-from bench.truth.errors import FLOOR, brightness, percentile
-from warpdiff.kernels.limits import HORIZON
-from warpdiff.planning import trial
+from bench.truth.errors import FLOOR, percentile, reference_luminance
+from warpdiff.kernels.thresholds import HORIZON
+from warpdiff.planner import trial
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,7 +49,7 @@ class Result(NamedTuple):
     @property
     def white(self) -> float:
         """Y* of all directions, as the call has it."""
-        return brightness(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
+        return reference_luminance(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
 
 
 class Figure(NamedTuple):
@@ -74,9 +74,11 @@ def witnessed() -> Iterator[list[np.ndarray]]:
     seen: list[np.ndarray] = []
 
     class Witness(trial.Trial):
-        def __init__(self, plan: Any, hf: Any, scope: Any, sample: Any, *others: Any, **options: Any) -> None:
-            seen.append(sample.deflections)
-            super().__init__(plan, hf, scope, sample, *others, **options)
+        def __init__(
+            self, plan: Any, heightfield: Any, direction_range: Any, sample: Any, *others: Any, **options: Any
+        ) -> None:
+            seen.append(sample.scattering_vectors)
+            super().__init__(plan, heightfield, direction_range, sample, *others, **options)
 
     original, trial.Trial = trial.Trial, Witness  # type: ignore[misc]
     try:
@@ -96,13 +98,17 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
         if case.picture is not None:
             picture = case.picture
             image = wd.shade(
-                picture.mesh, case.hf, picture.light, picture.view, footprint=False, pigment=0.0, **arguments
+                picture.mesh, case.heightfield, picture.light, picture.view, footprint=False, pigment=0.0, **arguments
             )
-            directions, lit = scenes.seen(picture.mesh, picture.light, picture.view, case.hf, case.coherence)
-            xyz, plan = image.xyz.reshape(-1, 3)[lit], image.plan
-            lights, views = directions.to_lights, -directions.deflections - directions.to_lights
+            directions, illuminated = scenes.seen(
+                picture.mesh, picture.light, picture.view, case.heightfield, case.coherence
+            )
+            xyz, plan = image.xyz.reshape(-1, 3)[illuminated], image.plan
+            lights, views = directions.to_lights, -directions.scattering_vectors - directions.to_lights
         elif case.size:
-            image = wd.brdf_map(case.hf, case.to_light, size=case.size, illuminant=case.illuminant, **arguments)
+            image = wd.reflectance_map(
+                case.heightfield, case.to_light, size=case.size, illuminant=case.illuminant, **arguments
+            )
             xyz, plan = image.xyz[image.mask], image.plan
             axis = (2.0 * np.arange(case.size) + 1.0) / case.size - 1.0
             x, y = np.meshgrid(axis, -axis)
@@ -110,18 +116,18 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
             views = np.stack([x, y, np.sqrt(1.0 - (x * x + y * y))], axis=1)
             lights = np.broadcast_to(case.to_light, views.shape)
         else:
-            given = case.hf, case.to_light, case.to_view
+            given = case.heightfield, case.to_light, case.to_view
             xyz = wd.reflectance(*given, illuminant=case.illuminant, **arguments)
             warnings.simplefilter("ignore", wd.WarpdiffWarning)
             plan = wd.plan(*given, illuminant=case.illuminant, **arguments)
             lights, views = case.to_light, case.to_view
     lowest = LOWEST_SOURCE if case.coherence.kind == "source" else HORIZON
-    lit = (lights[:, 2] > lowest) & (views[:, 2] > HORIZON)
-    deflections = -(lights + views)[lit]
+    illuminated = (lights[:, 2] > lowest) & (views[:, 2] > HORIZON)
+    scattering_vectors = -(lights + views)[illuminated]
     known = {row.tobytes() for each in seen for row in np.round(each + 0.0, 9)}
-    read = np.array([row.tobytes() in known for row in np.round(deflections + 0.0, 9)], dtype=bool)
+    read = np.array([row.tobytes() in known for row in np.round(scattering_vectors + 0.0, 9)], dtype=bool)
     told = "; ".join(dict.fromkeys(str(each.message) for each in caught))
-    return Result(np.asarray(xyz)[lit], lights[lit], views[lit], read, plan, told)
+    return Result(np.asarray(xyz)[illuminated], lights[illuminated], views[illuminated], read, plan, told)
 
 
 def drawn(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -130,7 +136,9 @@ def drawn(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndar
     if count < FEW:
         return np.arange(count), np.ones(count)
     luminance = np.nan_to_num(result.xyz[:, 1].astype(np.float64), nan=np.inf, posinf=np.inf)
-    bright = luminance >= 0.5 * FLOOR * brightness(np.where(np.isinf(luminance), 0.0, luminance), np.ones(count))
+    bright = luminance >= 0.5 * FLOOR * reference_luminance(
+        np.where(np.isinf(luminance), 0.0, luminance), np.ones(count)
+    )
     unread = ~result.read
     chosen, weights = [], []
     groups = [np.flatnonzero(unread & bright), np.flatnonzero(unread & ~bright)]
@@ -149,7 +157,7 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
     tolerance = 0.5 * min(case.tolerance, TRUTH_TOLERANCE) / closer
     return np.asarray(
         reference.reference_reflectance(
-            case.hf, result.to_light[chosen], result.to_view[chosen], case.coherence, tolerance=tolerance,
+            case.heightfield, result.to_light[chosen], result.to_view[chosen], case.coherence, tolerance=tolerance,
             illuminant=case.illuminant, material=case.material,
         )
     )  # fmt: skip
@@ -164,7 +172,7 @@ def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None
     weights = np.ones(len(exact)) if weights is None else weights
     moved = np.linalg.norm(xyz - exact, axis=1)
     moved[~np.isfinite(moved)] = math.inf
-    white = min(brightness(exact[:, 1], weights), white)
+    white = min(reference_luminance(exact[:, 1], weights), white)
     floor = max(FLOOR * white, LEAST)
     errors = moved / np.maximum(np.linalg.norm(exact, axis=1), floor)
     above = exact[:, 1] >= floor

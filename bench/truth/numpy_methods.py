@@ -1,9 +1,9 @@
 """Methods that the stability suite compares, in NumPy: series in either precision, fixed λ steps, fixed neighbours.
 
-The rows of the series come from ``warpdiff.fourier.transforms`` and ``warpdiff.fourier.phase_series``, which are
+The rows of the series come from ``warpdiff.diffraction.fourier_coefficients`` and ``warpdiff.diffraction.phase_series``, which are
 judged here; the powers are
 summed as the formulas say, one point after the other, and hold for the averaged form. Truth is elsewhere, in
-``reference`` and ``warpdiff.fourier.direct_sum``.
+``reference`` and ``warpdiff.diffraction.direct_sum``.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 
 import warpdiff as wd
 from bench.truth import reference
-from bench.truth.errors import FLOOR, brightness
-from warpdiff.fourier import transforms
-from warpdiff.fourier.phase_series import EXPANSIONS, MAX_TERMS
+from bench.truth.errors import FLOOR, reference_luminance
+from warpdiff.diffraction import fourier_coefficients
+from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics import colorimetry
 
 SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
@@ -63,7 +63,7 @@ def percentile_99(errors):
 
 def colour_error(xyz, truth):
     """The 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f); both (n, 3)."""
-    floor = max(FLOOR * brightness(truth[:, 1]), DARK)
+    floor = max(FLOOR * reference_luminance(truth[:, 1]), DARK)
     with np.errstate(all="ignore"):
         moved = np.linalg.norm(np.asarray(xyz, dtype=np.float64) - truth, axis=1)
     return percentile_99(moved / np.maximum(np.linalg.norm(truth, axis=1), floor))
@@ -82,9 +82,11 @@ def spectral_error(rho, truth):
 
 def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
     """A line across fingers: one row, whose orders a view in the plane of incidence crosses one by one."""
-    hf = wd.gratings.fingers(size_um=(3.2, length_um), pitch_um=(0.2, pitch_um), period_um=min(1.1, length_um), seed=5)
-    row = hf.heights_um[:1] - hf.heights_um[0].min()
-    return wd.HeightField(row * (height_um / np.ptp(row)), hf.pitch_um[1])
+    heightfield = wd.gratings.fingers(
+        size_um=(3.2, length_um), pitch_um=(0.2, pitch_um), period_um=min(1.1, length_um), seed=5
+    )
+    row = heightfield.heights_um[:1] - heightfield.heights_um[0].min()
+    return wd.HeightField(row * (height_um / np.ptp(row)), heightfield.pitch_um[1])
 
 
 def in_plane(count, largest, seed=0):
@@ -107,17 +109,17 @@ def hemisphere_pairs(count, lowest=0.1, seed=0):
     return pair[0], pair[1]
 
 
-def with_lateral(count, lateral, seed=0):
+def with_lateral(count, order_rate, seed=0):
     """Lights and views (count, 3) with |(u, v)| as given, below 2."""
     rng = np.random.default_rng(seed)
     lights = []
     while len(lights) < count:
         # Both tangential parts lie in the unit disc: one in the lens that it shares with itself, moved by −U.
-        x = -lateral / 2.0 + (1.0 - lateral / 2.0) * rng.uniform(-1.0, 1.0)
-        y = math.sqrt(1.0 - lateral**2 / 4.0) * rng.uniform(-1.0, 1.0)
-        if max(math.hypot(x, y), math.hypot(x + lateral, y)) < 1.0 - 1e-4 * (2.0 - lateral):
+        x = -order_rate / 2.0 + (1.0 - order_rate / 2.0) * rng.uniform(-1.0, 1.0)
+        y = math.sqrt(1.0 - order_rate**2 / 4.0) * rng.uniform(-1.0, 1.0)
+        if max(math.hypot(x, y), math.hypot(x + order_rate, y)) < 1.0 - 1e-4 * (2.0 - order_rate):
             lights.append((x, y))
-    tangential = np.stack([lights, -np.array(lights) - [lateral, 0.0]])
+    tangential = np.stack([lights, -np.array(lights) - [order_rate, 0.0]])
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
     turn = np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
     tangential = np.einsum("abn,knb->kna", turn, tangential)
@@ -137,13 +139,13 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
     return pair[0], pair[1]
 
 
-def near_resonance(hf, away, wavelength_um, seed=7):
-    """Lights and views (n, 3) in the plane of one row, this part of a turn from whole turns between copies."""
+def near_resonance(heightfield, away, wavelength_um, seed=7):
+    """Lights and views (n, 3) in the plane of one row, this part of a turn from whole turns between periods."""
     rng = np.random.default_rng(seed)
     whole = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
     turns = whole + away * rng.choice([-1.0, 1.0], len(whole)) * rng.uniform(0.7, 1.0, len(whole))
     light = np.array([0.2, 0.0, math.sqrt(0.96)])
-    x = -turns * wavelength_um / hf.size_um[1] - light[0]
+    x = -turns * wavelength_um / heightfield.size_um[1] - light[0]
     x = x[np.abs(x) < 0.97]
     views = np.stack([x, np.zeros_like(x), np.sqrt(1.0 - x**2)], axis=1)
     return np.broadcast_to(light, views.shape), views
@@ -160,21 +162,23 @@ class Rows(NamedTuple):
     origin: tuple[int, int]
 
 
-def rows_for(hf, method, terms, *, kappas, dtype=np.float64):
+def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
     """All coefficients of a height field for κ in a range, in an arithmetic; "exact" is to rounding."""
-    block = transforms.Block(hf.shape, (0, 0), hf.shape)
+    block = fourier_coefficients.Block(heightfield.shape, (0, 0), heightfield.shape)
     complex_type = np.complex64 if dtype == np.float32 else np.complex128
     if method in SERIES:
         expansion = EXPANSIONS[method]
-        scale = 2.0 * math.pi * expansion.offset_and_scale(hf)[1]
-        values = transforms.series_coefficients(hf, expansion, terms, block, dtype=complex_type)
+        scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
+        values = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=complex_type)
         return Rows(values, lambda kappa: expansion.basis(scale * kappa, terms).astype(dtype), block.origin)
     # Sampled without a series at Chebyshev's nodes, as many as interpolate to rounding, or to the terms of the method.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
-    argument = math.pi * half * hf.height_range_um * (1.0 if method == "exact" else 2.0)
+    argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
     count = terms if method == "power" else reference.chebyshev_terms(argument) + 6
     nodes = reference.chebyshev_nodes(count)
-    values = np.stack([np.fft.ifft2(np.exp(2j * np.pi * (middle + half * x) * hf.heights_um)) for x in nodes], axis=-1)
+    values = np.stack(
+        [np.fft.ifft2(np.exp(2j * np.pi * (middle + half * x) * heightfield.heights_um)) for x in nodes], axis=-1
+    )
     values = np.abs(values) ** 2 if method != "exact" else values
     to_series = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, count - 1)).T
     if method == "low-rank":
@@ -194,12 +198,22 @@ def rows_for(hf, method, terms, *, kappas, dtype=np.float64):
 
 
 def windowed_powers(
-    hf, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64, reach=None, floor=False
+    heightfield,
+    lights,
+    views,
+    wavelengths_um,
+    *,
+    sigma,
+    method="exact",
+    terms=None,
+    dtype=np.float64,
+    neighbour_extent=None,
+    floor=False,
 ):
     """⟨|P|²⟩ under averaged windows, shape (n, m).
 
     Args:
-        hf: The height field.
+        heightfield: The height field.
         lights: Unit vectors (n, 3).
         views: Unit vectors (n, 3).
         wavelengths_um: Wavelengths (m,).
@@ -207,19 +221,21 @@ def windowed_powers(
         method: One of ``METHODS`` or "exact".
         terms: Terms of the series.
         dtype: The arithmetic of the coefficients and of all sums.
-        reach: Neighbours on either side; None is as many as count.
+        neighbour_extent: Neighbours on either side; None is as many as count.
         floor: Whether the middle one is found by floor() in place of rounding.
     """
-    deflections = -(lights + views)
+    scattering_vectors = -(lights + views)
     tau = 1.0 / np.asarray(wavelengths_um)
-    kappa = np.outer(deflections[:, 2], tau).ravel()
-    rows = rows_for(hf, method, terms, kappas=(kappa.min(), kappa.max()), dtype=dtype)
+    kappa = np.outer(scattering_vectors[:, 2], tau).ravel()
+    rows = rows_for(heightfield, method, terms, kappas=(kappa.min(), kappa.max()), dtype=dtype)
     falloff = 4.0 * (math.pi * sigma) ** 2
     axes = []
-    for length, n, across in zip(hf.size_um, hf.shape, (deflections[:, 1], deflections[:, 0]), strict=True):
+    for length, n, across in zip(
+        heightfield.size_um, heightfield.shape, (scattering_vectors[:, 1], scattering_vectors[:, 0]), strict=True
+    ):
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
-        most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if reach is None else reach
+        most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
         # An axis of one sample is constant: it has no order but 0.
         order = near[:, None] + np.arange(-most, most + 1) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
@@ -234,26 +250,28 @@ def windowed_powers(
             values = np.einsum("pyxt,pt->pyx", rows.values[y[part][:, :, None], x[part][:, None, :]], basis)
             values = np.abs(values) ** 2 if np.iscomplexobj(values) else np.maximum(values, 0)
             result[part] = np.einsum("pyx,py,px->p", values, weight_y[part], weight_x[part])
-    return result.reshape(len(deflections), len(tau))
+    return result.reshape(len(scattering_vectors), len(tau))
 
 
-def series_reflectance(hf, lights, views, wavelengths_um, **keywords):
+def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
     """ρ, shape (n, m), of ``windowed_powers``."""
-    return reference.gain(lights, views)[:, None] * windowed_powers(hf, lights, views, wavelengths_um, **keywords)
+    return reference.gain(lights, views)[:, None] * windowed_powers(
+        heightfield, lights, views, wavelengths_um, **keywords
+    )
 
 
-def most_terms(hf, method, kappa, tolerance=1e-13):
+def most_terms(heightfield, method, kappa, tolerance=1e-13):
     """As many terms as a series takes for a tolerance, at most the library's most."""
     if method in SERIES:
         expansion = EXPANSIONS[method]
-        return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(hf)[1], tolerance)
-    return min(reference.chebyshev_terms(math.pi * kappa * hf.height_range_um) + 6, MAX_TERMS)
+        return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)
+    return min(reference.chebyshev_terms(math.pi * kappa * heightfield.height_range_um) + 6, MAX_TERMS)
 
 
-def single_precision(hf, lights, views, wavelengths_um, *, sigma, dtype=np.float32):
+def single_precision(heightfield, lights, views, wavelengths_um, *, sigma, dtype=np.float32):
     """ρ with everything in one arithmetic, float32 as in a shader: directions, gain, positions, sums."""
     i, r = lights.astype(dtype), views.astype(dtype)
-    deflection = -(i + r)
+    scattering_vector = -(i + r)
     cosine = np.sum(i * r, axis=1)
     half = (i + r) / np.linalg.norm(i + r, axis=1, keepdims=True).astype(dtype)
     cos_d = np.sum(half * r, axis=1)
@@ -262,13 +280,13 @@ def single_precision(hf, lights, views, wavelengths_um, *, sigma, dtype=np.float
     gain = fresnel * (1 + cosine) ** 2 / ((i[:, 2] + r[:, 2]) ** 2 * r[:, 2])
     gain *= np.minimum(dtype(1), 2 * half[:, 2] * np.minimum(i[:, 2], r[:, 2]) / cos_d)
     tau = (1.0 / np.asarray(wavelengths_um)).astype(dtype)
-    rows = rows_for(hf, "exact", None, kappas=(-2.0 / np.min(wavelengths_um), 0.0), dtype=dtype)
+    rows = rows_for(heightfield, "exact", None, kappas=(-2.0 / np.min(wavelengths_um), 0.0), dtype=dtype)
     falloff = dtype(4.0 * (math.pi * sigma) ** 2)
     powers = np.zeros((len(i), len(tau)), dtype=dtype)
     axes = []
     for across, length, n in (
-        (deflection[:, 1], hf.size_um[0], hf.shape[0]),
-        (deflection[:, 0], hf.size_um[1], hf.shape[1]),
+        (scattering_vector[:, 1], heightfield.size_um[0], heightfield.shape[0]),
+        (scattering_vector[:, 0], heightfield.size_um[1], heightfield.shape[1]),
     ):
         position = across[:, None] * tau * dtype(length)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5)
@@ -276,7 +294,7 @@ def single_precision(hf, lights, views, wavelengths_um, *, sigma, dtype=np.float
         weight = np.exp(-falloff * ((order - position[..., None]) / dtype(length)) ** 2)
         axes.append((order.astype(np.int64) % n, weight))
     (y, weight_y), (x, weight_x) = axes
-    for k, kappa in enumerate(deflection[:, 2][:, None] * tau):
+    for k, kappa in enumerate(scattering_vector[:, 2][:, None] * tau):
         basis = rows.basis(kappa.astype(np.float64))
         values = np.einsum("pyxt,pt->pyx", rows.values[y[k][:, :, None], x[k][:, None, :]], basis)
         powers[k] = np.einsum("pyx,py,px->p", np.abs(values) ** 2, weight_y[k], weight_x[k])
@@ -294,50 +312,60 @@ def fixed_steps(step_nm):
     return wavelengths, weights / weights[:, 1].sum()
 
 
-def fixed_step_colour(hf, lights, views, step_nm, coherence):
+def fixed_step_colour(heightfield, lights, views, step_nm, coherence):
     """XYZ with exact ρ at wavelengths a fixed step apart."""
     wavelengths, weights = fixed_steps(step_nm)
-    return reference.reference_spectral(hf, lights, views, wavelengths * 1e-3, coherence) @ weights
+    return reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, coherence) @ weights
 
 
-def wavenumber_colour(hf, lights, views, count, coherence):
+def wavenumber_colour(heightfield, lights, views, count, coherence):
     """XYZ with exact ρ at wavelengths equally spaced in 1/λ, weighted as the library does."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, "D65")
-    return reference.reference_spectral(hf, lights, views, 1.0 / wavenumbers, coherence) @ weights
+    return reference.reference_spectral(heightfield, lights, views, 1.0 / wavenumbers, coherence) @ weights
 
 
-def unforeshortened_colour(hf, lights, views, source):
+def unforeshortened_colour(heightfield, lights, views, source):
     """XYZ as if the source's spread were a disc on the surface from wherever its light comes, at steps of 1 nm."""
     wavelengths, weights = fixed_steps(1.0)
-    sums = reference.sum_for(hf, source, -(lights + views), 0.38, 0.78)
+    sums = reference.sum_for(heightfield, source, -(lights + views), 0.38, 0.78)
     up = np.array([0.0, 0.0, 1.0])
-    powers = np.array([sums.power(deflection, up, 1e3 / wavelengths) for deflection in -(lights + views)])
+    powers = np.array([sums.power(scattering_vector, up, 1e3 / wavelengths) for scattering_vector in -(lights + views)])
     return reference.gain(lights, views, source=True)[:, None] * (powers @ weights)
 
 
-def order_wise_colour(hf, lights, views, *, sigma):
+def order_wise_colour(heightfield, lights, views, *, sigma):
     """XYZ by one point for each coefficient, where the direction passes it: the Gaussian's area times what is there."""
     table = reference.products("D65")
-    deflections = -(lights + views)
-    kappas = np.outer([deflections[:, 2].min(), deflections[:, 2].max()], [reference.BLUEST, reference.REDDEST])
-    rows = rows_for(hf, "exact", None, kappas=(kappas.min(), kappas.max()))
+    scattering_vectors = -(lights + views)
+    kappas = np.outer(
+        [scattering_vectors[:, 2].min(), scattering_vectors[:, 2].max()], [reference.BLUEST, reference.REDDEST]
+    )
+    rows = rows_for(heightfield, "exact", None, kappas=(kappas.min(), kappas.max()))
     gains, result = reference.gain(lights, views), np.zeros((len(lights), 3))
-    for at, (u, v, w) in enumerate(deflections):
+    for at, (u, v, w) in enumerate(scattering_vectors):
         square = u * u + v * v
-        reach = math.sqrt(DEPTH / 4.0) / (math.pi * sigma)
+        neighbour_extent = math.sqrt(DEPTH / 4.0) / (math.pi * sigma)
         ends = [
-            np.arange(math.ceil((min(ends) - reach) * length), math.floor((max(ends) + reach) * length) + 1)
-            for ends, length in (((v / 0.38, v / 0.78), hf.size_um[0]), ((u / 0.38, u / 0.78), hf.size_um[1]))
+            np.arange(
+                math.ceil((min(ends) - neighbour_extent) * length),
+                math.floor((max(ends) + neighbour_extent) * length) + 1,
+            )
+            for ends, length in (
+                ((v / 0.38, v / 0.78), heightfield.size_um[0]),
+                ((u / 0.38, u / 0.78), heightfield.size_um[1]),
+            )
         ]
         s, r = (grid.ravel() for grid in np.meshgrid(*ends, indexing="ij"))
-        qy, qx = s / hf.size_um[0], r / hf.size_um[1]
+        qy, qx = s / heightfield.size_um[0], r / heightfield.size_um[1]
         tau = (qx * u + qy * v) / square
         across = qx**2 + qy**2 - tau**2 * square
         use = (tau >= reference.REDDEST) & (tau <= reference.BLUEST) & (4.0 * (math.pi * sigma) ** 2 * across < DEPTH)
         if not use.any():
             continue
         s, r, tau, across = s[use], r[use], tau[use], across[use]
-        values = np.einsum("pt,pt->p", rows.values[s % hf.shape[0], r % hf.shape[1]], rows.basis(w * tau))
+        values = np.einsum(
+            "pt,pt->p", rows.values[s % heightfield.shape[0], r % heightfield.shape[1]], rows.basis(w * tau)
+        )
         width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * math.sqrt(square))
         # dλ = dτ/τ² in nm, for products at 1 nm.
         area = np.abs(values) ** 2 * np.exp(-4.0 * (math.pi * sigma) ** 2 * across)
@@ -350,30 +378,30 @@ def order_wise_colour(hf, lights, views, *, sigma):
 # Copies.
 
 
-def published_copies(turns, copies, dtype=np.float64):
-    """|(p + iq)/N|² of N copies (Single 2014, eq. 3.47, with N for his N + 1), at so many turns between copies."""
+def published_copies(turns, periods, dtype=np.float64):
+    """|(p + iq)/N|² of N copies (Single 2014, eq. 3.47, with N for his N + 1), at so many turns between periods."""
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
-    last, one, half = dtype(copies - 1), dtype(1), dtype(0.5)
+    last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)
     with np.errstate(all="ignore"):
         fall = one - np.cos(angle)
         p = half + half * (np.cos(angle * last) - np.cos(angle * (last + one))) / fall
         q = (np.sin(angle * (last + one)) - np.sin(angle * last) - np.sin(angle)) / (2 * fall)
-        return (p * p + q * q) / dtype(copies) ** 2
+        return (p * p + q * q) / dtype(periods) ** 2
 
 
-def plain_copies(turns, copies, dtype=np.float64):
+def plain_copies(turns, periods, dtype=np.float64):
     """[sin(πNt)/(N sin(πt))]² of N copies, as it stands: the argument is not reduced, the limit not taken."""
     angle = (math.pi * np.asarray(turns)).astype(dtype)
     with np.errstate(all="ignore"):
-        return (np.sin(dtype(copies) * angle) / (dtype(copies) * np.sin(angle))) ** 2
+        return (np.sin(dtype(periods) * angle) / (dtype(periods) * np.sin(angle))) ** 2
 
 
-def nearest_orders_power(hf, deflection, wavelength_um, reach):
+def nearest_orders_power(heightfield, scattering_vector, wavelength_um, neighbour_extent):
     """|mean over one patch of one row|² between its orders, from the 2·reach + 1 orders nearest."""
-    n, length = hf.shape[1], hf.size_um[1]
-    coefficients = np.fft.ifft(np.exp(2j * np.pi * deflection[2] / wavelength_um * hf.heights_um[0]))
-    t = deflection[0] / wavelength_um * length
-    order = round(t) + np.arange(-reach, reach + 1)
+    n, length = heightfield.shape[1], heightfield.size_um[1]
+    coefficients = np.fft.ifft(np.exp(2j * np.pi * scattering_vector[2] / wavelength_um * heightfield.heights_um[0]))
+    t = scattering_vector[0] / wavelength_um * length
+    order = round(t) + np.arange(-neighbour_extent, neighbour_extent + 1)
     away = math.pi * (t - order)
     kernel = np.where(away == 0.0, 1.0, np.sin(away) / (n * np.sin(np.where(away == 0.0, 1.0, away) / n)))
     return abs(np.sum(coefficients[order % n] * kernel * np.exp(1j * away * (n - 1) / n))) ** 2

@@ -24,13 +24,13 @@ def finer(view: wd.View, points: int, margin: int) -> wd.View:
 
 
 def furnace_picture(
-    hf: wd.HeightField, energy: str, *, directions: int, tolerance: float, size: int
+    heightfield: wd.HeightField, energy: str, *, directions: int, tolerance: float, size: int
 ) -> tuple[wd.Image, np.ndarray]:
     """A sphere that is a perfect mirror under an even sky of 1, and how far pixels are from its middle, in radii."""
     ball = trimesh.creation.icosphere(4)
     radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))
     image = wd.shade(
-        ball, hf, wd.Environment(np.ones((4, 8, 3)), directions=directions),
+        ball, heightfield, wd.Environment(np.ones((4, 8, 3)), directions=directions),
         wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.02, width=size, height=size),
         coherence=wd.Coherence(sigma_um=8.0),
         tolerance=tolerance, ior=math.inf, masking=False, energy=energy, refine=False, shadows=False,

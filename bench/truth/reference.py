@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.truth import flat_materials
 from bench.truth.brute_force import intersect, pixel_rays, shading_frame
-from bench.truth.errors import FLOOR, brightness
+from bench.truth.errors import FLOOR, reference_luminance
 
 WIDTHS = 9.0
 # A Gaussian exp(−WIDTHS²/2) is what is left out.
@@ -48,7 +48,7 @@ class Step(NamedTuple):
     kind: str = "averaged"
     sigma_um: float | None = None
     spread: float = 0.0
-    copies: tuple[int, int] | None = None
+    periods: tuple[int, int] | None = None
     centre_um: tuple[float, float] | None = None
 
 
@@ -57,9 +57,13 @@ def step_of(coherence, sigma, centre):
     return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
 
 
-def sum_for(hf, step, deflections, shortest, longest):
+def sum_for(heightfield, step, scattering_vectors, shortest, longest):
     """What evaluates ⟨|P|²⟩ of these deflections (n, 3) between two wavelengths [µm]."""
-    return Copies(hf, step) if step.kind == "replicas" else Coefficients(hf, step, deflections, shortest, longest)
+    return (
+        Copies(heightfield, step)
+        if step.kind == "replicas"
+        else Coefficients(heightfield, step, scattering_vectors, shortest, longest)
+    )
 
 
 def chebyshev_nodes(count):
@@ -83,23 +87,27 @@ def chebyshev_terms(argument):
 class Coefficients:
     """H_rs(κ) of a height field, under a window or a source."""
 
-    def __init__(self, hf, step, deflections, shortest, longest):
+    def __init__(self, heightfield, step, scattering_vectors, shortest, longest):
         self.step = step
-        self.shape, pitch = hf.shape, tuple(float(d) for d in hf.pitch_um)
+        self.shape, pitch = heightfield.shape, tuple(float(d) for d in heightfield.pitch_um)
         self.lengths = tuple(n * d for n, d in zip(self.shape, pitch, strict=True))
-        kappas = np.outer([deflections[:, 2].min(), deflections[:, 2].max()], [1.0 / shortest, 1.0 / longest])
+        kappas = np.outer(
+            [scattering_vectors[:, 2].min(), scattering_vectors[:, 2].max()], [1.0 / shortest, 1.0 / longest]
+        )
         self.low = kappas.min()
         self.half = max(np.ptp(kappas) / 2.0, 1e-9)
-        heights = np.asarray(hf.heights_um, dtype=np.float64)
+        heights = np.asarray(heightfield.heights_um, dtype=np.float64)
         # Mid-range, whose phase is common to all coefficients, off: the argument in κ is then the least.
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
         # Only coefficients that any direction comes near are kept, and where each of them is.
-        reach = math.sqrt(DEPTH / self.rate(1.0 / shortest))
+        neighbour_extent = math.sqrt(DEPTH / self.rate(1.0 / shortest))
         kept, self.places = [], []
-        for n, length, across in zip(self.shape, self.lengths, (deflections[:, 1], deflections[:, 0]), strict=True):
-            most = math.ceil((np.abs(across).max() / shortest + reach) * length) + 1
+        for n, length, across in zip(
+            self.shape, self.lengths, (scattering_vectors[:, 1], scattering_vectors[:, 0]), strict=True
+        ):
+            most = math.ceil((np.abs(across).max() / shortest + neighbour_extent) * length) + 1
             kept.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
             self.places.append(np.zeros(n, dtype=np.int64))
             self.places[-1][kept[-1]] = np.arange(len(kept[-1]))
@@ -128,9 +136,9 @@ class Coefficients:
         falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
         return np.full(np.shape(tau), falloff)
 
-    def resolution(self, deflection, to_light):
+    def resolution(self, scattering_vector, to_light):
         """The largest cell in τ that resolves all coefficients on a direction's way, and the least size that counts."""
-        across = deflection[:2]
+        across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
             # The width in λ is in proportion to λ; the nearest coefficients may lie a few widths beyond the direction.
@@ -138,29 +146,29 @@ class Coefficients:
         else:
             # Of centred windows too: the power of a sum of Gaussians holds products of two.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
-        turns = 2.0 * abs(deflection[2]) * self.height
+        turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
 
-    def power(self, deflection, to_light, tau):
+    def power(self, scattering_vector, to_light, tau):
         """⟨|P|²⟩ of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         order = np.argsort(tau)
         result = np.empty(len(tau))
         for start in range(0, len(tau), BLOCK):
             block = order[start : start + BLOCK]
-            result[block] = self._power(deflection, self.metric(to_light), tau[block])
+            result[block] = self._power(scattering_vector, self.metric(to_light), tau[block])
         return result
 
-    def _power(self, deflection, metric, tau):
+    def _power(self, scattering_vector, metric, tau):
         """The same for few τ in ascending order: every coefficient near any of them, for all of them."""
-        across = deflection[:2]
-        reach = math.sqrt(DEPTH / self.rate(tau).min())
+        across = scattering_vector[:2]
+        neighbour_extent = math.sqrt(DEPTH / self.rate(tau).min())
         along_axis = np.sqrt(np.diag(np.linalg.inv(metric)))
         ends = np.outer([tau[0], tau[-1]], across)
         bounds = []
         for axis in (0, 1):
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
-            first = math.ceil((low - reach * along_axis[axis]) * length)
-            last = math.floor((high + reach * along_axis[axis]) * length)
+            first = math.ceil((low - neighbour_extent * along_axis[axis]) * length)
+            last = math.floor((high + neighbour_extent * along_axis[axis]) * length)
             # An axis of one sample is constant: it has no order but 0.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
@@ -169,7 +177,7 @@ class Coefficients:
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
-        near = np.einsum("ki,ij,kj->k", away, metric, away) <= reach**2
+        near = np.einsum("ki,ij,kj->k", away, metric, away) <= neighbour_extent**2
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
@@ -178,7 +186,7 @@ class Coefficients:
         away = q - foot[:, None] * across
         left = np.einsum("ki,ij,kj->k", away, metric, away)
         gaussian = np.exp(-self.rate(tau) * (left[:, None] + square * (tau - foot[:, None]) ** 2))
-        basis = chebyshev_cardinals((deflection[2] * tau - self.low) / self.half - 1.0, self.terms)
+        basis = chebyshev_cardinals((scattering_vector[2] * tau - self.low) / self.half - 1.0, self.terms)
         rows = self.rows[self.places[0][s % self.shape[0]], self.places[1][r % self.shape[1]]].reshape(-1, self.terms)
         value = (rows @ basis.T).reshape(len(r), 2, len(tau))
         if self.step.kind != "centred":
@@ -192,36 +200,36 @@ class Coefficients:
 class Copies:
     """A number of whole copies of a height field in step with each other."""
 
-    def __init__(self, hf, step):
-        (ny, nx), (dy, dx) = hf.shape, (float(d) for d in hf.pitch_um)
-        heights = np.asarray(hf.heights_um, dtype=np.float64)
+    def __init__(self, heightfield, step):
+        (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
+        heights = np.asarray(heightfield.heights_um, dtype=np.float64)
         # The origin in the middle: that is a phase common to all samples, and the arguments are then the least.
         x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
         y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
         z = heights - (heights.max() + heights.min()) / 2.0
         self.samples = np.stack([x.ravel(), y.ravel(), z.ravel()])
-        self.reach = np.abs(self.samples).max(axis=1)
-        self.lengths, self.copies = (nx * dx, ny * dy), (step.copies[1], step.copies[0])
+        self.neighbour_extent = np.abs(self.samples).max(axis=1)
+        self.lengths, self.periods = (nx * dx, ny * dy), (step.periods[1], step.periods[0])
         self.latest = None, None
 
-    def resolution(self, deflection, to_light):  # noqa: ARG002
+    def resolution(self, scattering_vector, to_light):  # noqa: ARG002
         """The largest cell in τ that resolves the lobes of the copies, and the least size that counts."""
-        turns = 2.0 * abs(deflection[2]) * self.reach[2]
+        turns = 2.0 * abs(scattering_vector[2]) * self.neighbour_extent[2]
         turns += sum(
-            abs(u) * n * length for u, n, length in zip(deflection[:2], self.copies, self.lengths, strict=True)
+            abs(u) * n * length for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True)
         )
-        return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.copies) ** 2
+        return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.periods) ** 2
 
-    def power(self, deflection, to_light, tau):  # noqa: ARG002
+    def power(self, scattering_vector, to_light, tau):  # noqa: ARG002
         """|P|² of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         low, high = tau.min(), tau.max()
         span = max(high - low, 1e-9)
-        key = (*deflection, low, high)
+        key = (*scattering_vector, low, high)
         if key != self.latest[0]:
-            self.latest = key, self._panels(deflection, low, span)
+            self.latest = key, self._panels(scattering_vector, low, span)
         parts = np.array_split((tau - low) / span, math.ceil(len(tau) / MOST_NODES))
         result = np.abs(np.concatenate([self._patch(part) for part in parts])) ** 2
-        for u, n, length in zip(deflection[:2], self.copies, self.lengths, strict=True):
+        for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True):
             turns = u * length * tau
             part = math.pi * (turns - np.rint(turns))
             whole = np.abs(part) < 1e-12
@@ -237,15 +245,15 @@ class Copies:
         basis = chebyshev_cardinals(2.0 * (position * panels - panel) - 1.0, terms)
         return np.einsum("mk,mk->m", basis, at_nodes[panel])
 
-    def _panels(self, deflection, low, span):
+    def _panels(self, scattering_vector, low, span):
         """The mean over the patch at Chebyshev's nodes in panels of equal length from low on, shape (panels, nodes)."""
-        argument = math.pi * span * (np.abs(deflection) @ self.reach)
+        argument = math.pi * span * (np.abs(scattering_vector) @ self.neighbour_extent)
         panels = max(1, math.ceil(argument / 5.0))
         terms = chebyshev_terms(argument / panels)
         step = span / panels
         offsets = chebyshev_nodes(terms)[: (terms + 1) // 2] * step / 2.0
         at_nodes = np.zeros((panels, terms), dtype=complex)
-        turns = deflection @ self.samples
+        turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
             # All nodes are sums of a panel's middle and an offset, all exponentials products: of the middles, each
             # of which is one step further, and of the offsets, whose second half is the first one's negative.
@@ -270,18 +278,18 @@ def exp_i(phase):
 
 def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
     """C·M of unit vectors (n, 3) in the local frame, over cos θi for a source; 0 where one is not above the surface."""
-    lit = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
-    result = np.zeros(len(lit))
-    i, r = to_light[lit], to_view[lit]
+    illuminated = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
+    result = np.zeros(len(illuminated))
+    i, r = to_light[illuminated], to_view[illuminated]
     half = (i + r) / np.linalg.norm(i + r, axis=1, keepdims=True)
     cos_d = np.sum(r * half, axis=1)
-    result[lit] = fresnel(cos_d, ior) / fresnel(1.0, ior) * (1.0 + np.sum(i * r, axis=1)) ** 2
-    result[lit] /= (i[:, 2] + r[:, 2]) ** 2 * r[:, 2]
+    result[illuminated] = fresnel(cos_d, ior) / fresnel(1.0, ior) * (1.0 + np.sum(i * r, axis=1)) ** 2
+    result[illuminated] /= (i[:, 2] + r[:, 2]) ** 2 * r[:, 2]
     if masking:
         shadowing = 2.0 * half[:, 2] * np.minimum(r[:, 2], i[:, 2]) / cos_d
-        result[lit] *= np.minimum(1.0, shadowing)
+        result[illuminated] *= np.minimum(1.0, shadowing)
     if source:
-        result[lit] /= i[:, 2]
+        result[illuminated] /= i[:, 2]
     return result
 
 
@@ -332,7 +340,7 @@ def quadrature(cells, illuminant):
 
 
 def reference_spectral(
-    hf, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None, masking=True,
+    heightfield, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None, masking=True,
     centre=None,
 ):  # fmt: skip
     """ρ of unit vectors (n, 3) in the local frame, shape (n, m); the coherence by name with sigma, or an object."""
@@ -341,13 +349,13 @@ def reference_spectral(
     ior = math.inf if material is not None else ior
     gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
     result = np.zeros((len(gains), len(wavelengths)))
-    lit = np.flatnonzero(gains)
-    if lit.size == 0:
+    illuminated = np.flatnonzero(gains)
+    if illuminated.size == 0:
         return result
-    deflections = -to_light - to_view
-    sums = sum_for(hf, step, deflections[lit], wavelengths.min(), wavelengths.max())
-    for i in lit:
-        result[i] = gains[i] * sums.power(deflections[i], to_light[i], 1.0 / wavelengths)
+    scattering_vectors = -to_light - to_view
+    sums = sum_for(heightfield, step, scattering_vectors[illuminated], wavelengths.min(), wavelengths.max())
+    for i in illuminated:
+        result[i] = gains[i] * sums.power(scattering_vectors[i], to_light[i], 1.0 / wavelengths)
         result[i] *= reflected(material, to_light[i], to_view[i], wavelengths)
     return result
 
@@ -360,28 +368,29 @@ def reflected(material, to_light, to_view, wavelengths_um):
     return flat_materials.reflectance(material, wavelengths_um, half @ to_view)
 
 
-def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65", material=None):
+def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
     """∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ of deflections (n, 3), shape (n, 3).
 
     The step is halved until XYZ moves by less than a twentieth of the tolerance.
     """
-    result = np.zeros((len(deflections), 3))
-    if len(deflections) == 0:
+    result = np.zeros((len(scattering_vectors), 3))
+    if len(scattering_vectors) == 0:
         return result
-    sums = sum_for(hf, step, deflections, 0.38, 0.78)
-    for index, (deflection, light) in enumerate(zip(deflections, to_light, strict=True)):
+    sums = sum_for(heightfield, step, scattering_vectors, 0.38, 0.78)
+    for index, (scattering_vector, light) in enumerate(zip(scattering_vectors, to_light, strict=True)):
         # What is returned resolves everything, so that nothing narrow falls between its nodes unseen: it is the finer
         # one of two that agree. Numbers of cells are powers of 2, so that few quadratures are ever made.
-        largest, least = sums.resolution(deflection, light)
+        largest, least = sums.resolution(scattering_vector, light)
         cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)
         before = None
         while True:
             if cells > MOST_CELLS:
                 why = "settle" if before is not None else f"fit in {MOST_CELLS} cells"
-                raise AssertionError(f"the integral over λ does not {why} for {deflection}, to light {light}")
+                raise AssertionError(f"the integral over λ does not {why} for {scattering_vector}, to light {light}")
             tau, weights = quadrature(cells, illuminant)
             now = (
-                sums.power(deflection, light, tau) * reflected(material, light, -deflection - light, 1.0 / tau)
+                sums.power(scattering_vector, light, tau)
+                * reflected(material, light, -scattering_vector - light, 1.0 / tau)
             ) @ weights
             size = max(np.linalg.norm(now), least)
             if before is not None and np.linalg.norm(now - before) <= tolerance / 20.0 * size:
@@ -392,7 +401,7 @@ def colours(hf, deflections, to_light, step, *, tolerance, illuminant="D65", mat
 
 
 def reference_reflectance(
-    hf, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
+    heightfield, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
     material=None, masking=True, centre=None,
 ):  # fmt: skip
     """XYZ of unit vectors (n, 3) in the local frame, shape (n, 3); the coherence by name with sigma, or an object."""
@@ -400,17 +409,17 @@ def reference_reflectance(
     ior = math.inf if material is not None else ior
     gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
     result = np.zeros((len(gains), 3))
-    lit = gains > 0.0
+    illuminated = gains > 0.0
     found = colours(
-        hf,
-        -(to_light + to_view)[lit],
-        to_light[lit],
+        heightfield,
+        -(to_light + to_view)[illuminated],
+        to_light[illuminated],
         step,
         tolerance=tolerance,
         illuminant=illuminant,
         material=material,
     )
-    result[lit] = gains[lit, None] * found
+    result[illuminated] = gains[illuminated, None] * found
     return result
 
 
@@ -438,7 +447,7 @@ class Pixels(NamedTuple):
 
     xyz: np.ndarray
     hit: np.ndarray
-    lit: np.ndarray
+    illuminated: np.ndarray
     unsure: np.ndarray
     cos_geometric: np.ndarray  # of the last light, on the viewer's side
 
@@ -458,14 +467,14 @@ def bilinear(texture, uv):
     return total
 
 
-def pigment_colour(base, to_light, to_view, hf, step, illuminant, ior):
+def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
     """XYZ of linear base colours (k, 3) under the diffraction layer."""
     grid = np.arange(380, 781) * 1e-3
     if step.kind == "source":
         weight = np.full(len(grid), 2.0 * step.spread**2)
     elif step.kind == "replicas":
-        patch = math.prod(hf.shape) * float(hf.pitch_um[0]) * float(hf.pitch_um[1])
-        weight = grid**2 / (math.pi * patch * math.prod(step.copies))
+        patch = math.prod(heightfield.shape) * float(heightfield.pitch_um[0]) * float(heightfield.pitch_um[1])
+        weight = grid**2 / (math.pi * patch * math.prod(step.periods))
     else:
         weight = grid**2 / (4.0 * math.pi**2 * step.sigma_um**2)
     white = weight @ products(illuminant)
@@ -475,14 +484,14 @@ def pigment_colour(base, to_light, to_view, hf, step, illuminant, ior):
 
 
 def reference_picture(
-    body, hf, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5, masking=True,
+    body, heightfield, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5, masking=True,
     pigment=1.0, shadows=True, smooth=True, chunk=64,
 ):  # fmt: skip
     """The given pixels of a picture, by index along rows from the top left.
 
     Args:
         body: A ``Body``.
-        hf: The height field.
+        heightfield: The height field.
         lights: Objects with ``to_light``, ``illuminant`` and ``power``.
         view: The camera.
         pixels: Indices, shape (k,).
@@ -528,24 +537,26 @@ def reference_picture(
     for light in lights:
         world = np.asarray(light.to_light)
         to_light = np.stack([axis @ world for axis in (t, b, n)], axis=1)
-        lit = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
+        illuminated = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
         doubt = np.abs(to_light[:, 2]) < 1e-5
         if shadows:
-            rays = np.broadcast_to(world, (np.count_nonzero(lit), 3))
-            occluded, _, _, nearness = intersect(start[lit], rays, body.vertices, body.faces, chunk)
-            doubt[lit] |= nearness < 1e-4
-            lit[lit] = ~np.isfinite(occluded)
+            rays = np.broadcast_to(world, (np.count_nonzero(illuminated), 3))
+            occluded, _, _, nearness = intersect(start[illuminated], rays, body.vertices, body.faces, chunk)
+            doubt[illuminated] |= nearness < 1e-4
+            illuminated[illuminated] = ~np.isfinite(occluded)
         contribution = np.zeros((len(face), 3))
-        contribution[lit] = reference_reflectance(
-            hf, to_light[lit], to_view[lit], step, tolerance=tolerance, illuminant=light.illuminant, ior=ior,
+        contribution[illuminated] = reference_reflectance(
+            heightfield, to_light[illuminated], to_view[illuminated], step, tolerance=tolerance, illuminant=light.illuminant, ior=ior,
             masking=masking,
         )  # fmt: skip
         if pigment > 0.0 and body.texture is not None:
-            base = bilinear(body.texture, np.einsum("kc,kcd->kd", bary, body.uvs[corners])[lit])
-            under = pigment_colour(base, to_light[lit], to_view[lit], hf, step, light.illuminant, ior)
-            contribution[lit] += pigment * under
+            base = bilinear(body.texture, np.einsum("kc,kcd->kd", bary, body.uvs[corners])[illuminated])
+            under = pigment_colour(
+                base, to_light[illuminated], to_view[illuminated], heightfield, step, light.illuminant, ior
+            )
+            contribution[illuminated] += pigment * under
         xyz[hit] += light.power * contribution
-        any_lit[hit] |= lit
+        any_lit[hit] |= illuminated
         unsure[hit] |= doubt
         cos_geometric[hit] = (side * geometric) @ world
     return Pixels(xyz, hit, any_lit, unsure, cos_geometric)
@@ -558,12 +569,12 @@ class PictureError(NamedTuple):
     p99: float
     below: float  # 99th percentile of ‖ΔXYZ‖ / f of the lit pixels with Y < f
     share_below: float
-    lit: int
+    illuminated: int
     unsure: int
 
     def __str__(self):
         return (
-            f"median {self.median:.1e}, P99 {self.p99:.1e}; {100.0 * self.share_below:.1f} % of {self.lit} lit pixels "
+            f"median {self.median:.1e}, P99 {self.p99:.1e}; {100.0 * self.share_below:.1f} % of {self.illuminated} lit pixels "
             f"below f, there P99 {self.below:.1e}; {self.unsure} left out at edges"
         )
 
@@ -578,9 +589,9 @@ def stratified(mask, count, seed=0):
 
 def picture_error(xyz, truth):
     """The error of XYZ (k, 3) against ``Pixels``, over the lit ones."""
-    use = truth.lit & ~truth.unsure
+    use = truth.illuminated & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
-    floor = FLOOR * brightness(exact[:, 1])
+    floor = FLOOR * reference_luminance(exact[:, 1])
     above = exact[:, 1] >= floor
     error = moved[above] / np.maximum(np.linalg.norm(exact[above], axis=1), floor)
     below = np.percentile(moved[~above] / floor, 99.0) if not above.all() else 0.0

@@ -17,10 +17,10 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 import warpdiff as wd
-from warpdiff.compute.device import resolve_device
+from warpdiff.device.devices import resolve_device
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
-from warpdiff.render.frame import Frame
+from warpdiff.render.picture import Frame
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ _CORE = 0.25
 class SkySums:
     """Pixels of a mesh that are seen from somewhere, and a surface."""
 
-    def __init__(self, mesh: Any, hf: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
+    def __init__(self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
         """Cast the rays."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
         frame = Frame(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
@@ -46,8 +46,8 @@ class SkySums:
         self._hit = pixels.hit.numpy().reshape(shape) != 0
         axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
         self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)
-        self._hf, self._coherence = hf, coherence
-        self._plan = wd.plan(hf, tolerance=1e-2, coherence=coherence)
+        self._hf, self._coherence = heightfield, coherence
+        self._plan = wd.plan(heightfield, tolerance=1e-2, coherence=coherence)
         nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
         d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
         self._light = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)

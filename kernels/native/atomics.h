@@ -7,7 +7,7 @@
 namespace warpdiff {
 
 // Count one up; returns what was there.
-WARPDIFF_INLINE int take_number(int* count)
+WARPDIFF_INLINE int atomic_increment(int* count)
 {
 #if defined(__CUDA_ARCH__)
     return atomicAdd(count, 1);

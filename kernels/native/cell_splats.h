@@ -10,33 +10,33 @@ namespace warpdiff {
 // weights, and that of the weights; the mean colour; a bit for each quadrant of which a part is not lit; and whether
 // any cell meets nothing or is not lit.
 struct CellSums {
-    float shares[3][3][4] = {}, mean[3] = {};
-    unsigned char dark = 0;
-    bool crossed = false;
+    float filtered_sums[3][3][4] = {}, mean[3] = {};
+    unsigned char has_unlit_quadrant = 0;
+    bool has_edge = false;
 };
 
 // Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
 // `along` weighs cells by how far they are, along one axis, from the middle pixel of three.
 WARPDIFF_INLINE CellSums sum_cells(
-    const float* colours, const int* hit, const bool* hidden, const float* gains, const float* along, int across)
+    const float* colours, const int* hit, const bool* occluded, const float* gains, const float* along, int across)
 {
     CellSums sums;
     int cell = 0;
     for (int row = 0; row < across; ++row) {
         float of_row[3][4] = {};
         for (int column = 0; column < across; ++column, ++cell) {
-            sums.crossed |= hit[cell] == 0 || !(gains[cell] > 0.0f);
+            sums.has_edge |= hit[cell] == 0 || !(gains[cell] > 0.0f);
             if (hit[cell] == 0) continue;
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
             const int quadrant = 2 * (2 * row >= across) + (2 * column >= across);
-            sums.dark |= (hidden && (hidden[cell] || !(gains[cell] > 0.0f))) << quadrant;
+            sums.has_unlit_quadrant |= (occluded && (occluded[cell] || !(gains[cell] > 0.0f))) << quadrant;
             for (int c = 0; c < 3; ++c) sums.mean[c] += value[c];
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < 4; ++c) of_row[k][c] += along[k * across + column] * value[c];
         }
         for (int line = 0; line < 3; ++line)
             for (int k = 0; k < 3; ++k)
-                for (int c = 0; c < 4; ++c) sums.shares[line][k][c] += along[line * across + row] * of_row[k][c];
+                for (int c = 0; c < 4; ++c) sums.filtered_sums[line][k][c] += along[line * across + row] * of_row[k][c];
     }
     for (int c = 0; c < 3; ++c) sums.mean[c] /= (float)(across * across);
     return sums;
@@ -45,7 +45,7 @@ WARPDIFF_INLINE CellSums sum_cells(
 // Splat pixels from begin to end of those that are split, −1 is none: `least_fall` is the share of what was expected
 // that their means are taken to change by at least.
 template <class Colours, class Hits, class Flags, class Numbers, class Shares, class Bytes>
-WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& hidden, const Numbers& gains,
+WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& occluded, const Numbers& gains,
     const Hits& pixels, const Colours& colours_before, const Numbers& errors_before, const Hits& ranks,
     const Numbers& weights, int level, float least_fall, int begin, int end, Shares& shares_out, Colours& means_out,
     Numbers& changes_out, Bytes& levels_out, Bytes& dark_out, Flags& crossed_out)
@@ -56,10 +56,10 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         if (pixel < 0) continue;
         const long long first = (long long)tile * across * across;
         const CellSums sums = sum_cells(numbers<const float>(colours) + 3 * first, numbers<const int>(hit) + first,
-            is_empty(hidden) ? nullptr : numbers<const bool>(hidden) + first, numbers<const float>(gains) + first,
+            is_empty(occluded) ? nullptr : numbers<const bool>(occluded) + first, numbers<const float>(gains) + first,
             numbers<const float>(weights), across);
         const long long rank = is_empty(ranks) ? pixel : numbers<const int>(ranks)[pixel];
-        memcpy(numbers<float>(shares_out) + 36 * rank, sums.shares, sizeof(sums.shares));
+        memcpy(numbers<float>(shares_out) + 36 * rank, sums.filtered_sums, sizeof(sums.filtered_sums));
         float* const mean = numbers<float>(means_out) + 3 * rank;
         const float* const before = level == 1 ? numbers<const float>(colours_before) + 3LL * pixel : mean;
         float change2 = 0.0f;
@@ -73,8 +73,8 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         const float expected = level == 1 ? numbers<const float>(errors_before)[pixel] : *change;
         *change = wp::max(wp::sqrt(change2), least_fall * expected);
         numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;
-        numbers<unsigned char>(dark_out)[rank] = sums.dark;
-        numbers<bool>(crossed_out)[rank] = sums.crossed;
+        numbers<unsigned char>(dark_out)[rank] = sums.has_unlit_quadrant;
+        numbers<bool>(crossed_out)[rank] = sums.has_edge;
     }
 }
 

@@ -27,15 +27,15 @@ struct Spoke {
 // Rows halfway between spokes: Lagrange's polynomial through four on either side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
-    const Rows& values, long long first, int before, int spokes, int nodes, typename Spoke<TERMS>::Vector* out)
+    const Rows& values, long long first, int before, int azimuths, int nodes, typename Spoke<TERMS>::Vector* out)
 {
     constexpr float HALFWAY[4] = {1225.0f / 2048.0f, -245.0f / 2048.0f, 49.0f / 2048.0f, -5.0f / 2048.0f};
     typedef typename Spoke<TERMS>::Vector Vector;
     const int size = nodes * Spoke<TERMS>::VECTORS;
     const Vector* rows[8];
     for (int k = 0; k < 8; ++k) {
-        const long long spoke = (before + k - 3 + spokes) % spokes;
-        rows[k] = numbers<const Vector>(values) + (first + spoke * nodes) * Spoke<TERMS>::VECTORS;
+        const long long azimuth = (before + k - 3 + azimuths) % azimuths;
+        rows[k] = numbers<const Vector>(values) + (first + azimuth * nodes) * Spoke<TERMS>::VECTORS;
     }
     for (int l = 0; l < size; ++l) {
         Vector sum = Vector{};
@@ -60,19 +60,19 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     // A spectrum of few nodes an octave ends before the filter's last taps.
     const int left = (length - 1 - nodes) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
-    auto on_spoke = [&](int of, int spoke) {
-        return numbers<const Vector>(values) + (begins[of] + (long long)spoke * nodes) * ROW;
+    auto on_spoke = [&](int of, int azimuth) {
+        return numbers<const Vector>(values) + (begins[of] + (long long)azimuth * nodes) * ROW;
     };
     Vector* out = Spoke<TERMS>(sequence, at, length).rows;
-    for (int spoke = first_spoke; spoke < first_spoke + SPOKES; ++spoke, out += (long long)length * ROW) {
+    for (int azimuth = first_spoke; azimuth < first_spoke + SPOKES; ++azimuth, out += (long long)length * ROW) {
         for (int l = 0; l < ROW; ++l) out[l] = Vector{};
         Vector* const own = out + ROW;
-        if (coarse != count && spoke % 2 != 0)
-            interpolate_halfway<TERMS>(values, begins[octave], spoke / 2, coarse, nodes, own);
+        if (coarse != count && azimuth % 2 != 0)
+            interpolate_halfway<TERMS>(values, begins[octave], azimuth / 2, coarse, nodes, own);
         else
-            memcpy(own, on_spoke(octave, coarse == count ? spoke : spoke / 2), size * sizeof(Vector));
-        memcpy(own + size, on_spoke(octave + 1, spoke), next * sizeof(Vector));
-        if (further > 0) memcpy(own + size + next, on_spoke(octave + 2, spoke * more), further * sizeof(Vector));
+            memcpy(own, on_spoke(octave, coarse == count ? azimuth : azimuth / 2), size * sizeof(Vector));
+        memcpy(own + size, on_spoke(octave + 1, azimuth), next * sizeof(Vector));
+        if (further > 0) memcpy(own + size + next, on_spoke(octave + 2, azimuth * more), further * sizeof(Vector));
         for (int l = next + further; l < left; ++l) own[size + l] = Vector{};
     }
 }
@@ -97,25 +97,25 @@ WARPDIFF_INLINE void filter_to_spline(typename Spoke<TERMS>::Vector* rows, int l
 }
 
 // Coefficients of FUNCTIONS functions of w in vectors, the last of which may overlap the one before.
-template <int FUNCTIONS>
+template <int W_BASIS_STEP>
 struct FunctionVectors {
-    static constexpr int LANES = ON_GPU ? 1 : FUNCTIONS > 4 ? 8 : 4;
-    static constexpr int COUNT = (FUNCTIONS + LANES - 1) / LANES;
+    static constexpr int LANES = ON_GPU ? 1 : W_BASIS_STEP > 4 ? 8 : 4;
+    static constexpr int COUNT = (W_BASIS_STEP + LANES - 1) / LANES;
     typedef typename FloatVector<LANES>::type Vector;
 
     static constexpr int first(int p)
     {
-        return p * LANES < FUNCTIONS - LANES ? p * LANES : FUNCTIONS - LANES;
+        return p * LANES < W_BASIS_STEP - LANES ? p * LANES : W_BASIS_STEP - LANES;
     }
 };
 
 // Sums over `taps` rows of SPOKES spokes, `apart` floats from each other: what a row's terms give for each function of
 // w, by a matrix that the spokes share, weighed with the colour curves.
-template <int TERMS, int FUNCTIONS, int SPOKES>
+template <int TERMS, int W_BASIS_STEP, int SPOKES>
 WARPDIFF_INLINE void project_node(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
 {
-    typedef FunctionVectors<FUNCTIONS> Functions;
+    typedef FunctionVectors<W_BASIS_STEP> Functions;
     typedef typename Functions::Vector Vector;
     Vector sum[SPOKES][3][Functions::COUNT];
     for (int b = 0; b < SPOKES; ++b)
@@ -132,7 +132,7 @@ WARPDIFF_INLINE void project_node(const float* row, long long apart, const float
                 for (int p = 0; p < Functions::COUNT; ++p)
                     at_w[b][p] += row[b * apart + l] * *(const Vector*)(factor + Functions::first(p));
             }
-            factor += FUNCTIONS;
+            factor += W_BASIS_STEP;
         }
 #pragma unroll
         for (int b = 0; b < SPOKES; ++b) {
@@ -146,22 +146,22 @@ WARPDIFF_INLINE void project_node(const float* row, long long apart, const float
     for (int b = 0; b < SPOKES; ++b)
         for (int c = 0; c < 3; ++c)
             for (int p = 0; p < Functions::COUNT; ++p)
-                *(Vector*)(out + b * out_apart + c * FUNCTIONS + Functions::first(p)) = sum[b][c][p];
+                *(Vector*)(out + b * out_apart + c * W_BASIS_STEP + Functions::first(p)) = sum[b][c][p];
 }
 
 // Colours along SPOKES spokes from their `length` rows; that of the first node begins behind those `skipped`.
-template <int TERMS, int FUNCTIONS, int SPOKES, class Rows, class Matrices, class Weights, class Colours>
+template <int TERMS, int W_BASIS_STEP, int SPOKES, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_spokes(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int nodes, int first_spoke, Colours& rows_out)
 {
     const Spoke<TERMS> first(sequence, at, length);
     for (int b = 0; b < SPOKES; ++b)
         filter_to_spline<TERMS>(first.rows + (long long)b * length * Spoke<TERMS>::VECTORS, length);
-    float* const out = numbers<float>(rows_out) + 3LL * first_spoke * nodes * FUNCTIONS;
+    float* const out = numbers<float>(rows_out) + 3LL * first_spoke * nodes * W_BASIS_STEP;
     for (int k = 0; k < nodes; ++k)
-        project_node<TERMS, FUNCTIONS, SPOKES>((const float*)first.rows + (long long)(skipped + k) * TERMS,
+        project_node<TERMS, W_BASIS_STEP, SPOKES>((const float*)first.rows + (long long)(skipped + k) * TERMS,
             (long long)length * TERMS, numbers<const float>(matrices), numbers<const float>(weights), weights.shape[0],
-            terms, out + 3LL * k * FUNCTIONS, 3LL * nodes * FUNCTIONS);
+            terms, out + 3LL * k * W_BASIS_STEP, 3LL * nodes * W_BASIS_STEP);
 }
 
 } // namespace warpdiff

@@ -65,7 +65,7 @@ struct Segments {
     // as far out; how far the first node lies from the mean of ln |(u, v)| [nodes], and that from the middle; the blur
     // at the middle and what the level has of it, in steps of the taps' variances.
     Batch<N> position, turning, away, behind, blur, given, skew, per_deviation;
-    Batch<N, int> spokes, first_row;
+    Batch<N, int> azimuths, first_row;
 };
 
 // Rows that a node sums: the first one, its number, and where their weights begin.
@@ -96,12 +96,12 @@ WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, f
 
 template <bool SOURCE, int N>
 WARPDIFF_INLINE void load_footprints(
-    Asked<N>& asked, const double* deflections, const float* to_lights, const float* footprints, int count)
+    Asked<N>& asked, const double* scattering_vectors, const float* to_lights, const float* footprints, int count)
 {
     for (int i = 0; i < count; ++i) {
-        asked.u[i] = (float)deflections[3 * i];
-        asked.v[i] = (float)deflections[3 * i + 1];
-        asked.w[i] = (float)-deflections[3 * i + 2];
+        asked.u[i] = (float)scattering_vectors[3 * i];
+        asked.v[i] = (float)scattering_vectors[3 * i + 1];
+        asked.w[i] = (float)-scattering_vectors[3 * i + 2];
         asked.light_x[i] = SOURCE ? to_lights[3 * i] : 0.0f;
         asked.light_y[i] = SOURCE ? to_lights[3 * i + 1] : 0.0f;
         asked.light_z[i] = SOURCE ? to_lights[3 * i + 2] : 0.0f;
@@ -155,7 +155,7 @@ WARPDIFF_INLINE bool is_left_out(const Table& table, const Asked<N>& asked, int 
     const float over2 = asked.ratio2[i] - ((int)asked.parts[i] > 1 ? cut * both * both / asked.angle2[i] : 0.0f)
         + 0.25f / (per_log * per_log);
     const int octave = wp::clamp((int)((at.log2 * (float)table.nodes + table.node_of_one) * table.per_octave), 0,
-        (int)table.spokes.shape[1] - 1);
+        (int)table.azimuths.shape[1] - 1);
     return u * u + v * v < table.near2
         || (within * asked.angle2[i] - numbers<const float>(table.line_blurs2)[octave]) * over2
         < within * within * both * both;
@@ -177,7 +177,7 @@ struct NextPart {
 // The next parts, as many as there is room for: their (u, v), covariances and shares of the colour.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class LeftOut>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains, const Asked<N>& asked,
-    int begin, int count, NextPart& next, Parts<N>& parts, LeftOut& left_out, float* xyz)
+    int begin, int count, NextPart& next, Parts<N>& parts, LeftOut& unserved_gain, float* xyz)
 {
     parts.count = 0;
     while (parts.count < N && next.pixel < count) {
@@ -189,7 +189,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         bool served = gain > 0.0f;
         if (SOURCE) {
             const bool left = is_left_out(table, asked, i, within, cut);
-            numbers<float>(left_out)[begin + i] = served && left ? gain : 0.0f;
+            numbers<float>(unserved_gain)[begin + i] = served && left ? gain : 0.0f;
             served = served && !left;
             share *= 2.0f * PI * asked.source2[i];
         }
@@ -268,7 +268,7 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_nodes(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
-    const int octaves = table.spokes.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
+    const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_nodes = octaves * table.nodes;
     const float per_log = table.per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
     // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
@@ -338,8 +338,8 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
-    const int octaves = table.spokes.shape[1], levels = table.spokes.shape[0];
-    const int* const spokes = numbers<const int>(table.spokes);
+    const int octaves = table.azimuths.shape[1], levels = table.azimuths.shape[0];
+    const int* const azimuths = numbers<const int>(table.azimuths);
     const int* const first_rows = numbers<const int>(table.first_rows);
     const float* const blurs = numbers<const float>(table.blurs);
     for (int from = 0; from < segments.count; from += ABREAST)
@@ -351,13 +351,13 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
             const int level = wp::clamp(((bits_of(relative) >> 23) - 125) >> 1, 0, levels - 1);
             const int at = level * octaves + octave;
-            const float blur = blurs[at], per_radian = (float)spokes[at] * (0.5f / PI);
+            const float blur = blurs[at], per_radian = (float)azimuths[at] * (0.5f / PI);
             const float steps_of_blur = per_radian * per_radian * taps.per_variance;
-            segments.spokes[s] = spokes[at];
+            segments.azimuths[s] = azimuths[at];
             segments.blur[s] = parts.aside2[k] * steps_of_blur;
             segments.given[s] = (blur * blur + line2) * steps_of_blur - 0.5f;
             segments.turning[s] = parts.turn_per_node[k] * table.per_log * per_radian;
-            segments.position[s] = parts.turns[k] * (float)spokes[at];
+            segments.position[s] = parts.turns[k] * (float)azimuths[at];
             segments.away[s] = (float)segments.first[s] - parts.place[k];
             segments.behind[s] = parts.half_ratio2[k];
             segments.skew[s] = parts.skew[k];
@@ -394,12 +394,12 @@ template <int N, class Table, class Taps>
 WARPDIFF_INLINE NodeRows rows_of_node(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
 {
-    const int fractions = taps.weights.shape[1], spokes = segments.spokes[s], least = -(count / 2);
+    const int fractions = taps.weights.shape[1], azimuths = segments.azimuths[s], least = -(count / 2);
     const float start = position - 0.5f * (float)(count - 1), first = wp::rint(start);
-    const int fraction = (int)((start - first + 0.5f) * (float)fractions), spoke = (int)first;
-    const int turned = spoke < least ? spoke + spokes : spoke >= spokes + least ? spoke - spokes : spoke;
+    const int fraction = (int)((start - first + 0.5f) * (float)fractions), azimuth = (int)first;
+    const int rotated = azimuth < least ? azimuth + azimuths : azimuth >= azimuths + least ? azimuth - azimuths : azimuth;
     return {
-        segments.first_row[s] + wp::clamp(turned, least, spokes + least) * table.nodes + m * segments.apart[s],
+        segments.first_row[s] + wp::clamp(rotated, least, azimuths + least) * table.nodes + m * segments.apart[s],
         count,
         (step * fractions + wp::clamp(fraction, 0, fractions - 1)) * (int)taps.weights.shape[2],
     };
@@ -488,18 +488,18 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
 // Add the mean XYZ over footprints and the source of deflections from begin to end, at most RUN, times their gains.
 //
 // Of a source, those that the table does not serve are skipped, and `left_out` holds their gains, others' are 0.
-template <int FUNCTIONS, bool SOURCE, int RUN, int MOST_PARTS, class Table, class Taps, class Deflections, class Lights,
+template <int W_BASIS_STEP, bool SOURCE, int RUN, int MOST_PARTS, class Table, class Taps, class Deflections, class Lights,
     class Gains, class Footprints, class Colours>
 WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, CutGaussian cut,
-    const Deflections& deflections, const Lights& to_lights, const Gains& gains, const Footprints& footprints,
-    int begin, int end, Gains& left_out, Colours& xyz_out)
+    const Deflections& scattering_vectors, const Lights& to_lights, const Gains& gains, const Footprints& footprints,
+    int begin, int end, Gains& unserved_gain, Colours& xyz_out)
 {
-    constexpr int N = batch_of(RUN), WIDTH = 3 * FUNCTIONS;
+    constexpr int N = batch_of(RUN), WIDTH = 3 * W_BASIS_STEP;
     const int count = end - begin;
     const float* const factors = numbers<const float>(gains) + begin;
     float* const xyz = numbers<float>(xyz_out) + 3LL * begin;
     Asked<N> asked;
-    load_footprints<SOURCE>(asked, numbers<const double>(deflections) + 3LL * begin,
+    load_footprints<SOURCE>(asked, numbers<const double>(scattering_vectors) + 3LL * begin,
         numbers<const float>(to_lights) + 3LL * begin,
         is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, count);
     find_covariances<SOURCE, MOST_PARTS>(table, asked, count);
@@ -508,7 +508,7 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
     for (NextPart next_part = {0, 0};;) {
         Parts<N> parts;
         next_parts<SOURCE, MOST_PARTS, WIDTH>(
-            table, numbers<const float>(taps.parts), factors, asked, begin, count, next_part, parts, left_out, xyz);
+            table, numbers<const float>(taps.parts), factors, asked, begin, count, next_part, parts, unserved_gain, xyz);
         if (parts.count == 0) break;
         place_parts(table, parts);
         choose_nodes<SOURCE>(table, taps, cut, parts);

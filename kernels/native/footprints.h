@@ -85,10 +85,10 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     cross(edge1, edge2, face.across);
     cross(edge2, face.across, face.of_share1);
     cross(face.across, edge1, face.of_share2);
-    const float area2 = dot(face.across, face.across) + 1.0e-30f, turned = dot(face.across, face.view);
-    face.facing = turned < 0.0f ? -1.0f : 1.0f;
+    const float area2 = dot(face.across, face.across) + 1.0e-30f, rotated = dot(face.across, face.view);
+    face.facing = rotated < 0.0f ? -1.0f : 1.0f;
     const float least = limits.least_facing * wp::sqrt(area2);
-    const float per_facing = 1.0f / (face.facing * turned > least ? turned : face.facing * least);
+    const float per_facing = 1.0f / (face.facing * rotated > least ? rotated : face.facing * least);
     face.slide1 = dot(face.view, face.of_share1) * per_facing;
     face.slide2 = dot(face.view, face.of_share2) * per_facing;
     // How far along the view a unit of that plane lies, and the mesh.
@@ -142,7 +142,7 @@ WARPDIFF_INLINE void differentiate_deflection(const FaceDifferentials& face, con
 // Footprints of the rays from begin to end, of filters of a deviation in pixels.
 template <int BATCH, class Camera, class Surface, class Pixels, class Deflections, class Footprints>
 WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surface, const Pixels& pixels,
-    const Deflections& deflections, float deviation, int begin, int end, FootprintLimits limits,
+    const Deflections& scattering_vectors, float deviation, int begin, int end, FootprintLimits limits,
     Footprints& footprints_out)
 {
     constexpr int N = batch_of(BATCH);
@@ -159,7 +159,7 @@ WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surfac
         PixelBatch<N> pixel_batch;
         FootprintBatch<N> batch;
         pixel_batch.load(surface, pixels, from, count);
-        batch.load(pixels, numbers<const double>(deflections), pixel_batch.met, from, count);
+        batch.load(pixels, numbers<const double>(scattering_vectors), pixel_batch.met, from, count);
         for (int i = 0; i < N; ++i) {
             const FaceDifferentials face = differentiate_face(pixel_batch, i, filter, limits);
             differentiate_deflection(face, filter, smooth, limits.least_cosine, i, batch);

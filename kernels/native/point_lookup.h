@@ -24,7 +24,7 @@ struct Points {
 template <int N, class Table>
 WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 {
-    const int octaves = table.spokes.shape[1];
+    const int octaves = table.azimuths.shape[1];
     const float nodes = (float)table.nodes, last = (float)(octaves * table.nodes - 2), least = table.least_uv;
     for (int i = 0; i < N; ++i) {
         const LogPolar at = log_polar(points.u[i], points.v[i], least);
@@ -38,7 +38,7 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int node, int octave, float& aside)
 {
-    const float position = turns * (float)numbers<const int>(table.spokes)[octave], nearest = wp::rint(position);
+    const float position = turns * (float)numbers<const int>(table.azimuths)[octave], nearest = wp::rint(position);
     aside = position - nearest;
     const long long row =
         numbers<const int>(table.first_rows)[octave] + ((int)nearest - 1 - octave) * table.nodes + node;
@@ -95,13 +95,13 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 //
 // What the next ones read is asked for AHEAD of their turn: of too many, rows that lie a page apart drive each other
 // out of the first cache.
-template <int FUNCTIONS, int RUN, int AHEAD, class Table, class Deflections, class Gains, class Colours>
+template <int W_BASIS_STEP, int RUN, int AHEAD, class Table, class Deflections, class Gains, class Colours>
 WARPDIFF_INLINE void look_up_points(
-    const Table& table, const Deflections& deflections, const Gains& gains, int begin, int end, Colours& xyz_out)
+    const Table& table, const Deflections& scattering_vectors, const Gains& gains, int begin, int end, Colours& xyz_out)
 {
-    constexpr int N = batch_of(RUN), WIDTH = 3 * FUNCTIONS;
+    constexpr int N = batch_of(RUN), WIDTH = 3 * W_BASIS_STEP;
     const int count = end - begin;
-    const double* const given = numbers<const double>(deflections) + 3LL * begin;
+    const double* const given = numbers<const double>(scattering_vectors) + 3LL * begin;
     const float* const factors = numbers<const float>(gains) + begin;
     float* const xyz = numbers<float>(xyz_out) + 3LL * begin;
     Points<N> points;

@@ -50,7 +50,7 @@ struct Raster {
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    double reach_of_cells, reach; // how far cells, or any rays, lie from the centre along an axis
+    double reach_of_cells, neighbour_extent; // how far cells, or any rays, lie from the centre along an axis
     unsigned long long* nearest;
 
     template <class Camera, class Sampling, class Cells, class Nearest>
@@ -76,7 +76,7 @@ struct Raster {
             below[cell] = (float)((cell / across + 0.5) / across - 0.5);
         }
         for (int cell = marks ? cells : 0; cell < MOST_CELLS; ++cell) aside[cell] = below[cell] = 0.0f;
-        reach = marks ? greater(reach_of_rays, reach_of_cells) : reach_of_rays;
+        neighbour_extent = marks ? greater(reach_of_rays, reach_of_cells) : reach_of_rays;
     }
 };
 
@@ -110,7 +110,7 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         }
         const double x0 = triangles.column[0][i], x1 = triangles.column[1][i], x2 = triangles.column[2][i];
         const double y0 = triangles.row[0][i], y1 = triangles.row[1][i], y2 = triangles.row[2][i];
-        const double slack = picture.reach;
+        const double slack = picture.neighbour_extent;
         sides[i] = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0) < 0.0 ? -1.0 : 1.0;
         triangles.low_column[i] = greater(wp::ceil(lesser(x0, lesser(x1, x2)) - slack - 0.5), 0.0);
         triangles.high_column[i] = lesser(wp::floor(greater(x0, greater(x1, x2)) + slack - 0.5), picture.width - 1.0);
@@ -228,7 +228,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
             double least = triangles.low_column[i], largest = triangles.high_column[i];
             for (int k = 0; k < 3; ++k) {
                 const double slope = triangles.slope[k][i], rise = triangles.sign[k][i] * triangles.down[k][i];
-                const double beyond = picture.reach * (1.0 + wp::abs(slope));
+                const double beyond = picture.neighbour_extent * (1.0 + wp::abs(slope));
                 const double crossing = triangles.from_x[k][i] + slope * (row + 0.5 - triangles.from_y[k][i]) - 0.5;
                 if (rise < 0.0) least = greater(least, wp::floor(crossing - beyond));
                 if (rise > 0.0) largest = lesser(largest, wp::ceil(crossing + beyond));
@@ -349,9 +349,9 @@ WARPDIFF_INLINE bool project_faces(
 // Rasterize faces from begin to end into the nearest face of each ray.
 template <int MOST_CELLS, class Camera, class Surface, class Sampling, class Cells, class Nearest>
 WARPDIFF_INLINE void rasterize_faces(const Camera& camera, const Surface& surface, const Sampling& sampling,
-    const Cells& cells, double reach, int begin, int end, Nearest& nearest_out)
+    const Cells& cells, double neighbour_extent, int begin, int end, Nearest& nearest_out)
 {
-    const Raster<MOST_CELLS> picture(camera, sampling, cells, reach, nearest_out);
+    const Raster<MOST_CELLS> picture(camera, sampling, cells, neighbour_extent, nearest_out);
     const int* const faces = numbers<const int>(surface.faces);
     const float* const positions = numbers<const float>(surface.positions);
     Triangles triangles;

@@ -33,14 +33,14 @@ struct Gaussian2 {
 // them, less that of their spline [rad²], whose coefficients are sharper than its values by as much, and from which
 // variance along the ring on the next one serves.
 struct RingLevel {
-    int octave, level, spokes, first_row;
+    int octave, level, azimuths, first_row;
     float spacing, blur2, until;
 };
 
 // The weight of a Gaussian at a place (x, y) of the unit circle times the radius, once it is narrower by a variance
 // along the ring, if it is within so many deviations. There it is one whose exponent has the same slope and bend.
 WARPDIFF_INLINE float weight_on_ring(
-    const Gaussian2& gaussian, float x, float y, float radius, float blur2, float reach)
+    const Gaussian2& gaussian, float x, float y, float radius, float blur2, float neighbour_extent)
 {
     const float u = radius * x - gaussian.u, v = radius * y - gaussian.v;
     const float pu = gaussian.uu * u + gaussian.uv * v, pv = gaussian.uv * u + gaussian.vv * v;
@@ -50,15 +50,15 @@ WARPDIFF_INLINE float weight_on_ring(
     const float left = larger(1.0f - blur2 * bend, 1.0f - 1.2f * MOST_BLUR2);
     const float exponent = u * pu + v * pv;
     const float weight = exp_of_negative(-0.5f * (exponent + slope * slope * blur2 / left)) / wp::sqrt(left);
-    return exponent < reach * reach ? weight : 0.0f;
+    return exponent < neighbour_extent * neighbour_extent ? weight : 0.0f;
 }
 
 template <class Table>
 WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 {
-    const int at = level * (int)table.spokes.shape[1] + octave, spokes = numbers<const int>(table.spokes)[at];
-    const float blur = numbers<const float>(table.blurs)[at], spacing = 2.0f * PI / (float)spokes;
-    return {octave, level, spokes, numbers<const int>(table.first_rows)[at], spacing,
+    const int at = level * (int)table.azimuths.shape[1] + octave, azimuths = numbers<const int>(table.azimuths)[at];
+    const float blur = numbers<const float>(table.blurs)[at], spacing = 2.0f * PI / (float)azimuths;
+    return {octave, level, azimuths, numbers<const int>(table.first_rows)[at], spacing,
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
@@ -68,7 +68,7 @@ template <class Table>
 inline void widen(const Table& table, RingLevel& found, int octave, float variance)
 {
     if (octave != found.octave) found = ring_level(table, wp::max(found.level - 1, 0), octave);
-    for (found.until = 1.0e30f; found.level + 1 < table.spokes.shape[0];) {
+    for (found.until = 1.0e30f; found.level + 1 < table.azimuths.shape[0];) {
         const RingLevel wider = ring_level(table, found.level + 1, octave);
         const float least = larger(
             wider.blur2 * (1.0f / MOST_BLUR2), wider.spacing * wider.spacing * (1.0f / (SPOKES_APART * SPOKES_APART)));
@@ -82,23 +82,23 @@ inline void widen(const Table& table, RingLevel& found, int octave, float varian
 
 // Add the rows of a ring from one spoke up to another, which is left out: arcs may touch.
 template <int WIDTH>
-WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2, float reach,
+WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2, float neighbour_extent,
     float size, float first, float end, int count, const float* rows, long long stride)
 {
     const int taken = wp::min((int)(wp::ceil(end) - wp::ceil(first)), count);
-    int spoke = cyclic((int)wp::ceil(first), count);
+    int azimuth = cyclic((int)wp::ceil(first), count);
     for (int from = 0; from < taken; from += ARC) {
         Batch<ARC> weights;
         for (int j = 0; j < ARC; ++j) {
             float x, y;
-            on_circle((float)(spoke + j) / (float)count, x, y);
-            const float weight = size * weight_on_ring(gaussian, x, y, radius, blur2, reach);
+            on_circle((float)(azimuth + j) / (float)count, x, y);
+            const float weight = size * weight_on_ring(gaussian, x, y, radius, blur2, neighbour_extent);
             weights[j] = from + j < taken ? weight : 0.0f;
         }
-        for (int j = 0; j < ARC; ++j, ++spoke) {
-            if (spoke == count) spoke = 0;
+        for (int j = 0; j < ARC; ++j, ++azimuth) {
+            if (azimuth == count) azimuth = 0;
             if (!(weights[j] > 0.0f)) continue;
-            sum.rows.add(weights[j], rows + spoke * stride);
+            sum.rows.add(weights[j], rows + azimuth * stride);
             sum.weights += weights[j];
         }
     }
@@ -125,7 +125,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // Rings lie on the nodes of the table, closer than the Gaussian is wide along (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
-    const int octaves = table.spokes.shape[1], apart = wp::max((int)(distance * table.per_log), 1);
+    const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.per_log), 1);
     const float outermost = log_polar(middle + OUTWARDS * widest, 0.0f, table.least_uv).log2;
     const float nearest = smaller(INNERMOST * narrow, INNERMOST_OF_LOBE * table.lobe_uv);
     const float innermost = larger(larger(middle - INWARDS * widest, nearest), table.least_uv);
@@ -146,7 +146,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
             numbers<const float>(table.rows) + (long long)(level.first_row + node - octave * table.nodes) * WIDTH;
         const long long stride = (long long)table.nodes * WIDTH;
         // The arc within reach around (u, v), or for a streak those within reach of its axis, if they are shorter.
-        const float reach = radius < middle ? INWARDS : OUTWARDS, furthest = reach * widest, beside = reach * narrow;
+        const float neighbour_extent = radius < middle ? INWARDS : OUTWARDS, furthest = neighbour_extent * widest, beside = neighbour_extent * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
         float from = 0.0f, to = 1.0f;
@@ -155,13 +155,13 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
             to = turns_of_cosine((aside - beside) / radius);
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
-        const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.spokes;
+        const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
         // Rounded, so that arcs that touch have each spoke once.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;
             const float end = !is_streak ? around : side == 0 ? to : -from;
-            add_arc(sum, gaussian, radius, blur2, reach, size, place + first * all, place + end * all, level.spokes,
+            add_arc(sum, gaussian, radius, blur2, neighbour_extent, size, place + first * all, place + end * all, level.azimuths,
                 rows, stride);
         }
         node -= is_coarse ? 2 * apart : apart;

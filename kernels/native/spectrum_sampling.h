@@ -20,10 +20,10 @@ struct Neighbours {
     int left_y, left_x;
 
     template <class Table>
-    WARPDIFF_INLINE Neighbours(const Table& table, int left_out)
+    WARPDIFF_INLINE Neighbours(const Table& table, int unserved_gain)
     {
-        left_y = left_out < 0 ? -1 : left_out / table.count_x;
-        left_x = left_out - left_y * table.count_x;
+        left_y = unserved_gain < 0 ? -1 : unserved_gain / table.count_x;
+        left_x = unserved_gain - left_y * table.count_x;
         reach_y = (int)(wp::sqrt(table.exponent / table.across) + 0.5f);
         reach_x = (int)(wp::sqrt(table.exponent / table.along) + 0.5f);
         for (int j = 0; j < KNOWN_ROWS; ++j) {
@@ -86,8 +86,8 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
             gaussian_taps(table.across, from_y, fy, of_rows);
             for (int j = 0; j < TAPS && from_y + j <= reach_y; ++j) {
                 const int aside = from_y + j < 0 ? -from_y - j : from_y + j;
-                const int reach = aside < KNOWN_ROWS ? around.on_row[aside] : reach_x;
-                const int begin = wp::max(-reach - from_x, 0), end = wp::min(reach - from_x + 1, TAPS);
+                const int neighbour_extent = aside < KNOWN_ROWS ? around.on_row[aside] : reach_x;
+                const int begin = wp::max(-neighbour_extent - from_x, 0), end = wp::min(neighbour_extent - from_x + 1, TAPS);
                 int y = nearest_y + table.origin_y + from_y + j;
                 if (y < 0 || y >= table.count_y) y = cyclic(y, table.count_y);
                 total.add(of_rows[j], sum_of_neighbours<WIDTH>(table, around, y, column, of_columns, begin, end));
@@ -158,9 +158,9 @@ WARPDIFF_INLINE void put_node(float* rows, int node, int count, const Row<NODES>
 // Rows are of TERMS powers; or of amplitudes (PARTS = 2), whose powers at NODES values of κ are what is integrated.
 template <int TERMS, int PARTS, int NODES, class Table, class Bases, class Values>
 WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double sine, double cosine, int nodes,
-    double t, double ratio, int divisions, double highest, float scale, int left_out, int begin, Values& values_out)
+    double t, double ratio, int divisions, double highest, float scale, int unserved_gain, int begin, Values& values_out)
 {
-    const Neighbours around(table, left_out);
+    const Neighbours around(table, unserved_gain);
     float* const out = numbers<float>(values_out) + (long long)begin * NODES;
     Row<NODES> nothing;
     nothing.clear();

@@ -2,5 +2,4 @@
 
 In: arguments of callers, folders, work to be shared out.
 Out: checked values, files whole or not there, caches, threads, forks that wait.
-May import: nothing.
 """

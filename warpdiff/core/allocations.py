@@ -17,8 +17,8 @@ _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2
 
 
 @contextlib.contextmanager
-def named(what: str, remedy: str) -> Iterator[None]:
-    """Within it, memory that is not there is told in the words of `free_memory.require`.
+def as_memory_error(what: str, remedy: str) -> Iterator[None]:
+    """Within it, memory that is not there is told in the words of `free_memory.require_memory`.
 
     What takes more than there is, is refused before it begins wherever its bytes are known. Others may take memory
     meanwhile, and an address space may end before memory does.

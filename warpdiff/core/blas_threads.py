@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import ThreadpoolController
 
-from warpdiff.core import fork_safety
+from warpdiff.core import forks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 # How many are within, and which libraries had how many threads before the first one came.
 _within = 0
 _before: dict[str, tuple[Any, int]] = {}
-_lock = fork_safety.lock()
+_lock = forks.lock()
 
 
 @contextmanager
-def on_one_thread() -> Iterator[None]:
+def single_threaded_blas() -> Iterator[None]:
     """Keep linear algebra to one thread while someone is within."""
     global _within  # noqa: PLW0603 (of one process, under a lock)
     libraries = _libraries("scipy.linalg" in sys.modules)
@@ -75,7 +75,7 @@ def _end() -> None:
     _within = 0
 
 
-fork_safety.at_fork(in_child=_end)
+forks.at_fork(in_child=_end)
 
 
 @functools.cache

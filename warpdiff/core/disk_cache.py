@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core.file_writing import replacing
+from warpdiff.core.file_writing import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,7 +51,7 @@ class Entry(NamedTuple):
     path: Path
 
 
-def kept_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def cached_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Arrays by name, found again or made.
 
     Args:
@@ -120,7 +120,7 @@ def _write(path: Path, key: bytes, arrays: dict[str, Any]) -> None:
     """A checksum, then the archive."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # What a crash of the system leaves is told by its checksum.
-    with replacing(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:
+    with atomic_write(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:
         file.write(bytes(_CHECKSUM_BYTES))
         np.savez(file, **arrays)
         checksum = _checksum(file, key)

@@ -17,7 +17,7 @@ def check_there(file: Path) -> None:
 
 
 @contextlib.contextmanager
-def told_by_name(file: Path) -> Iterator[None]:
+def naming_file(file: Path) -> Iterator[None]:
     """Check that a file is there, and name it where the system cannot read it.
 
     Raises:
@@ -39,7 +39,7 @@ def text_of(file: Path, most_bytes: int) -> str:
         OSError: It cannot be read.
         ValueError: It is larger.
     """
-    with told_by_name(file), file.open("rb") as opened:
+    with naming_file(file), file.open("rb") as opened:
         raw = opened.read(most_bytes + 1)
     if len(raw) > most_bytes:
         raise ValueError(f"{file.name}: such a table has at most {most_bytes} bytes")

@@ -14,7 +14,7 @@ _unfinished: set[Path] = set()
 
 
 @contextlib.contextmanager
-def replacing(target: Path, *, suffix: str = "", durable: bool = True) -> Iterator[Path]:
+def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Iterator[Path]:
     """An empty file beside ``target`` to write to, which takes its place at the end of the context.
 
     Whatever is raised in the context, the temporary file goes and the old one stays.

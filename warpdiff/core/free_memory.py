@@ -14,7 +14,7 @@ _GROUPS, _OWN_GROUPS, _NO_LIMIT = Path("/sys/fs/cgroup"), Path("/proc/self/cgrou
 _BYTES_A_SAMPLE, _BYTES_A_FACE = 80.0, 160.0
 
 
-def require(needed: float, what: str, remedy: str) -> None:
+def require_memory(needed: float, what: str, remedy: str) -> None:
     """Refuse what takes more bytes than there are.
 
     Args:
@@ -35,13 +35,13 @@ def require(needed: float, what: str, remedy: str) -> None:
 
 
 def require_samples(ny: int, nx: int, remedy: str) -> None:
-    """Refuse a height field of more samples than there is memory to make it; see `require`."""
-    require(_BYTES_A_SAMPLE * ny * nx, f"a field of {ny} × {nx} samples", remedy)
+    """Refuse a height field of more samples than there is memory to make it; see `require_memory`."""
+    require_memory(_BYTES_A_SAMPLE * ny * nx, f"a field of {ny} × {nx} samples", remedy)
 
 
 def require_faces(count: int, remedy: str) -> None:
-    """Refuse a mesh of more faces than there is memory to make it; see `require`."""
-    require(_BYTES_A_FACE * count, f"a mesh of {count} faces", remedy)
+    """Refuse a mesh of more faces than there is memory to make it; see `require_memory`."""
+    require_memory(_BYTES_A_FACE * count, f"a mesh of {count} faces", remedy)
 
 
 def available() -> float:

@@ -9,7 +9,7 @@ import threading
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.core import fork_safety
+from warpdiff.core import forks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -48,7 +48,7 @@ class _Work:
                 if own is not None:
                     own.shutdown(wait=False)
         if self._is_cut_off:
-            raise RuntimeError(f"this process was forked in the midst of work on several threads: {fork_safety.REMEDY}")
+            raise RuntimeError(f"this process was forked in the midst of work on several threads: {forks.REMEDY}")
         for other in self._others:
             other.result()
 
@@ -80,7 +80,7 @@ class _Work:
         return bool(self._others) and os.getpid() != self._process
 
 
-def side_by_side(
+def parallel_for(
     work: Callable[[Any], None],
     items: Sequence[Any],
     *,
@@ -91,7 +91,7 @@ def side_by_side(
     _Work(work, items, progress).finish(threads)
 
 
-def part_of(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
+def subprogress(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
     """The progress of what is a part of all."""
     if progress is None:
         return None
@@ -119,4 +119,4 @@ def _kept() -> ThreadPoolExecutor:
 
 
 # A child has none of its parent's threads.
-fork_safety.at_fork(in_child=_kept.cache_clear)
+forks.at_fork(in_child=_kept.cache_clear)

@@ -2,5 +2,4 @@
 
 In: a height field, directions to light and view, wavelengths or an illuminant.
 Out: ρ(λ), XYZ, BRDF or efficiencies, as NumPy arrays.
-May import: core, compute, optics, surface, fourier, plans, image, tables, planning, kernels.
 """

@@ -8,26 +8,25 @@ w/λ, of its own. In place of an FFT for each, there is one for each of a few κ
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import checks, free_memory
-from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.errors import WarpdiffWarning
-from warpdiff.fourier import chebyshev, energy_balance
-from warpdiff.kernels.limits import HORIZON
+from warpdiff.core import free_memory, validation
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.warnings import warn
+from warpdiff.diffraction import chebyshev, energy_normalisation
+from warpdiff.heightfield.field import check_whole
+from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import check_covers, check_reflection, reflectances
-from warpdiff.surface.heightfield import check_whole
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.materials import Material
-    from warpdiff.surface.heightfield import HeightField
 
 
 # What a sample of the cell takes, as measured, an order at a wavelength, and its terms.
@@ -52,12 +51,12 @@ class OrderEfficiencies:
 
     def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
         """The efficiency of order (m_y, m_x) at each wavelength, shape (m,); 0 for one that never propagates."""
-        pair = [checks.count(m, "order", least=-(2**31)) for m in order]
+        pair = [validation.count(m, "order", least=-(2**31)) for m in order]
         return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=1))
 
 
 def order_efficiencies(
-    hf: HeightField,
+    heightfield: HeightField,
     to_light: ArrayLike,
     wavelengths_nm: ArrayLike,
     *,
@@ -74,7 +73,7 @@ def order_efficiencies(
     everywhere (Sinkhorn 1967), which is nearer to rigorous solutions of mirrors and metals, and reciprocal.
 
     Args:
-        hf: One period of the surface; an axis of one sample is constant and has no order but 0.
+        heightfield: One period of the surface; an axis of one sample is constant and has no order but 0.
         to_light: Direction to the light in the local frame, above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
@@ -86,12 +85,12 @@ def order_efficiencies(
         Orders, their directions and efficiencies.
 
     Raises:
-        TypeError: ``hf`` is not a height field, or an argument is not numeric.
+        TypeError: ``heightfield`` is not a height field, or an argument is not numeric.
         ValueError: An argument is out of its range, samples are missing, or the light is not above the horizon.
         MemoryError: More memory than is free; the message says what fits.
     """
-    check_whole(hf)
-    light = checks.directions(checks.vector(to_light, "to_light"), "to_light")[0]
+    check_whole(heightfield)
+    light = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0]
     if light[0, 2] <= HORIZON:
         raise ValueError(f"to_light must be above the horizon, z > 0, got {to_light!r}")
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
@@ -100,26 +99,28 @@ def order_efficiencies(
         check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    checks.choice(energy, "energy", energy_balance.FORMS)
+    validation.choice(energy, "energy", energy_normalisation.FORMS)
     # Along an axis |mλ/L − ωi| < 1 where an order propagates; pairs are (y, x).
     ranges = []
-    for length, n, component in zip(hf.size_um, hf.shape, light[0, 1::-1], strict=True):
-        reach = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
-        ranges.append((math.ceil((component - 1.0) * reach), math.floor((component + 1.0) * reach) + 1))
-    samples, lines = hf.shape[0] * hf.shape[1], math.prod(end - begin for begin, end in ranges)
-    terms = _term_count(math.pi * hf.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
-    free_memory.require(
+    for length, n, component in zip(heightfield.size_um, heightfield.shape, light[0, 1::-1], strict=True):
+        neighbour_extent = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
+        ranges.append(
+            (math.ceil((component - 1.0) * neighbour_extent), math.floor((component + 1.0) * neighbour_extent) + 1)
+        )
+    samples, lines = heightfield.shape[0] * heightfield.shape[1], math.prod(end - begin for begin, end in ranges)
+    terms = _term_count(math.pi * heightfield.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
+    free_memory.require_memory(
         _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
-        f"a cell of {hf.shape[0]} × {hf.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
+        f"a cell of {heightfield.shape[0]} × {heightfield.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
         "take at most {share} of the area, or fewer wavelengths at a time",
     )
     orders = np.stack(np.meshgrid(*(np.arange(*each) for each in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
-    tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / hf.size_um[::-1]) - light[0, :2]
+    tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / heightfield.size_um[::-1]) - light[0, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
     lives = upward > HORIZON**2
     seen = lives.any(axis=0)
     orders, tangential, upward, lives = orders[seen], tangential[:, seen], upward[:, seen], lives[:, seen]
-    _warn_of_aliasing(hf, orders)
+    _warn_of_aliasing(heightfield, orders)
     to_view = np.full((*lives.shape, 3), np.nan)
     to_view[lives] = np.column_stack([tangential[lives], np.sqrt(upward[lives])])
     efficiencies = np.zeros(lives.shape)
@@ -127,10 +128,10 @@ def order_efficiencies(
         live = lives[row]
         views = to_view[row, live]
         lights = np.broadcast_to(light, views.shape)
-        powers = np.abs(_coefficients(hf, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
+        powers = np.abs(_coefficients(heightfield, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
         mirrors = powers * reflectance_factors.gain(lights, views, normal=1.0, masking=False, per_light_cosine=True)
         if energy == "normalised":
-            mirrors *= _balance(hf, light[0], orders[live], views, mirrors, wavelength)
+            mirrors *= _balance(heightfield, light[0], orders[live], views, mirrors, wavelength)
         if material is not None:
             reflected = reflectances(material, -lights - views, 1e3 * wavelength * np.ones(1))[:, 0]
         else:
@@ -141,7 +142,7 @@ def order_efficiencies(
 
 
 def _balance(
-    hf: HeightField,
+    heightfield: HeightField,
     light: NDArray[np.float64],
     orders: NDArray[np.int64],
     views: NDArray[np.float64],
@@ -149,40 +150,42 @@ def _balance(
     wavelength_um: float,
 ) -> NDArray[np.float64]:
     """What normalised efficiencies are of Stam's, for the orders of one light that propagate, (n,)."""
-    if len(orders) > energy_balance.MOST_EXACT:
-        found = energy_balance.factors_around(hf, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
+    if len(orders) > energy_normalisation.MOST_EXACT:
+        found = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
         return np.asarray(found / (mirrors @ found))
     # Orders lead from lights of one family, which differ by whole orders, to views of another, and from these back.
-    steps = wavelength_um / np.asarray(hf.size_um[::-1])
-    reach = [
+    steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
+    neighbour_extent = [
         range(-math.ceil(2.0 / step) - 1, math.ceil(2.0 / step) + 2) if n > 1 else range(1)
-        for step, n in zip(steps, hf.shape[::-1], strict=True)
+        for step, n in zip(steps, heightfield.shape[::-1], strict=True)
     ]
-    shifts = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 2)
+    shifts = np.stack(np.meshgrid(*neighbour_extent, indexing="ij"), axis=-1).reshape(-1, 2)
     entering = light[:2] + shifts * steps
     upward = 1.0 - np.sum(entering**2, axis=1)
     lives = upward > HORIZON**2
     shifts, entering, cosines = shifts[lives], entering[lives], np.sqrt(upward[lives])
     indices = -(shifts[:, None, ::-1] + orders[None, :, :]).reshape(-1, 2)
     w = cosines[:, None] + views[:, 2]
-    powers = np.abs(_coefficients(hf, indices, -w.ravel() / wavelength_um)).reshape(w.shape) ** 2
-    matrix = powers * energy_balance.stam(cosines[:, None], views[:, 2], entering @ views[:, :2].T)
-    first, second = energy_balance.balanced(matrix)
+    powers = np.abs(_coefficients(heightfield, indices, -w.ravel() / wavelength_um)).reshape(w.shape) ** 2
+    matrix = powers * energy_normalisation.stam(cosines[:, None], views[:, 2], entering @ views[:, :2].T)
+    first, second = energy_normalisation.balanced(matrix)
     return np.asarray(first[np.flatnonzero(~shifts.any(axis=1))] * second)
 
 
-@on_one_thread()
-def _coefficients(hf: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.complex128]:
+@single_threaded_blas()
+def _coefficients(
+    heightfield: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]
+) -> NDArray[np.complex128]:
     """H_rs(κ) up to a phase, each at a κ of its own, to some 1e-13; indices are pairs (s, r), shape (n, 2)."""
-    heights = hf.heights_um - (hf.heights_um.max() + hf.heights_um.min()) / 2.0
+    heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
     # The mirror's order always propagates, so there is one; alone, it has no range of κ.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
     # As a function of κ the exponential is that of Jacobi and Anger, whose Chebyshev terms end beyond its argument.
-    argument = math.pi * half * hf.height_range_um
+    argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half
     weights = chebyshev.cardinals(kappas, low, high, count)
-    rows, columns = (indices % hf.shape).T
+    rows, columns = (indices % heightfield.shape).T
     result = np.zeros(len(kappas), dtype=np.complex128)
     for node, weight in zip(chebyshev.nodes(low, high, count), weights.T, strict=True):
         spectra = np.fft.ifft2(np.exp(2j * math.pi * node * heights))
@@ -195,15 +198,13 @@ def _term_count(argument: float) -> int:
     return math.ceil(argument + 10.0 * math.cbrt(argument)) + 16
 
 
-def _warn_of_aliasing(hf: HeightField, orders: NDArray[np.int64]) -> None:
+def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
     """Warn of orders beyond half the samples of an axis, which repeat those within."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
-        if 2 * largest > hf.shape[axis] > 1:
-            warnings.warn(
-                f"orders up to {largest} propagate along {name}, and {hf.shape[axis]} samples carry half as many: "
+        if 2 * largest > heightfield.shape[axis] > 1:
+            warn(
+                f"orders up to {largest} propagate along {name}, and {heightfield.shape[axis]} samples carry half as many: "
                 "those beyond repeat those within; scan at a finer pitch, or use HeightField.resampled() where the "
-                "surface is known to be smooth",
-                WarpdiffWarning,
-                stacklevel=3,
+                "surface is known to be smooth"
             )

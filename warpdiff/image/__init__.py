@@ -2,5 +2,4 @@
 
 In: XYZ by pixel, and a plan.
 Out: an ``Image``, its estimated errors, what displays show, EXR and PNG files.
-May import: core, optics, plans, kernels.
 """

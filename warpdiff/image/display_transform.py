@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import image_library
-from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.thread_pool import cores, side_by_side
+from warpdiff.core import openimageio
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.thread_pool import cores, parallel_for
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ GAMUTS = {
 
 
 # Of products with matrices of 3 × 3, other threads make nothing faster.
-@on_one_thread()
+@single_threaded_blas()
 def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to what a display shows, encoded as sRGB is, 0 to 1.
 
@@ -122,7 +122,7 @@ def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> ND
         part = slice(first, first + _TOGETHER)
         found[part] = _shown(flat[part], display, gamut, exact=False)
 
-    side_by_side(show, range(0, len(flat), _TOGETHER), threads=cores())
+    parallel_for(show, range(0, len(flat), _TOGETHER), threads=cores())
     return found.reshape(colours.shape)
 
 
@@ -186,7 +186,7 @@ def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
         return np.zeros((0, 3))
     to = GAMUTS[gamut]
     row = np.minimum(xyz, _WHITE).astype(np.float32)[None]
-    with image_library.in_use() as oiio:
+    with openimageio.in_use() as oiio:
         # On this thread: a child of a fork has no other of OpenImageIO's.
         found = oiio.ImageBufAlgo.ociodisplay(
             oiio.ImageBuf(row), to.display, to.view, fromspace=SCENE, unpremult=False, colorconfig=CONFIGURATION,

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks, file_writing, image_library
+from warpdiff.core import file_writing, openimageio, validation
 from warpdiff.image import display_transform
-from warpdiff.kernels.limits import FLOOR, TINY
+from warpdiff.kernels.thresholds import FLOOR, TINY
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from warpdiff.plans.plan import Plan
+    from warpdiff.request.plan import Plan
 
 # By layer, what its channels' names in EXR files end in.
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
@@ -45,7 +45,7 @@ class Image:
         xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 on top; 0 in the background, and multiplied by
             ``coverage`` where a pixel's samples hit in part.
         mask: Whether anything was hit, shape (height, width).
-        lit: Whether it was hit and an unshadowed light stands above its horizon, shape (height, width).
+        illuminated: Whether it was hit and an unshadowed light stands above its horizon, shape (height, width).
         coverage: Share of the pixel's samples that hit something, 0 to 1, float32; alpha in files.
         error: Estimated error of each pixel, ‖ΔXYZ‖ over max(‖XYZ‖, 1e-3 · Y*) as ``tolerance`` has it, shape (height,
             width), float32; 0 where nothing is lit.
@@ -59,7 +59,7 @@ class Image:
 
     xyz: NDArray[np.float32]
     mask: NDArray[np.bool_]
-    lit: NDArray[np.bool_]
+    illuminated: NDArray[np.bool_]
     coverage: NDArray[np.float32]
     error: NDArray[np.float32]
     plan: Plan
@@ -83,7 +83,7 @@ class Image:
 
     @np.errstate(under="ignore")
     def _auto_exposure(self, display: str) -> float:
-        luminance = np.sort(self.xyz[..., 1][self.lit].astype(np.float64))
+        luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
         kept = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
         # Of fewer than two there is no other.
         mean = float(np.mean(kept if kept.size else luminance)) if luminance.size else 0.0
@@ -124,9 +124,9 @@ class Image:
         Raises:
             ValueError: A bad argument.
         """
-        checks.choice(display, "display", display_transform.DISPLAYS)
-        checks.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
-        checks.flag(exact, "exact")
+        validation.choice(display, "display", display_transform.DISPLAYS)
+        validation.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
+        validation.flag(exact, "exact")
         factor = self._exposure(display, exposure, exposure_stops, exposure_from)
         return self._displayed(display, factor, gamut, background, exact=exact)
 
@@ -153,15 +153,15 @@ class Image:
         self, display: str, exposure: float | None, stops: float, source: Image | None, *, scales: bool = True
     ) -> float:
         """The linear factor that the arguments name; without any, 1 where nothing is to be scaled."""
-        stops = checks.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
-        checks.instance(source, Image, "exposure_from", optional=True)
+        stops = validation.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
+        validation.instance(source, Image, "exposure_from", optional=True)
         if exposure is not None:
             if source is not None:
                 raise ValueError("exposure and exposure_from exclude each other, got both")
-            factor = checks.positive(exposure, "exposure")
+            factor = validation.positive(exposure, "exposure")
         elif source is not None or scales:
             # Of a picture all but black it may be more than any that can be given, and float32 would overflow.
-            factor = min((source or self)._auto_exposure(display), checks.MOST)
+            factor = min((source or self)._auto_exposure(display), validation.MOST)
         else:
             factor = 1.0
         return float(factor * 2.0**stops)
@@ -188,7 +188,7 @@ class Image:
                 )
             shown = background._shown(display, factor, gamut, exact=exact)
             return background.coverage[..., None] * colorimetry.srgb_decode(shown)
-        given = checks.finite_array(background, "background", most=checks.MOST)
+        given = validation.finite_array(background, "background", most=validation.MOST)
         if given.shape == self.xyz.shape:
             shown = display_transform.shown(factor * colorimetry.rgb_to_xyz(given), display, gamut, exact=exact)
             return colorimetry.srgb_decode(shown)
@@ -241,10 +241,10 @@ class Image:
 
         target = check_target(path)
         is_png = target.suffix.lower() == ".png"
-        if checks.count(bits, "bits") not in (8, 16):
+        if validation.count(bits, "bits") not in (8, 16):
             raise ValueError(f"bits must be 8 or 16, got {bits!r}")
-        checks.choice(display, "display", display_transform.DISPLAYS)
-        checks.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
+        validation.choice(display, "display", display_transform.DISPLAYS)
+        validation.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
         factor = self._exposure(display, exposure, exposure_stops, exposure_from, scales=is_png)
 
         height, width = self.mask.shape
@@ -316,7 +316,7 @@ def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
 
 def check_target(path: Any, name: str = "path") -> Path:
     """Return the path of a picture that can be written there, or say why it cannot."""
-    target = checks.path(path, name)
+    target = validation.path(path, name)
     if target.suffix.lower() not in _FORMATS:
         raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
     file_writing.check_folder(target.parent, name)
@@ -328,7 +328,7 @@ def check_target(path: Any, name: str = "path") -> Path:
 def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
     """Write a file, and make sure of it: the PNG writer reports success on a full disk, the EXR writer at times."""
     # The temporary name ends in the same suffix, which is how the writer of the format is found.
-    with image_library.in_use() as oiio, file_writing.replacing(target, suffix=target.suffix.lower()) as temporary:
+    with openimageio.in_use() as oiio, file_writing.atomic_write(target, suffix=target.suffix.lower()) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None or not output.open(str(temporary), spec):
             reason = oiio.geterror() if output is None else output.geterror()

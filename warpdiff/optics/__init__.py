@@ -2,5 +2,4 @@
 
 In: directions, wavelengths, names of illuminants, an index of refraction.
 Out: gains, quadratures over the wavelength, XYZ and sRGB.
-May import: core, kernels.
 """

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from warpdiff.core import checks
+from warpdiff.core import validation
 
 KINDS = ("averaged", "centred", "source", "replicas")
 DEFAULT_SIGMA_UM = 16.25
@@ -33,26 +33,26 @@ class Coherence:
             (⌊ny/2⌋ dy, ⌊nx/2⌋ dx).
         angular_diameter_deg: Diameter of the light in the sky for ``"source"`` [degrees]; the default is the sun's,
             0.53. None for the other kinds.
-        copies: Copies (y, x) of the patch for ``"replicas"``. None for the other kinds.
+        periods: Copies (y, x) of the patch for ``"replicas"``. None for the other kinds.
     """
 
     kind: str = "averaged"
     sigma_um: float | None = None
     centre_um: tuple[float, float] | None = None
     angular_diameter_deg: float | None = None
-    copies: tuple[int, int] | None = None
+    periods: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        checks.choice(self.kind, "kind", KINDS)
+        validation.choice(self.kind, "kind", KINDS)
         self._only_for("sigma_um", *_WINDOWS)
         self._only_for("centre_um", "centred")
         self._only_for("angular_diameter_deg", "source")
-        self._only_for("copies", "replicas")
+        self._only_for("periods", "replicas")
         if self.kind in _WINDOWS:
-            sigma = DEFAULT_SIGMA_UM if self.sigma_um is None else checks.positive(self.sigma_um, "sigma_um")
+            sigma = DEFAULT_SIGMA_UM if self.sigma_um is None else validation.positive(self.sigma_um, "sigma_um")
             self._set("sigma_um", sigma)
         if self.centre_um is not None:
-            centre = checks.finite_array(self.centre_um, "centre_um", most=checks.MOST)
+            centre = validation.finite_array(self.centre_um, "centre_um", most=validation.MOST)
             if centre.shape != (2,):
                 raise ValueError(f"centre_um must be a pair (y, x) in µm, got shape {centre.shape}")
             self._set("centre_um", (float(centre[0]), float(centre[1])))
@@ -60,23 +60,23 @@ class Coherence:
             diameter = 0.53 if self.angular_diameter_deg is None else self.angular_diameter_deg
             self._set(
                 "angular_diameter_deg",
-                checks.positive(diameter, "angular_diameter_deg", most=_WIDEST_SOURCE_DEG),
+                validation.positive(diameter, "angular_diameter_deg", most=_WIDEST_SOURCE_DEG),
             )
         if self.kind == "replicas":
-            if self.copies is None:
+            if self.periods is None:
                 raise ValueError("copies must be given for kind='replicas': a pair (y, x), such as (1, 100)")
-            if not isinstance(self.copies, (tuple, list)) or len(self.copies) != 2:
-                raise ValueError(f"copies must be a pair (y, x) of whole numbers, got {self.copies!r}")
-            pair = [checks.count(each, f"copies[{axis}]") for axis, each in enumerate(self.copies)]
+            if not isinstance(self.periods, (tuple, list)) or len(self.periods) != 2:
+                raise ValueError(f"copies must be a pair (y, x) of whole numbers, got {self.periods!r}")
+            pair = [validation.count(each, f"periods[{axis}]") for axis, each in enumerate(self.periods)]
             if max(pair) > _MOST_COPIES:
                 raise ValueError(f"copies must be at most {_MOST_COPIES} along an axis, got {tuple(pair)}")
-            self._set("copies", tuple(pair))
+            self._set("periods", tuple(pair))
 
     def __str__(self) -> str:
         if self.kind == "source":
             return f"source of {self.angular_diameter_deg:g}° in diameter"
-        if self.copies is not None:
-            return f"{self.copies[0]} × {self.copies[1]} copies in step"
+        if self.periods is not None:
+            return f"{self.periods[0]} × {self.periods[1]} copies in step"
         return f"{self.kind} window with σ = {self.sigma_um:g} µm"
 
     @property

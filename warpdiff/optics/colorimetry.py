@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks
+from warpdiff.core import validation
 from warpdiff.optics.spectra import Spectrum, colour_science
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
 
     A Fourier coefficient crosses a direction as a Gaussian in 1/λ, of the same width throughout the spectrum.
     """
-    checks.count(count, "count", least=2)
+    validation.count(count, "count", least=2)
     return 1.0 / np.linspace(1.0 / LAMBDA_MIN_NM, 1.0 / LAMBDA_MAX_NM, count)
 
 
@@ -212,7 +212,7 @@ def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:
 
     The wide range admits infrared and ultraviolet; micrometres given for nanometres are refused.
     """
-    nodes = np.atleast_1d(checks.finite_array(wavelengths_nm, "wavelengths_nm"))
+    nodes = np.atleast_1d(validation.finite_array(wavelengths_nm, "wavelengths_nm"))
     if nodes.ndim != 1 or nodes.size == 0:
         raise ValueError(f"wavelengths_nm must have shape (m,), got {nodes.shape}")
     if nodes.min() < SHORTEST_NM or nodes.max() > LONGEST_NM:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks
-from warpdiff.optics import colorimetry, index_files
+from warpdiff.core import validation
+from warpdiff.optics import colorimetry, refractive_index_files
 from warpdiff.optics.reflectance_factors import normal_reflectance, schlick
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Material:
             raise ValueError("wavelengths_nm must be strictly increasing")
         object.__setattr__(self, "wavelengths_nm", wavelengths)
         for name, least in (("n", 1e-3), ("k", 0.0)):
-            values = np.atleast_1d(checks.finite_array(getattr(self, name), name))
+            values = np.atleast_1d(validation.finite_array(getattr(self, name), name))
             if values.shape not in (wavelengths.shape, (1,)):
                 raise ValueError(
                     f"{name} must have one number, or one a wavelength, {wavelengths.shape}, got {values.shape}"
@@ -81,8 +81,8 @@ class Material:
         for name in ("name", "source"):
             if not isinstance(getattr(self, name), str):
                 raise TypeError(f"{name} must be a string, got {type(getattr(self, name)).__name__}")
-        checks.instance(self.film, Material, "film", optional=True)
-        thickness = checks.number(self.film_nm, "film_nm", least=0.0, most=_THICKEST_FILM_NM)
+        validation.instance(self.film, Material, "film", optional=True)
+        thickness = validation.number(self.film_nm, "film_nm", least=0.0, most=_THICKEST_FILM_NM)
         if self.film is not None and self.film.film is not None:
             raise ValueError(f"film must be a material without a film of its own, got {self.film}")
         object.__setattr__(self, "film_nm", thickness if self.film is not None else 0.0)
@@ -101,13 +101,13 @@ class Material:
     @classmethod
     def dielectric(cls, n: float) -> Material:
         """A transparent material of one index of refraction ``n`` > 1 at all wavelengths."""
-        return cls([550.0], [checks.number(n, "n", above=1.0)], name=f"n = {n:g}")
+        return cls([550.0], [validation.number(n, "n", above=1.0)], name=f"n = {n:g}")
 
     @classmethod
     def metal(cls, symbol: str) -> Material:
         """A metal by its chemical symbol: Al, Ag, Au, Cr, Cu or Ni; ``source`` names the measurement."""
         found = _metals()
-        return found[checks.choice(symbol, "symbol", found)]
+        return found[validation.choice(symbol, "symbol", found)]
 
     @classmethod
     def from_nk(
@@ -128,8 +128,8 @@ class Material:
             FileNotFoundError: There is no such file.
             ValueError: It holds no index of refraction that can be read; the message says what is wrong.
         """
-        file = checks.path(path, "path")
-        wavelengths_nm, n, k, source = index_files.read(file)
+        file = validation.path(path, "path")
+        wavelengths_nm, n, k, source = refractive_index_files.read(file)
         try:
             return cls(wavelengths_nm, n, k, name=file.stem, source=source)
         except ValueError as error:
@@ -137,8 +137,8 @@ class Material:
 
     def coated(self, film: Material, thickness_nm: float) -> Material:
         """This material under a film of another one, ``thickness_nm`` up to 1000 nm thick."""
-        checks.instance(film, Material, "film")
-        thickness = checks.number(thickness_nm, "thickness_nm", above=0.0, most=_THICKEST_FILM_NM)
+        validation.instance(film, Material, "film")
+        thickness = validation.number(thickness_nm, "thickness_nm", above=0.0, most=_THICKEST_FILM_NM)
         if self.film is not None:
             raise ValueError(f"{self} has a film already: a single one is modelled")
         return Material(self.wavelengths_nm, self.n, self.k, self.name, self.source, film, thickness)
@@ -156,12 +156,12 @@ class Material:
         Returns:
             R, 0 to 1, of the broadcast shape.
         """
-        wavelengths = checks.finite_array(wavelengths_nm, "wavelengths_nm")
-        angles = checks.finite_array(angle_deg, "angle_deg")
+        wavelengths = validation.finite_array(wavelengths_nm, "wavelengths_nm")
+        angles = validation.finite_array(angle_deg, "angle_deg")
         if angles.size and (angles.min() < 0.0 or angles.max() > 90.0):
             raise ValueError(f"angle_deg must lie within 0 to 90, got {angles.min():g} to {angles.max():g}")
         if polarisation is not None:
-            checks.choice(polarisation, "polarisation", POLARISATIONS)
+            validation.choice(polarisation, "polarisation", POLARISATIONS)
         try:
             np.broadcast_shapes(wavelengths.shape, angles.shape)
         except ValueError:
@@ -208,7 +208,7 @@ def reflectance_at(
 
 
 def reflectances(
-    material: Material | None, deflections: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+    material: Material | None, scattering_vectors: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """R(θd, λ) of deflections (n, 3), whose cos θd is |(u, v, w)|/2, at wavelengths [nm] (m,), shape (n, m).
 
@@ -216,7 +216,7 @@ def reflectances(
     """
     if material is None:
         return np.ones((1, 1))
-    return reflectance_at(material, wavelengths_nm, np.linalg.norm(deflections, axis=1)[:, None] / 2.0)
+    return reflectance_at(material, wavelengths_nm, np.linalg.norm(scattering_vectors, axis=1)[:, None] / 2.0)
 
 
 def check_covers(material: Material, low_nm: float, high_nm: float, name: str = "material") -> None:
@@ -257,7 +257,7 @@ def _metals() -> dict[str, Material]:
 
 
 @dataclass(frozen=True)
-class LitMaterial:
+class IlluminatedMaterial:
     """An illuminant and the material that it falls on: what the colours of a table, or of a sum, are for.
 
     Attributes:
@@ -269,7 +269,7 @@ class LitMaterial:
     material: Material | None = None
 
     @classmethod
-    def of(cls, illuminants: Iterable[Any], materials: Iterable[Material | None]) -> tuple[LitMaterial, ...]:
+    def of(cls, illuminants: Iterable[Any], materials: Iterable[Material | None]) -> tuple[IlluminatedMaterial, ...]:
         """Each illuminant on each material, once."""
         return tuple(dict.fromkeys(itertools.starmap(cls, itertools.product(illuminants, materials))))
 
@@ -287,7 +287,7 @@ def check_reflection(ior: Any, material: Any) -> tuple[float, Material | None]:
     """R(0) that reflectances are relative to, and the material: of an index of refraction, or 1 of a material's."""
     if material is None:
         return normal_reflectance(1.5 if ior is None else ior), None
-    checks.instance(material, Material, "material")
+    validation.instance(material, Material, "material")
     _check_no_ior(ior)
     return 1.0, material
 
@@ -311,7 +311,7 @@ def check_materials(
     for name, each in material.items():
         if not isinstance(name, str):
             raise TypeError(f"material must have names of geometries as keys, got {type(name).__name__}")
-        checks.instance(each, Material, f"material[{name!r}]")
+        validation.instance(each, Material, f"material[{name!r}]")
         check_covers(each, *band_nm, f"material[{name!r}]")
         found[name] = each
     return 1.0, found

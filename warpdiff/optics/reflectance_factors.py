@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks
-from warpdiff.kernels.limits import HORIZON
+from warpdiff.core import validation
+from warpdiff.kernels.thresholds import HORIZON
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +24,7 @@ def normal_reflectance(ior: Any) -> float:
     if isinstance(ior, (int, float, np.integer, np.floating)) and not isinstance(ior, bool) and ior == math.inf:
         return 1.0
     try:
-        index = checks.number(ior, "ior", above=1.0)
+        index = validation.number(ior, "ior", above=1.0)
     except ValueError:
         raise ValueError(
             f"ior must be an index of refraction > 1, or math.inf for a perfect mirror, got {ior!r}"
@@ -91,7 +91,7 @@ def light_solid_angle(
 
     Args:
         wavelengths_um: Wavelengths [µm].
-        coherence: The window, source or copies.
+        coherence: The window, source or periods.
         patch_area_um2: Area of the patch, Lx·Ly [µm²]; it matters for copies only.
 
     Returns:
@@ -99,8 +99,8 @@ def light_solid_angle(
     """
     if coherence.kind == "source":
         return np.full(np.shape(wavelengths_um), 2.0 * math.pi * coherence.spread**2)
-    if coherence.copies is not None:
-        area = patch_area_um2 * coherence.copies[0] * coherence.copies[1]
+    if coherence.periods is not None:
+        area = patch_area_um2 * coherence.periods[0] * coherence.periods[1]
     else:
         area = 4.0 * math.pi * (coherence.sigma_um or 0.0) ** 2
     return np.asarray(wavelengths_um**2 / area)
@@ -127,12 +127,12 @@ def brdf_scale(
 
     With ρ = C ⟨|P|²⟩, for a source C/cos θi ⟨|P|²⟩, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times
     4πσ²/λ² for Gaussian windows, 1/(2π √det Σs) for a source, whose √det Σs = s² cos θi has the second cosine, and
-    A N1 N2/λ² for copies.
+    A N1 N2/λ² for periods.
 
     Args:
         cos_light: cos θi > 0, shape (n,).
         wavelengths_um: Wavelengths [µm], shape (m,).
-        coherence: The window, source or copies.
+        coherence: The window, source or periods.
         patch_area_um2: Area of the patch [µm²].
 
     Returns:

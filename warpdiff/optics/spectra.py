@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks
+from warpdiff.core import validation
 from warpdiff.core.file_reading import text_of
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ class Spectrum:
     _key: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        wavelengths = np.atleast_1d(checks.finite_array(self.wavelengths_nm, "wavelengths_nm"))
-        values = np.atleast_1d(checks.finite_array(self.values, "values", most=checks.MOST))
+        wavelengths = np.atleast_1d(validation.finite_array(self.wavelengths_nm, "wavelengths_nm"))
+        values = np.atleast_1d(validation.finite_array(self.values, "values", most=validation.MOST))
         if wavelengths.ndim != 1 or wavelengths.shape != values.shape or len(wavelengths) < 2:
             raise ValueError(
                 f"wavelengths_nm and values must have the same shape (m,), m > 1, got {wavelengths.shape} and "
@@ -64,7 +64,7 @@ class Spectrum:
                 f"wavelengths_nm must cover 380 to 780 nm, got {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
             )
         visible = np.interp(np.arange(380.0, 781.0), wavelengths, values)
-        if values.min() < 0.0 or visible[20:-80].max() <= checks.LEAST:
+        if values.min() < 0.0 or visible[20:-80].max() <= validation.LEAST:
             raise ValueError("values must not be negative, and there must be light between 400 and 700 nm")
         if not isinstance(self.name, str):
             raise TypeError(f"name must be a string, got {type(self.name).__name__}")
@@ -85,7 +85,7 @@ class Spectrum:
     @classmethod
     def blackbody(cls, temperature_k: float) -> Spectrum:
         """A black body of a temperature, 500 to 100,000 K, by Planck's law; filaments have 2700 to 3200 K."""
-        kelvin = checks.number(temperature_k, "temperature_k", least=500.0, most=1e5)
+        kelvin = validation.number(temperature_k, "temperature_k", least=500.0, most=1e5)
         nm = np.arange(360.0, 831.0)
         # Relative to 560 nm, so that nothing overflows.
         exponents = _SECOND_RADIATION_CONSTANT / kelvin * (1.0 / nm - 1.0 / 560.0)
@@ -97,7 +97,7 @@ class Spectrum:
     @classmethod
     def daylight(cls, temperature_k: float) -> Spectrum:
         """A phase of daylight of a colour temperature, 4000 to 25,000 K (CIE 15)."""
-        kelvin = checks.number(temperature_k, "temperature_k", least=_DAYLIGHT_K[0], most=_DAYLIGHT_K[1])
+        kelvin = validation.number(temperature_k, "temperature_k", least=_DAYLIGHT_K[0], most=_DAYLIGHT_K[1])
         colour = colour_science()
         found = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(kelvin))
         return cls(found.wavelengths, np.maximum(found.values, 0.0), name=f"daylight of {kelvin:g} K")
@@ -110,7 +110,7 @@ class Spectrum:
             OSError: There is no such file, or it cannot be read.
             ValueError: It holds no such columns.
         """
-        file = checks.path(path, "path")
+        file = validation.path(path, "path")
         rows = []
         for line in text_of(file, _MOST_BYTES).splitlines():
             try:

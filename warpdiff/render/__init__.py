@@ -2,5 +2,4 @@
 
 In: a mesh, a height field, lights, a view.
 Out: an ``Image``; from a ``Renderer`` many of one mesh.
-May import: core, compute, optics, surface, scene, plans, image, tables, planning, evaluate, kernels.
 """

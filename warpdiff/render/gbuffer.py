@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import warp as wp
 
-from warpdiff.core.thread_pool import side_by_side
-from warpdiff.kernels import cell_levels
+from warpdiff.core.thread_pool import parallel_for
+from warpdiff.kernels import refinement_levels
 from warpdiff.kernels.colour_lookup import RUN
 from warpdiff.kernels.structs import Footprint, Pixels
-from warpdiff.render import pixel_filters
+from warpdiff.render import pixel_filter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from warpdiff.compute.pipeline import Pipeline
+    from warpdiff.device.kernel_calls import Pipeline
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,16 @@ class GBuffer:
     """
 
     pixels: Any
-    hidden: wp.array
+    occluded: wp.array
     hidden_from_any: wp.array
-    deflections: wp.array
+    scattering_vectors: wp.array
     to_lights: wp.array
     gains: wp.array
     footprints: wp.array
     gains_of_one: wp.array
 
     @classmethod
-    def by(
+    def allocate(
         cls, rays: int, *, device: wp.Device, means: bool, coloured: bool = False, materials: bool = False
     ) -> GBuffer:
         """Arrays for so many rays, with footprints if they show ``means``, with base colours if ``coloured``.
@@ -59,19 +59,19 @@ class GBuffer:
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
         footprints = empty(Footprint, rays if means else 0)
         gains, of_one = empty(wp.float32), empty(wp.float32, rays * materials)
-        hidden = empty(wp.bool), empty(wp.bool)
-        return cls(pixels, *hidden, empty(wp.vec3d), empty(wp.vec3f), gains, footprints, of_one)
+        occluded = empty(wp.bool), empty(wp.bool)
+        return cls(pixels, *occluded, empty(wp.vec3d), empty(wp.vec3f), gains, footprints, of_one)
 
     @property
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:
         """Deflections, directions to the light and gains."""
-        return self.deflections, self.to_lights, self.gains
+        return self.scattering_vectors, self.to_lights, self.gains
 
 
 class BufferKind(NamedTuple):
     """Which arrays tile buffers have: of what a table leaves out, base colours, gains of one material of several."""
 
-    leaves_out: bool
+    needs_sampling: bool
     coloured: bool
     materials: bool
 
@@ -83,26 +83,26 @@ class TileBuffers:
     Attributes:
         seen: What they see.
         colours: Theirs.
-        left_out: What a table leaves out of them.
+        unserved_gain: What a table leaves out of them.
         tiles: By level, the pixels whose cells these are.
     """
 
     seen: GBuffer
     colours: wp.array
-    left_out: wp.array
+    unserved_gain: wp.array
     tiles: dict[int, wp.array]
 
     @classmethod
-    def by(cls, rays: int, *, kind: BufferKind, device: wp.Device) -> TileBuffers:
+    def allocate(cls, rays: int, *, kind: BufferKind, device: wp.Device) -> TileBuffers:
         """Buffers of a kind for so many rays."""
-        left_out = wp.empty(rays * kind.leaves_out, dtype=wp.float32, device=device)
+        unserved_gain = wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device)
         colours = wp.empty(rays, dtype=wp.vec3f, device=device)
         tiles = {
-            level: wp.empty(rays // cell_levels.rays_at(level), dtype=wp.int32, device=device)
-            for level in cell_levels.LEVELS
+            level: wp.empty(rays // refinement_levels.rays_at(level), dtype=wp.int32, device=device)
+            for level in refinement_levels.LEVELS
         }
-        seen = GBuffer.by(rays, device=device, means=True, coloured=kind.coloured, materials=kind.materials)
-        return cls(seen, colours, left_out, tiles)
+        seen = GBuffer.allocate(rays, device=device, means=True, coloured=kind.coloured, materials=kind.materials)
+        return cls(seen, colours, unserved_gain, tiles)
 
 
 class SharedTileBuffers:
@@ -115,10 +115,10 @@ class SharedTileBuffers:
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Make so many parts."""
         # Whole pixels of any level, and whole runs of look-ups.
-        whole = math.lcm(cell_levels.rays_at(cell_levels.MOST_LEVEL), RUN)
-        self._size = -(-pixel_filters.MOST_RAYS // whole) * whole
+        whole = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), RUN)
+        self._size = -(-pixel_filter.MOST_RAYS // whole) * whole
         rays = parts * self._size
-        self.buffers = TileBuffers.by(rays, kind=kind, device=device)
+        self.buffers = TileBuffers.allocate(rays, kind=kind, device=device)
         self._nearest = self.buffers.seen.pixels.nearest.numpy()
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
         self._colours = self.buffers.colours.numpy()
@@ -141,11 +141,11 @@ class SharedTileBuffers:
         Each is for a range of the pixels; it adds colours to zeros, on so many threads, for each of which there is a
         part.
         """
-        rays = cell_levels.rays_at(level)
+        rays = refinement_levels.rays_at(level)
         slices = [
             (pipeline, range(among.start + part.start, among.start + part.stop))
             for pipeline, among in pipelines
-            for part in pixel_filters.slices(len(among), level, threads)
+            for part in pixel_filter.slices(len(among), level, threads)
         ]
         # The largest first, so that threads finish together.
         slices.sort(key=lambda each: -len(each[1]))
@@ -165,4 +165,4 @@ class SharedTileBuffers:
             finally:
                 self._free.append(first)
 
-        side_by_side(work, slices, threads=threads, progress=progress)
+        parallel_for(work, slices, threads=threads, progress=progress)

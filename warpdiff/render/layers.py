@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import checks
-from warpdiff.render.frame import Frame
+from warpdiff.core import validation
+from warpdiff.render.picture import Frame
 
 if TYPE_CHECKING:
     import warp as wp
@@ -21,9 +21,9 @@ NAMES = ("normal", "depth", "geometry")
 
 def check_layers(names: Any) -> tuple[str, ...]:
     """Return the names of layers, each once."""
-    if not checks.is_sequence(names):
+    if not validation.is_sequence(names):
         raise TypeError(f"layers must be names in a tuple or list, such as ('normal',), got {names!r}")
-    return tuple(dict.fromkeys(checks.choice(name, "layers", NAMES) for name in names))
+    return tuple(dict.fromkeys(validation.choice(name, "layers", NAMES) for name in names))
 
 
 def layers_of(
@@ -52,9 +52,9 @@ def _distances(
     surface: Surface, view: View, face: NDArray[np.int32], place: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """How far the points are that rays meet [the mesh's unit]: ``place`` is the first two corners' shares, (n, 2)."""
-    shares = np.column_stack([place, 1.0 - place.sum(axis=1)])
+    filtered_sums = np.column_stack([place, 1.0 - place.sum(axis=1)])
     corners = surface.vertices[surface.faces[face]].astype(np.float64)
-    points = np.einsum("nk,nkc->nc", shares, corners) * surface.radius + surface.centre
+    points = np.einsum("nk,nkc->nc", filtered_sums, corners) * surface.radius + surface.centre
     frame = view.frame()
     if frame.orthographic:
         return np.asarray((frame.origin - points) @ frame.back)

@@ -11,38 +11,38 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpdiff.compute.device import resolve_device, resolve_threads
-from warpdiff.core import checks
-from warpdiff.planning.planner import directions_of, warn_outside
-from warpdiff.planning.request import Request
-from warpdiff.render.frame import load_kernels
+from warpdiff.core import validation
+from warpdiff.device.devices import resolve_device, resolve_threads
+from warpdiff.planner.strategy import directions_of, warn_outside
+from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
     PictureRequest,
     check_light_sizes,
     listed,
     lobes_for,
-    memory_named,
-    require_room,
-    warn_unsettled,
+    picture_memory,
+    require_picture_memory,
+    warn_unconverged,
 )
+from warpdiff.request.evaluation import Request
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.integrator import Integrator
+from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike
 
+    from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
+    from warpdiff.lights.environment import Light
+    from warpdiff.lights.light_types import Lobe
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
-    from warpdiff.plans.plan import Plan
-    from warpdiff.render.frame import Frame
-    from warpdiff.scene.environment import Light
-    from warpdiff.scene.lights import Lobe
+    from warpdiff.render.picture import Frame
+    from warpdiff.request.plan import Plan
     from warpdiff.scene.mesh_import import Surface
-    from warpdiff.surface.heightfield import HeightField
 
 
 class Renderer:
@@ -53,7 +53,7 @@ class Renderer:
     GPU the launches of a picture are recorded, too, as a CUDA graph (with drivers from CUDA 12.4 on), which the next
     one replays without the host; the colours stay where they are until they are asked for::
 
-        renderer = warpdiff.Renderer(mesh, hf, light, view, device="cuda")
+        renderer = warpdiff.Renderer(mesh, heightfield, light, view, device="cuda")
         while True:
             show(renderer.draw(view=next_view()))
 
@@ -70,7 +70,7 @@ class Renderer:
     def __init__(
         self,
         mesh: Any,
-        hf: HeightField,
+        heightfield: HeightField,
         light: Light | Sequence[Light],
         view: View,
         *,
@@ -99,7 +99,7 @@ class Renderer:
         illuminants of these lights. The method ``"direct"`` is for single pictures.
         """
         wanted = PictureRequest.checked(
-            hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+            heightfield, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
             masking=masking, energy=energy, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
             samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device,
             threads=threads,
@@ -108,24 +108,22 @@ class Renderer:
             raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
         request = wanted.request
         load_kernels(request.device)
-        with memory_named(view):
+        with picture_memory(view):
             surface = prepare_surface(mesh, tangents=tangents)
         self._begin(wanted, surface, view)
         self.draw()
 
-    def _begin(
-        self, wanted: PictureRequest, surface: Surface, view: View, integrator: Integrator | None = None
-    ) -> None:
+    def _begin(self, wanted: PictureRequest, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
         """Do all that does not change; an integrator by the same plan has its tables."""
         request = wanted.request
         self._wanted, self._surface = wanted, surface
-        with memory_named(view):
-            scope, sample, count = directions_of(request)
+        with picture_memory(view):
+            direction_range, sample, count = directions_of(request)
             if request.plan is not None:
-                warn_outside(request.plan, request.hf, scope)
-            self.plan = wanted.planned(scope, sample, count)
-            self._integrator = integrator or Integrator(
-                request.hf, self.plan, scope, device=request.device, threads=request.threads
+                warn_outside(request.plan, request.heightfield, direction_range)
+            self.plan = wanted.planned(direction_range, sample, count)
+            self._lookup = lookup or ColourLookup(
+                request.heightfield, self.plan, direction_range, device=request.device, threads=request.threads
             )
             self._recorded = records(request.device)
             self._mine = _Picture(
@@ -153,12 +151,12 @@ class Renderer:
         Raises:
             MemoryError: More memory than is free; the message says what fits.
         """
-        checks.instance(view, View, "view")
-        require_room(view, self._wanted.request.device)
-        refine = self._wanted.refine if refine is None else checks.flag(refine, "refine")
+        validation.instance(view, View, "view")
+        require_picture_memory(view, self._wanted.request.device)
+        refine = self._wanted.refine if refine is None else validation.flag(refine, "refine")
         result = object.__new__(Renderer)
         request = replace(self._wanted.request, plan=self.plan)
-        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view, self._integrator)
+        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view, self._lookup)
         return result
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -175,7 +173,7 @@ class Renderer:
         view: View | None = None,
         *,
         progress: Callable[[float], None] | None = None,
-        coarser: Mapping[float, Callable[[], object]] | None = None,
+        previews: Mapping[float, Callable[[], object]] | None = None,
     ) -> wp.array:
         """Draw the next picture.
 
@@ -184,7 +182,7 @@ class Renderer:
             view: Its view from now on, with as many pixels; None leaves it as it is.
             progress: As in :func:`warpdiff.shade`, on the CPU; on a GPU it is called once all is launched. What it
                 raises ends the picture, as for a view that nobody waits for any more; the next one begins anew.
-            coarser: By tolerances above the plan's, what is called on the way to it once the picture keeps each:
+            previews: By tolerances above the plan's, what is called on the way to it once the picture keeps each:
                 :meth:`image` is then that picture. What was computed for it serves the next, and the last one is the
                 same to the bit. On the CPU, where pixels are split; elsewhere nothing is on the way.
 
@@ -192,23 +190,23 @@ class Renderer:
             XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
             may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
         """
-        checks.callback(progress, "progress")
+        validation.callback(progress, "progress")
         mine = self._mine
         if mine.is_drawing:
             raise RuntimeError("draw() was called by what it calls itself, progress or coarser: call it afterwards")
-        on_the_way = self._on_the_way(mine, coarser)
+        on_the_way = self._on_the_way(mine, previews)
         wanted, lights = self._wanted, mine.lights
         if light is not None:
             lights = lobes_for(listed(light), wanted.request, refine=wanted.refine)
-        check_light_sizes(lights, wanted.request.coherence, means=self.plan.blurs)
+        check_light_sizes(lights, wanted.request.coherence, means=self.plan.uses_footprints)
         if view is not None:
-            checks.instance(view, View, "view")
+            validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
                 raise ValueError(
                     f"view must have {mine.view.width} × {mine.view.height} pixels as before, got "
                     f"{view.width} × {view.height}; another size takes another Renderer"
                 )
-        with self._turn, memory_named(mine.view):
+        with self._turn, picture_memory(mine.view):
             # What is seen stays as it is, if the view does.
             if view is not None:
                 mine.view = view
@@ -234,17 +232,17 @@ class Renderer:
             self.draw()
         with self._turn:
             image = self._mine.frame.image(replace(self.plan, tolerance=self._mine.tolerance))
-        warn_unsettled(image.plan)
+        warn_unconverged(image.plan)
         if not self._wanted.request.device.is_cpu:
             return image
-        return replace(image, xyz=image.xyz.copy(), lit=image.lit.copy())
+        return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
-    def _on_the_way(self, mine: _Picture, coarser: Any) -> list[tuple[float, Callable[[], None]]]:
+    def _on_the_way(self, mine: _Picture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
         """Checked tolerances, the largest first, with what is called at each."""
-        if coarser is not None and not isinstance(coarser, Mapping):
-            raise TypeError(f"coarser must be a mapping from tolerances to callables, got {type(coarser).__name__}")
+        if previews is not None and not isinstance(previews, Mapping):
+            raise TypeError(f"coarser must be a mapping from tolerances to callables, got {type(previews).__name__}")
         # What is called may change what was given.
-        asked = dict(coarser or {})
+        asked = dict(previews or {})
 
         def tell(tolerance: float) -> None:
             mine.drawn, mine.tolerance = True, tolerance
@@ -254,7 +252,7 @@ class Renderer:
                 mine.drawn = False
 
         for tolerance, reached in asked.items():
-            if not checks.number(tolerance, "coarser", most=0.5) > self.plan.tolerance:
+            if not validation.number(tolerance, "previews", most=0.5) > self.plan.tolerance:
                 raise ValueError(
                     f"coarser must be above the plan's {self.plan.tolerance:g}, got {tolerance!r}: omit it"
                 )
@@ -272,8 +270,8 @@ class Renderer:
     ) -> None:
         """Launch what a picture takes."""
         mine.frame.integrate(
-            self._integrator, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress,
-            coarser=on_the_way,
+            self._lookup, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress,
+            previews=on_the_way,
         )  # fmt: skip
 
     def _replay(self, mine: _Picture) -> None:

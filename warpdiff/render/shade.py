@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import allocations, checks, fork_safety, free_memory
-from warpdiff.core.errors import WarpdiffWarning
-from warpdiff.kernels import cell_levels
+from warpdiff.core import allocations, forks, free_memory, validation
+from warpdiff.core.warnings import warn
+from warpdiff.kernels import refinement_levels
+from warpdiff.lights.environment import Environment, Light, lobes_of_sky
+from warpdiff.lights.light_types import DirectionalLight, PointLight, lobes_of
 from warpdiff.optics import colorimetry
-from warpdiff.optics.materials import LitMaterial
-from warpdiff.planning.planner import directions_of, plan_for, warn_outside
-from warpdiff.planning.request import Request
-from warpdiff.plans.plan import AUTOMATIC, has_table
-from warpdiff.render.frame import Frame, load_kernels
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.planner.strategy import directions_of, plan_for, warn_outside
 from warpdiff.render.layers import check_layers, layers_of
+from warpdiff.render.picture import Frame, load_kernels
+from warpdiff.request.evaluation import Request
+from warpdiff.request.plan import AUTOMATIC, has_table
 from warpdiff.scene.camera import View
-from warpdiff.scene.environment import Environment, Light, lobes_of_sky
-from warpdiff.scene.lights import DirectionalLight, PointLight, lobes_of
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables import polar_layout
-from warpdiff.tables.integrator import Integrator
+from warpdiff.tables import polar_grid
+from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     import contextlib
@@ -33,19 +32,19 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
+    from warpdiff.lights.light_types import Lobe
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
-    from warpdiff.plans.direction_range import DirectionRange, DirectionSample
-    from warpdiff.plans.plan import Plan
-    from warpdiff.scene.lights import Lobe
+    from warpdiff.request.directions import DirectionRange, DirectionSample
+    from warpdiff.request.plan import Plan
     from warpdiff.scene.mesh_import import Surface
-    from warpdiff.surface.heightfield import HeightField
 
 
 def shade(
     mesh: Any,
-    hf: HeightField,
+    heightfield: HeightField,
     light: Light | Sequence[Light],
     view: View,
     *,
@@ -77,7 +76,7 @@ def shade(
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or a path to a mesh file. Its unit has nothing to do with µm.
-        hf: The height field; its x axis lies along the tangent field.
+        heightfield: The height field; its x axis lies along the tangent field.
         light: One light, or several.
         view: The camera.
         tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the lit pixels and of the bright ones (Y at
@@ -126,20 +125,20 @@ def shade(
     """
     layers = check_layers(layers)
     wanted = PictureRequest.checked(
-        hf, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        heightfield, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
         masking=masking, energy=energy, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
         samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device, threads=threads,
         progress=progress,
     )  # fmt: skip
     device, workers = wanted.request.device, wanted.request.threads
     load_kernels(device)
-    with memory_named(view):
+    with picture_memory(view):
         surface = prepare_surface(mesh, tangents=tangents)
         image = _drawn(wanted, surface, view, progress)
         if layers:
             told = layers_of(surface, view, layers, smooth=wanted.smooth, device=device, threads=workers)
             image = replace(image, layers=told)
-    warn_unsettled(image.plan)
+    warn_unconverged(image.plan)
     return image
 
 
@@ -150,26 +149,28 @@ def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Calla
     wanted.set_lights(picture, wanted.lobes)
     if any(each.sky is not None for each in wanted.lobes):
         # From anywhere.
-        scope, sample, count = directions_of(request)
+        direction_range, sample, count = directions_of(request)
     else:
-        scope, count, sample = picture.measure_directions(request.hf, request.coherence)
+        direction_range, count, sample = picture.measure_directions(request.heightfield, request.coherence)
     if request.plan is not None:
-        warn_outside(request.plan, request.hf, scope)
-    found = wanted.planned(scope, sample, count)
+        warn_outside(request.plan, request.heightfield, direction_range)
+    found = wanted.planned(direction_range, sample, count)
     if found.method == "direct":
-        picture.sum_directly(request.hf, found, progress=progress)
+        picture.sum_directly(request.heightfield, found, progress=progress)
     else:
-        integrator = Integrator(request.hf, found, scope, device=request.device, threads=request.threads)
-        picture.integrate(integrator, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
+        lookup = ColourLookup(
+            request.heightfield, found, direction_range, device=request.device, threads=request.threads
+        )
+        picture.integrate(lookup, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
     return picture.image(found)
 
 
 # What a picture takes while it is made, as measured, of any kind.
-_BYTES_A_PIXEL = 210
+_BYTES_PER_PIXEL = 210
 # Points in a pixel: 256 by 256 settle whatever a picture can show, and more would be drawn for ever.
 _MOST_SAMPLES = 2**16
 # The share of the pixels that may err by more than the tolerance, and of those at edges by more than theirs.
-_MOST_UNSETTLED, _MOST_UNSETTLED_EDGES = 0.01, 0.05
+_MOST_UNCONVERGED, _MOST_UNCONVERGED_EDGES = 0.01, 0.05
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ class PictureRequest:
     @classmethod
     def checked(
         cls,
-        hf: Any,
+        heightfield: Any,
         light: Any,
         view: Any,
         *,
@@ -210,19 +211,19 @@ class PictureRequest:
         **common: Any,
     ) -> PictureRequest:
         """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
-        request = Request.checked(hf, by_geometry=True, **common)
+        request = Request.checked(heightfield, by_geometry=True, **common)
         lights = listed(light)
-        lobes = lobes_for(lights, request, refine=checks.flag(refine, "refine"))
-        checks.instance(view, View, "view")
-        checks.flag(shadows, "shadows")
-        checks.flag(smooth, "smooth")
-        pigment = checks.number(pigment, "pigment", least=0.0)
-        samples = checks.count(samples_per_pixel, "samples_per_pixel")
+        lobes = lobes_for(lights, request, refine=validation.flag(refine, "refine"))
+        validation.instance(view, View, "view")
+        validation.flag(shadows, "shadows")
+        validation.flag(smooth, "smooth")
+        pigment = validation.number(pigment, "pigment", least=0.0)
+        samples = validation.count(samples_per_pixel, "samples_per_pixel")
         if samples > _MOST_SAMPLES:
             raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
-        require_room(view, request.device)
+        require_picture_memory(view, request.device)
         blurred = _takes_footprints(footprint, request)
-        most = cell_levels.rays_at(cell_levels.MOST_LEVEL)
+        most = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         if blurred and samples > most:
             raise ValueError(
                 f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
@@ -230,11 +231,13 @@ class PictureRequest:
             )
         check_light_sizes(lobes, request.coherence, means=blurred)
         plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
-        lit = LitMaterial.of([name for each in lobes for name in each.illuminants], request.materials.values())
-        request = replace(request, plan=plan, footprint=blurred, lit=lit)
+        illuminated = IlluminatedMaterial.of(
+            [name for each in lobes for name in each.illuminants], request.materials.values()
+        )
+        request = replace(request, plan=plan, footprint=blurred, illuminated=illuminated)
         return cls(request, lights, pigment, shadows, smooth, samples, refine)
 
-    @fork_safety.cached_property
+    @forks.cached_property
     def lobes(self) -> list[Lobe]:
         """The lobes of the lights."""
         return lobes_for(self.lights, self.request, refine=self.refine)
@@ -261,29 +264,33 @@ class PictureRequest:
             )
         return np.array([known.index(name) for name in named], dtype=np.int32)[surface.geometries]
 
-    def planned(self, scope: DirectionRange, sample: DirectionSample, count: float) -> Plan:
+    def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
         """The plan that was given, or one for directions: one with a table where lights have a size.
 
         Where no table keeps the tolerance for single directions, lights have the best one, and skies, whose cells are
         wide, a small one.
         """
         request = self.request
-        plan = request.plan or plan_for(request, scope, sample, count)
-        if not plan.blurs and any(each.has_size for each in self.lobes):
+        plan = request.plan or plan_for(request, direction_range, sample, count)
+        if not plan.uses_footprints and any(each.has_extent for each in self.lobes):
             method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
             if any(each.deviations is not None for each in self.lobes):
                 by_table = replace(request, plan=None, method=f"{method}/table", tolerance=plan.tolerance, strict=False)
-                plan = plan_for(by_table, scope, sample, count)
+                plan = plan_for(by_table, direction_range, sample, count)
             else:
-                nodes, rays_per_width = polar_layout.smallest_rung(plan) or polar_layout.rungs(plan.coherence)[-1]
-                plan = replace(plan, method=method, nodes=nodes, rays_per_width=rays_per_width, footprint=True)
+                nodes, azimuths_per_width = (
+                    polar_grid.smallest_sufficient_size(plan) or polar_grid.table_sizes(plan.coherence)[-1]
+                )
+                plan = replace(
+                    plan, method=method, rings_per_octave=nodes, azimuths_per_width=azimuths_per_width, footprint=True
+                )
         return request.with_energy(plan)
 
     def set_lights(self, picture: Frame, lights: list[Lobe]) -> None:
         """Set a picture's lights."""
         request, energy = self.request, self.request.energy_factors
         picture.set_lights(
-            lights, request.coherence, request.hf.size_um[0] * request.hf.size_um[1],
+            lights, request.coherence, request.heightfield.size_um[0] * request.heightfield.size_um[1],
             normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
             energy=None if energy is None else energy.values, pigment=self.pigment, shadows=self.shadows,
         )  # fmt: skip
@@ -294,7 +301,7 @@ def _takes_footprints(footprint: bool | None, request: Request) -> bool:
     plan = request.plan
     method = request.method if plan is None else plan.method
     if footprint is not None:
-        footprint = checks.flag(footprint, "footprint")
+        footprint = validation.flag(footprint, "footprint")
     if footprint and method == "direct":
         raise ValueError("footprint=True is not for method='direct', which sums single directions: use another method")
     if footprint is not None:
@@ -302,37 +309,35 @@ def _takes_footprints(footprint: bool | None, request: Request) -> bool:
     return plan.footprint if plan is not None else request.coherence.adds_powers and method != "direct"
 
 
-def require_room(view: View, device: wp.Device) -> None:
+def require_picture_memory(view: View, device: wp.Device) -> None:
     """Refuse a picture that the host has no memory for."""
     if device.is_cpu:
-        free_memory.require(
-            _BYTES_A_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
+        free_memory.require_memory(
+            _BYTES_PER_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
             "take a view of at most {side} times the width and height",
         )  # fmt: skip
 
 
-def memory_named(view: View) -> contextlib.AbstractContextManager[None]:
+def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
     """A context that names the picture where memory for it fails."""
-    remedy = "take a smaller view, mesh or hf, fewer samples_per_pixel, or a larger tolerance"
-    return allocations.named(f"a picture of {view.width} × {view.height} pixels", remedy)
+    remedy = "take a smaller view, mesh or heightfield, fewer samples_per_pixel, or a larger tolerance"
+    return allocations.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
 
 
-def warn_unsettled(plan: Plan) -> None:
+def warn_unconverged(plan: Plan) -> None:
     """Warn of a picture that does not keep its tolerance."""
-    if plan.unsettled > _MOST_UNSETTLED or plan.unsettled_edges > _MOST_UNSETTLED_EDGES:
-        warnings.warn(
-            f"{100.0 * plan.unsettled:.2g} % of the lit pixels are expected to err by more than "
-            f"tolerance={plan.tolerance:g}, and of those at edges {100.0 * plan.unsettled_edges:.2g} % by three times "
+    if plan.unconverged_share > _MOST_UNCONVERGED or plan.unconverged_edge_share > _MOST_UNCONVERGED_EDGES:
+        warn(
+            f"{100.0 * plan.unconverged_share:.2g} % of the lit pixels are expected to err by more than "
+            f"tolerance={plan.tolerance:g}, and of those at edges {100.0 * plan.unconverged_edge_share:.2g} % by three times "
             "as much: see image.error, or render a larger picture, or look from closer, or give an Environment more "
-            "directions, and its sun as a light of its own",
-            WarpdiffWarning,
-            stacklevel=3,
+            "directions, and its sun as a light of its own"
         )
 
 
 def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool) -> None:
     """Refuse lights of a size where it is the coherence's, or where pixels show no means over directions."""
-    if not any(each.has_size for each in lights):
+    if not any(each.has_extent for each in lights):
         return
     if window.kind == "source":
         raise ValueError(
@@ -375,7 +380,7 @@ def lobes_for(lights: Sequence[Any], request: Request, *, refine: bool) -> list[
             result += lobes_of_sky(each, window.sigma_um, tolerance)
             continue
         if not isinstance(each, PointLight):
-            checks.instance(each, DirectionalLight, f"light[{index}]")
+            validation.instance(each, DirectionalLight, f"light[{index}]")
         colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
-        result += lobes_of(each, window.sigma_um, few=not refine)
+        result += lobes_of(each, window.sigma_um, single_lobe=not refine)
     return result

@@ -2,5 +2,4 @@
 
 In: mesh files or trimesh objects, a camera, lights.
 Out: vertices with normals and tangents, the same on a device, grids that spare shadow rays.
-May import: core, compute, optics, kernels.
 """

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import checks, fork_safety
+from warpdiff.core import forks, validation
 from warpdiff.core.free_memory import MOST_ELEMENTS
 
 if TYPE_CHECKING:
@@ -68,21 +68,21 @@ class View:
     extent_y: float | None = None
 
     def __post_init__(self) -> None:
-        for name, most in {"eye": checks.MOST, "target": checks.MOST, "up": math.inf}.items():
-            x, y, z = checks.vector(getattr(self, name), name, most=most).tolist()
+        for name, most in {"eye": validation.MOST, "target": validation.MOST, "up": math.inf}.items():
+            x, y, z = validation.vector(getattr(self, name), name, most=most).tolist()
             object.__setattr__(self, name, (x, y, z))
-        fov = checks.positive(self.fov_y_deg, "fov_y_deg")
+        fov = validation.positive(self.fov_y_deg, "fov_y_deg")
         if fov >= 180.0:
             raise ValueError(f"fov_y_deg must be a finite number > 0 and < 180, got {self.fov_y_deg!r}")
         object.__setattr__(self, "fov_y_deg", fov)
-        object.__setattr__(self, "width", checks.count(self.width, "width"))
-        object.__setattr__(self, "height", checks.count(self.height, "height"))
+        object.__setattr__(self, "width", validation.count(self.width, "width"))
+        object.__setattr__(self, "height", validation.count(self.height, "height"))
         if self.width * self.height > MOST_ELEMENTS:
             raise ValueError(
                 f"width times height must be at most {MOST_ELEMENTS} pixels, got {self.width} × {self.height}"
             )
         if self.extent_y is not None:
-            object.__setattr__(self, "extent_y", checks.positive(self.extent_y, "extent_y"))
+            object.__setattr__(self, "extent_y", validation.positive(self.extent_y, "extent_y"))
         # Refuses what makes none.
         self.frame()
 
@@ -109,14 +109,14 @@ class View:
         """
         # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
         operands: Any = (eye, target, up)
-        extent = checks.positive(extent_y, "extent_y")
+        extent = validation.positive(extent_y, "extent_y")
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
 
     def frame(self) -> ViewFrame:
         """The camera's origin and axes, in float64, not to be written to."""
         return self._frame
 
-    @fork_safety.cached_property
+    @forks.cached_property
     def _frame(self) -> ViewFrame:
         origin = np.array(self.eye)
         distance = origin - np.array(self.target)
@@ -124,11 +124,11 @@ class View:
             raise ValueError(
                 f"eye and target must be two different points, got eye={self.eye!r}, target={self.target!r}"
             )
-        back = checks.directions(distance, "eye - target")[0][0]
-        across = _cross(checks.directions(self.up, "up")[0][0], back)
+        back = validation.directions(distance, "eye - target")[0][0]
+        across = _cross(validation.directions(self.up, "up")[0][0], back)
         if float(np.linalg.norm(across)) < 1e-6:
             raise ValueError(f"up must not be parallel to the line of sight from eye to target, got {self.up!r}")
-        right = checks.directions(across, "up")[0][0]
+        right = validation.directions(across, "up")[0][0]
         up = _cross(back, right)
         for each in (origin, right, up, back):
             each.setflags(write=False)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core import fork_safety
-from warpdiff.core.lru_cache import LruCache
+from warpdiff.core import forks
+from warpdiff.core.caching import LruCache
 from warpdiff.kernels.structs import Camera, SurfaceArrays
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Faces in a leaf of a hierarchy on the CPU.
 _LEAF = 4
 # A hierarchy is built once, by one thread.
-_once = fork_safety.lock()
+_once = forks.lock()
 _kept: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
 # Of the last lights.
 _MOST_GRIDS = 4

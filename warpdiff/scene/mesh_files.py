@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.core import checks
-from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.core import validation
+from warpdiff.core.warnings import warn
 
 if TYPE_CHECKING:
     import os
@@ -27,7 +26,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     """
     import trimesh
 
-    file = checks.path(path, "mesh")
+    file = validation.path(path, "mesh")
     if not file.exists():
         raise FileNotFoundError(f"mesh: there is no file {str(file)!r}")
     found: dict[str, bytes] = {}
@@ -50,7 +49,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
         if reason:
             lost[name] = reason
     for name, reason in lost.items():
-        warnings.warn(f"mesh: {str(file)!r} names {name!r}, which is left out: {reason}", WarpdiffWarning, stacklevel=5)
+        warn(f"mesh: {str(file)!r} names {name!r}, which is left out: {reason}")
     for image in _images(scene):
         # Where it is found to be damaged once it is decoded: OBJ files' images tell their names themselves.
         stream = getattr(image, "fp", None)

@@ -6,13 +6,12 @@ across them.
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import fork_safety
-from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.core import forks
+from warpdiff.core.warnings import warn
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,12 +53,12 @@ class FaceGeometry:
         longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
         return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
 
-    @fork_safety.cached_property
+    @forks.cached_property
     def normals(self) -> NDArray[np.float64]:
         """Unit normals on the side from which corners run counter-clockwise, shape (3, m); zero without an area."""
         return np.asarray(self.cross / np.where(self.twice_area > 0.0, self.twice_area, 1.0))
 
-    @fork_safety.cached_property
+    @forks.cached_property
     def angles(self) -> NDArray[np.float64]:
         """Angles at the corners [radians], shape (3, m)."""
         return np.asarray(np.arctan2(self.twice_area, self.products))
@@ -230,11 +229,9 @@ def fill(
         return field
     if missing.all():
         raise ValueError(f"{name} must define a direction along the surface, got none at any vertex")
-    warnings.warn(
+    warn(
         f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(missing)} vertices; "
-        "filled from their neighbours",
-        WarpdiffWarning,
-        stacklevel=6,
+        "filled from their neighbours"
     )
     count = int(welded.max()) + 1
     corners = welded[faces]
@@ -282,10 +279,10 @@ def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) ->
     from scipy.sparse import coo_array, csgraph
 
     ends = start[:2].ravel(), end[:2].ravel()
-    parts, part_of = csgraph.connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(count, count)))
+    parts, subprogress = csgraph.connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(count, count)))
     first, second, third = (vertices.take(each, axis=1) for each in faces)
-    sixfold = np.bincount(part_of[start[0]], dot(first, np.cross(second, third, axis=0)), parts)
-    return bool(np.all(sixfold[np.unique(part_of[start[0]])] > 0.0))
+    sixfold = np.bincount(subprogress[start[0]], dot(first, np.cross(second, third, axis=0)), parts)
+    return bool(np.all(sixfold[np.unique(subprogress[start[0]])] > 0.0))
 
 
 def is_convex(

@@ -6,15 +6,14 @@ Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with 
 from __future__ import annotations
 
 import os
-import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import checks, fork_safety
-from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.errors import WarpdiffWarning
+from warpdiff.core import forks, validation
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.warnings import warn
 from warpdiff.optics.colorimetry import srgb_decode
 from warpdiff.scene import mesh_files
 from warpdiff.scene.mesh_geometry import (
@@ -83,7 +82,7 @@ class Surface:
     radius: float
     geometry_names: tuple[str, ...] = ("",)
 
-    @fork_safety.cached_property
+    @forks.cached_property
     def is_closed(self) -> bool:
         """Whether the mesh bounds bodies, each wound outwards."""
         return is_closed(self.vertices.T.astype(np.float64), self.faces.T)
@@ -128,8 +127,8 @@ def prepare_surface(
 
 def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surface:
     """The surface of some geometries."""
-    given = None if tangents is None else checks.finite_array(tangents, "tangents")
-    with on_one_thread():
+    given = None if tangents is None else validation.finite_array(tangents, "tangents")
+    with single_threaded_blas():
         part = _join([_named_part(each) for each in geometries])
         if given is not None and given.shape == (3,):
             given = np.broadcast_to(given, (part.count, 3))
@@ -147,7 +146,7 @@ class _Geometry(NamedTuple):
 
 
 @dataclass
-class _Part:
+class TileGroup:
     """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` given ones."""
 
     vertices: NDArray[np.float64]
@@ -184,7 +183,7 @@ def _geometries(mesh: Any) -> list[_Geometry]:
     return found if len(found) > 1 else [found[0]._replace(called="mesh")]
 
 
-def _named_part(geometry: _Geometry) -> _Part:
+def _named_part(geometry: _Geometry) -> TileGroup:
     """A geometry checked; what is wrong with it is told by its name."""
     try:
         part = _part(geometry.mesh, geometry.transform)
@@ -194,7 +193,7 @@ def _named_part(geometry: _Geometry) -> _Part:
     return part
 
 
-def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
+def _part(mesh: Any, transform: NDArray[np.float64]) -> TileGroup:
     """Check one mesh and take its arrays."""
     vertices = np.array(mesh.vertices, dtype=np.float64)
     faces = np.array(mesh.faces, dtype=np.int64)
@@ -214,7 +213,7 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> _Part:
             f"mesh must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
             f"got {faces.min()} to {faces.max()}"
         )
-    part = _Part(
+    part = TileGroup(
         vertices=vertices,
         faces=faces,
         source=np.arange(len(vertices)),
@@ -278,16 +277,16 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
     if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
         return None
     uvs = np.array(uvs[:, :2], dtype=np.float64)
-    sound = np.all(np.abs(uvs) <= checks.MOST, axis=1)
+    sound = np.all(np.abs(uvs) <= validation.MOST, axis=1)
     if not sound.all():
         bad = int(np.count_nonzero(~sound))
         raise ValueError(
-            f"mesh must have finite texture coordinates, got {bad} NaN, infinite or beyond {checks.MOST:g}"
+            f"mesh must have finite texture coordinates, got {bad} NaN, infinite or beyond {validation.MOST:g}"
         )
     return uvs
 
 
-def _take_colours(mesh: Any, part: _Part) -> None:
+def _take_colours(mesh: Any, part: TileGroup) -> None:
     """Set the part's texture or colours; face colours need vertices of each face's own."""
     visual = mesh.visual
     if visual.kind == "vertex":
@@ -345,9 +344,7 @@ def _image(image: Any) -> NDArray[np.float32] | None:
     """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
     if damage := _damage(image):
         texture = image.info.get("file_path") or "an image"
-        warnings.warn(
-            f"mesh: texture {texture!r} is damaged and left out: {damage}", WarpdiffWarning, stacklevel=9
-        )  # fmt: skip
+        warn(f"mesh: texture {texture!r} is damaged and left out: {damage}")  # fmt: skip
         return None
     if image.mode.startswith("I"):
         # 16-bit grey; converting it to RGB would clip at 255.
@@ -370,7 +367,7 @@ def _damage(image: Any) -> str:
     return str(image.info[_DAMAGE])
 
 
-def _join(parts: list[_Part]) -> _Part:
+def _join(parts: list[TileGroup]) -> TileGroup:
     """Join parts to one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
     if len(parts) == 1:
         return parts[0]
@@ -401,7 +398,7 @@ def _join(parts: list[_Part]) -> _Part:
         # Without a colour there is no pigment: black.
         none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
         colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
-    return _Part(
+    return TileGroup(
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
         source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
@@ -415,7 +412,7 @@ def _join(parts: list[_Part]) -> _Part:
     )
 
 
-def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
+def _build(part: TileGroup, given: NDArray[np.float64] | None) -> Surface:
     """Drop what has no area, then normals, tangents and the arrays for the device."""
     index, faces = compacted(part.faces.T, len(part.vertices))
     world = part.vertices.T.take(index, axis=1)
@@ -424,8 +421,8 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     largest = float(np.max(high - centre))
     # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
-    if not checks.LEAST <= radius <= checks.MOST:
-        raise ValueError(f"mesh must have a radius of {checks.LEAST:g} to {checks.MOST:g}, got {radius:g}")
+    if not validation.LEAST <= radius <= validation.MOST:
+        raise ValueError(f"mesh must have a radius of {validation.LEAST:g} to {validation.MOST:g}, got {radius:g}")
     # float32 first: what has no area in the kernels shall have none here.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
@@ -434,9 +431,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     if dropped == len(keep):
         raise ValueError(f"mesh must have a face with an area, got {dropped} without")
     if dropped:
-        warnings.warn(
-            f"mesh: left out {dropped} of {len(keep)} faces, which have no area", WarpdiffWarning, stacklevel=5
-        )
+        warn(f"mesh: left out {dropped} of {len(keep)} faces, which have no area")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
         geometries = geometries[keep]
         index, vertices = index[used], vertices.take(used, axis=1)
@@ -491,7 +486,7 @@ def _build(part: _Part, given: NDArray[np.float64] | None) -> Surface:
     )
 
 
-def _check_tangents(part: _Part, given: NDArray[np.float64] | None) -> None:
+def _check_tangents(part: TileGroup, given: NDArray[np.float64] | None) -> None:
     """There must be a tangent for each vertex; without any the part must have texture coordinates."""
     if given is not None:
         if given.shape != (part.count, 3):

@@ -12,24 +12,24 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core import disk_cache, free_memory
-from warpdiff.core.blas_threads import on_one_thread
-from warpdiff.core.lru_cache import LruCache
-from warpdiff.fourier import kaiser_bessel, low_rank_basis, transforms
-from warpdiff.fourier.low_rank_basis import Coefficients
-from warpdiff.fourier.phase_series import EXPANSIONS, check_cycles
-from warpdiff.kernels import spectral_sum
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.caching import LruCache
+from warpdiff.diffraction import coefficient_basis, fourier_coefficients, gridding_kernel
+from warpdiff.diffraction.coefficient_basis import Coefficients
+from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
+from warpdiff.kernels import coefficient_sum
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from warpdiff.fourier.transforms import Block, Grid
+    from warpdiff.diffraction.fourier_coefficients import Block, Grid
+    from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import LitMaterial
-    from warpdiff.plans.direction_range import DirectionRange
-    from warpdiff.plans.plan import Plan
-    from warpdiff.surface.heightfield import HeightField
+    from warpdiff.optics.materials import IlluminatedMaterial
+    from warpdiff.request.directions import DirectionRange
+    from warpdiff.request.plan import Plan
 
 # Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
 LANES = 8
@@ -68,13 +68,13 @@ class _Kept:
         )
 
 
-def kept(hf: HeightField) -> _Kept:
+def kept(heightfield: HeightField) -> _Kept:
     """Everything kept for a height field while it lives."""
-    return _cache.setdefault(hf, _Kept())
+    return _cache.setdefault(heightfield, _Kept())
 
 
 @dataclass(frozen=True)
-class Reached:
+class CoefficientRange:
     """The range that a scope is rounded up to.
 
     Small changes of a moving light or view, and all visible wavelengths, meet the same one.
@@ -90,14 +90,14 @@ class Reached:
     kappa_high: float
 
     @classmethod
-    def by(cls, scope: DirectionRange) -> Reached:
+    def by(cls, direction_range: DirectionRange) -> CoefficientRange:
         """The coefficients that a range of directions reaches."""
-        shortest = min(scope.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
-        longest = max(scope.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
+        shortest = min(direction_range.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
+        longest = max(direction_range.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
         return cls(
-            math.ceil(2.0 * scope.max_uv * 1e3 / shortest + 0.1) / 2.0,
-            max(0.0, math.floor(4.0 * scope.min_w * 1e3 / longest - 0.1) / 4.0),
-            math.ceil(2.0 * scope.max_w * 1e3 / shortest + 0.1) / 2.0,
+            math.ceil(2.0 * direction_range.max_uv * 1e3 / shortest + 0.1) / 2.0,
+            max(0.0, math.floor(4.0 * direction_range.min_w * 1e3 / longest - 0.1) / 4.0),
+            math.ceil(2.0 * direction_range.max_w * 1e3 / shortest + 0.1) / 2.0,
         )
 
 
@@ -124,11 +124,11 @@ def lanes_of(terms: int) -> int:
 
 
 def coefficients_for(
-    hf: HeightField,
+    heightfield: HeightField,
     method: str,
     coherence: Coherence,
-    scope: DirectionRange,
-    reach: tuple[int, int],
+    direction_range: DirectionRange,
+    neighbour_extent: tuple[int, int],
     *,
     terms: int,
     threads: int,
@@ -137,50 +137,59 @@ def coefficients_for(
     """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
 
     Args:
-        hf: The height field.
-        method: One of ``low_rank_basis.METHODS``.
+        heightfield: The height field.
+        method: One of ``coefficient_basis.METHODS``.
         coherence: How they add.
-        scope: The range of directions and wavelengths.
-        reach: Coefficients (y, x) on either side of a direction that may be looked up.
+        direction_range: The range of directions and wavelengths.
+        neighbour_extent: Coefficients (y, x) on either side of a direction that may be looked up.
         terms: Number of terms of a series; a fitted basis finds its own.
         threads: Transforms to run side by side.
         to_fit: Whether they are a series that a basis is to be fitted to, and then of use to the truth at most.
     """
-    reached = Reached.by(scope)
+    reached = CoefficientRange.by(direction_range)
     low, high = reached.kappa_low, reached.kappa_high
-    check_cycles(hf, high)
-    grid = grid_for(hf, coherence)
-    block = transforms.Block.covering(grid, reached.frequency, reach)
+    check_cycles(heightfield, high)
+    grid = grid_for(heightfield, coherence)
+    block = fourier_coefficients.Block.covering(grid, reached.frequency, neighbour_extent)
     if method in EXPANSIONS:
         low = 0.0
     else:
-        terms = low_rank_basis.series_terms(hf, (low, high))
+        terms = coefficient_basis.series_terms(heightfield, (low, high))
     key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
 
-    @on_one_thread()
+    @single_threaded_blas()
     def arrays() -> dict[str, Any]:
-        ny, nx = hf.shape
+        ny, nx = heightfield.shape
         kept_terms = float(math.prod(block.count) * terms)
         per_sample = _BYTES_A_SAMPLE + _BYTES_OF_THREAD * min(threads, terms)
-        free_memory.require(
+        free_memory.require_memory(
             max(_BYTES_OF_SERIES * kept_terms + per_sample * math.prod(block.shape),
                 0.0 if method in EXPANSIONS else _BYTES_OF_FIT * kept_terms),
-            f"coefficients of hf, {ny} × {nx} samples, at {block.count[0]} × {block.count[1]} frequencies",
+            f"coefficients of heightfield, {ny} × {nx} samples, at {block.count[0]} × {block.count[1]} frequencies",
             "take {share} of its area, by cropped()",
         )  # fmt: skip
         if method in EXPANSIONS:
-            made = low_rank_basis.of_series(hf, method, grid, block, (low, high), terms=terms, threads=threads)
+            made = coefficient_basis.of_series(
+                heightfield, method, grid, block, (low, high), terms=terms, threads=threads
+            )
         else:
             series, _, _ = coefficients_for(
-                hf, "jacobi-anger", coherence, scope, reach, terms=terms, threads=threads, to_fit=True
+                heightfield,
+                "jacobi-anger",
+                coherence,
+                direction_range,
+                neighbour_extent,
+                terms=terms,
+                threads=threads,
+                to_fit=True,
             )
-            made = low_rank_basis.fitted(hf, method, series, (low, high), adds_powers=coherence.adds_powers)
+            made = coefficient_basis.fitted(heightfield, method, series, (low, high), adds_powers=coherence.adds_powers)
         return vars(made)
 
     def make() -> Coefficients:
-        return Coefficients(**disk_cache.kept_on_disk((key, hf.pitch_um), hf.heights_um, arrays))
+        return Coefficients(**disk_cache.cached_on_disk((key, heightfield.pitch_um), heightfield.heights_um, arrays))
 
-    held, fitted_to = kept(hf).coefficients, kept(hf).fitted_to
+    held, fitted_to = kept(heightfield).coefficients, kept(heightfield).fitted_to
     if to_fit and key not in held:
         return fitted_to.get_or_make(key, make), block, grid
     if method in EXPANSIONS and key not in held:
@@ -192,26 +201,36 @@ def coefficients_for(
     return held.get_or_make(key, make), block, grid
 
 
-def grid_for(hf: HeightField, coherence: Coherence) -> Grid:
+def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
     """The frequencies that a coherence form looks coefficients up at."""
     if coherence.kind != "replicas":
-        return transforms.patch_grid(hf)
-    return transforms.fine_grid(hf, lambda nu: kaiser_bessel.kernel_transform(nu, spectral_sum.TAPS))
+        return fourier_coefficients.patch_grid(heightfield)
+    return fourier_coefficients.fine_grid(
+        heightfield, lambda nu: gridding_kernel.kernel_transform(nu, coefficient_sum.TAPS)
+    )
 
 
 def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
     """The kernels for rows of so many terms."""
-    powers = low_rank_basis.holds_powers(method, adds_powers=coherence.adds_powers)
-    return spectral_sum.kernels(lanes_of(terms), coherence.kind, powers)
+    powers = coefficient_basis.holds_powers(method, adds_powers=coherence.adds_powers)
+    return coefficient_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
 
-def table_for(hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.Device, threads: int) -> Table:
+def table_for(
+    heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
+) -> Table:
     """The table for a plan, and for what a call has beyond it, built or found again."""
     coherence = plan.coherence
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
-    scope = plan.scope.joined(scope)
+    direction_range = plan.direction_range.joined(direction_range)
     found, block, grid = coefficients_for(
-        hf, plan.method, coherence, scope, reach(plan, hf), terms=plan.terms, threads=threads
+        heightfield,
+        plan.method,
+        coherence,
+        direction_range,
+        neighbour_extent(plan, heightfield),
+        terms=plan.terms,
+        threads=threads,
     )
     terms = min(plan.terms, found.terms)
     lanes = lanes_of(terms)
@@ -223,7 +242,7 @@ def table_for(hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.
     def make() -> tuple[Any, Any, Coefficients]:
         rows = found.rows[..., :terms]
         if moved is not None:
-            rows = _turned(rows, _centre_phase(hf, coherence, block))
+            rows = _turned(rows, _centre_phase(heightfield, coherence, block))
         padded = np.zeros((*rows.shape[:3], lanes), dtype=np.float32)
         padded[..., :terms] = rows
         basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
@@ -235,15 +254,15 @@ def table_for(hf: HeightField, plan: Plan, scope: DirectionRange, *, device: wp.
         )
 
     # With the rows those that they are of are kept, so that no others get their number.
-    table.rows, table.basis, _ = kept(hf).rows.get_or_make(key, make)
+    table.rows, table.basis, _ = kept(heightfield).rows.get_or_make(key, make)
     table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin
     table.length_y, table.length_x = grid.lengths_um
-    if coherence.copies is not None:
-        table.copies_y, table.copies_x = coherence.copies
-        table.patch_y, table.patch_x = hf.size_um
-        _set_taps(table, kernels, hf, device)
+    if coherence.periods is not None:
+        table.copies_y, table.copies_x = coherence.periods
+        table.patch_y, table.patch_x = heightfield.size_um
+        _set_taps(table, kernels, heightfield, device)
         return Table(kernels.integrate, kernels.sample, table, found)
     table.exponent = -math.log(plan.least_weight)
     falloff = falloff_um2(coherence)
@@ -276,55 +295,57 @@ def radius(plan: Plan) -> float:
     return math.sqrt(-math.log(min(plan.least_weight, _REACHED_WEIGHT)) / falloff)
 
 
-def reach(plan: Plan, hf: HeightField) -> tuple[int, int]:
+def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
     """Coefficients (y, x) on either side of a direction to keep at hand.
 
     They are the same for all but the least weights, as is then a basis that is fitted to them.
     """
     if plan.coherence.kind == "replicas":
-        return spectral_sum.TAPS, spectral_sum.TAPS
+        return coefficient_sum.TAPS, coefficient_sum.TAPS
     # A slanted ellipse is covered by a parallelogram.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
-    rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(hf, plan.coherence).lengths_um)
+    rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
 
 
-def quadrature_for(hf: HeightField, plan: Plan, lit: LitMaterial, *, device: wp.Device) -> Any:
+def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: IlluminatedMaterial, *, device: wp.Device) -> Any:
     """The struct ``Quadrature`` of the spectral kernels, for a plan, an illuminant and a material."""
     per_lateral, per_w, constant = plan.bandwidth_um
-    largest = per_lateral * plan.max_lateral + per_w * plan.max_w + constant
+    largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
     # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
     levels = math.floor(SETS_AN_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
-        fewer = set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
+        fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
         if fewer >= counts[-1]:
             break
         counts.append(fewer)
     if plan.coherence.kind == "replicas":
         counts = [max(count - 1, _FEWEST_INTERVALS) * plan.subdivisions + 1 for count in counts]
-    free_memory.require(
+    free_memory.require_memory(
         _BYTES_A_WAVELENGTH * sum(counts), f"a quadrature of {sum(counts)} wavelengths",
-        "take {share} of plan's wavelengths, of coherence's copies, or a smaller hf",
+        "take {share} of plan's wavelengths, of coherence's copies, or a smaller heightfield",
     )  # fmt: skip
     geometric = plan.coherence.kind == "source"
-    sets = [colorimetry.uniform_quadrature(count, lit.illuminant, geometric=geometric) for count in counts]
-    result = spectral_sum.Quadrature()
+    sets = [colorimetry.uniform_quadrature(count, illuminated.illuminant, geometric=geometric) for count in counts]
+    result = coefficient_sum.Quadrature()
     result.wavenumbers = wp.array(np.concatenate([nodes for nodes, _ in sets]), dtype=wp.float64, device=device)
     weights = np.concatenate([each for _, each in sets]).astype(np.float32)
     result.weights = wp.array(weights, dtype=wp.vec3f, device=device)
-    reflectances = np.zeros((0, 0)) if lit.material is None else reflectance_table(lit.material, _ANGLES)
+    reflectances = (
+        np.zeros((0, 0)) if illuminated.material is None else reflectance_table(illuminated.material, _ANGLES)
+    )
     result.reflectances = wp.array(reflectances, dtype=wp.float32, device=device)
     result.least_nm = colorimetry.LAMBDA_MIN_NM
     result.firsts = wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device=device)
     result.subdivisions = plan.subdivisions
-    lengths = hf.size_um if plan.coherence.kind == "replicas" else (1.0, 1.0)
+    lengths = heightfield.size_um if plan.coherence.kind == "replicas" else (1.0, 1.0)
     result.per_v, result.per_u = (per_lateral * length / largest for length in lengths)
     result.per_w, result.constant = per_w / largest, constant / largest
     return result
 
 
-def set_size(wanted: float) -> int:
+def wavelength_set_size(wanted: float) -> int:
     """The size of the smallest set of wavelengths that has as many as wanted, or one that falls short by a rounding."""
     steps = math.ceil(SETS_AN_OCTAVE * math.log2(max(wanted, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_AN_OCTAVE) + 0.5)
@@ -332,17 +353,17 @@ def set_size(wanted: float) -> int:
 
 @functools.cache
 def _taps(count: int) -> NDArray[np.float32]:
-    return kaiser_bessel.tap_polynomials(count).astype(np.float32)
+    return gridding_kernel.tap_polynomials(count).astype(np.float32)
 
 
-def _set_taps(table: Any, kernels: Any, hf: HeightField, device: wp.Device) -> None:
+def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
     """The interpolation kernel; an axis of one sample has the same value at every frequency."""
-    taps = _taps(spectral_sum.TAPS)
-    constant_x = np.zeros((1, spectral_sum.TAPS), dtype=np.float32)
+    taps = _taps(coefficient_sum.TAPS)
+    constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
     constant_x[0, 0] = 1.0
-    along_x = taps.T if hf.shape[1] > 1 else constant_x
+    along_x = taps.T if heightfield.shape[1] > 1 else constant_x
     table.taps_x = wp.array(np.ascontiguousarray(along_x), dtype=kernels.taps, device=device)
-    along_y = taps if hf.shape[0] > 1 else np.ones((1, 1), dtype=np.float32)
+    along_y = taps if heightfield.shape[0] > 1 else np.ones((1, 1), dtype=np.float32)
     table.taps_y = wp.array(along_y, dtype=wp.float32, device=device)
 
 
@@ -353,10 +374,13 @@ def _turned(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray
     return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)
 
 
-def _centre_phase(hf: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
+def _centre_phase(heightfield: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
     """exp(−2πi q_rs·x_c), which moves the window from the patch's corner to x_c."""
-    middle = ((hf.shape[0] // 2) * hf.pitch_um[0], (hf.shape[1] // 2) * hf.pitch_um[1])
+    middle = (
+        (heightfield.shape[0] // 2) * heightfield.pitch_um[0],
+        (heightfield.shape[1] // 2) * heightfield.pitch_um[1],
+    )
     centre = coherence.centre_um or middle
     s, r = block.orders()
-    turns = s[:, None] * (centre[0] / hf.size_um[0]) + r[None, :] * (centre[1] / hf.size_um[1])
+    turns = s[:, None] * (centre[0] / heightfield.size_um[0]) + r[None, :] * (centre[1] / heightfield.size_um[1])
     return np.asarray(np.exp(-2j * math.pi * turns))

@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.device import load
-from warpdiff.compute.pipeline import launch
 from warpdiff.core import free_memory
-from warpdiff.fourier import chebyshev
+from warpdiff.device.devices import load
+from warpdiff.device.kernel_calls import launch
+from warpdiff.diffraction import chebyshev
 from warpdiff.kernels import colour_lookup, spectrum_sampling
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_at
 from warpdiff.tables import coefficient_table, line_spectrum
-from warpdiff.tables.colour_projection import Product, Projection, Terms, colour_products, projection
-from warpdiff.tables.polar_layout import LOG_RED, MIDDLE_UM, Layout, has_mip_levels, megabytes, near
+from warpdiff.tables.colour_curves import Projection, SeparableTerm, SpectrumBasis, colour_products, projection
+from warpdiff.tables.polar_grid import LOG_RED, MIDDLE_UM, MipLayout, has_mip_levels, megabytes, near
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
+    from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import LitMaterial
-    from warpdiff.plans.direction_range import DirectionRange
-    from warpdiff.plans.plan import Plan
-    from warpdiff.surface.heightfield import HeightField
+    from warpdiff.optics.materials import IlluminatedMaterial
+    from warpdiff.request.directions import DirectionRange
+    from warpdiff.request.plan import Plan
 
 # Look-ups skip nodes where colours are smooth: of a light that shows less than this of them at the frequency that every
 # second node takes for none, and so many deviations from what else is in them.
@@ -65,9 +65,9 @@ class _Source:
     """
 
     key: Any
-    layout: Layout
+    layout: MipLayout
     base: coefficient_table.Table
-    terms: Terms
+    terms: SpectrumBasis
     at_kappas: NDArray[np.float32]
     mirror: NDArray[np.float32]
     lobe2: float
@@ -75,7 +75,7 @@ class _Source:
     coherence: Coherence
 
     @property
-    def left_out(self) -> int:
+    def unserved_gain(self) -> int:
         """Where the mean plane's coefficient lies among the rows of ``base``; −1 where it stays in."""
         found = self.base.arguments
         return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
@@ -83,10 +83,10 @@ class _Source:
     @property
     def sampled_bytes(self) -> float:
         """Bytes of the spectrum's rows; lines are gathered as they are needed."""
-        return 0.0 if self.is_lines else 4.0 * len(self.at_kappas) * float(self.layout.starts[-1])
+        return 0.0 if self.is_line_spectrum else 4.0 * len(self.at_kappas) * float(self.layout.starts[-1])
 
     @property
-    def is_lines(self) -> bool:
+    def is_line_spectrum(self) -> bool:
         """Whether rows hold the lines of an endless surface."""
         return self.coherence.kind == "source"
 
@@ -94,19 +94,25 @@ class _Source:
     def sampler(self) -> Any:
         """The kernel that samples the spectrum, or that gathers its lines, and the type of its rows."""
         width, lanes = self.at_kappas.shape
-        if self.is_lines:
+        if self.is_line_spectrum:
             return spectrum_sampling.gatherer(lanes)
         return spectrum_sampling.resampler(lanes, self.base.coefficients.rows.shape[2] == 1, width)
 
 
 def table_for(
-    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
+    heightfield: HeightField,
+    plan: Plan,
+    direction_range: DirectionRange,
+    illuminated: IlluminatedMaterial,
+    *,
+    device: wp.Device,
+    threads: int,
 ) -> tuple[Any, Any]:
     """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
-    kept = coefficient_table.kept(hf)
+    kept = coefficient_table.kept(heightfield)
     held, spectra = kept.colours, kept.spectra
-    source, how = _prepared(hf, plan, scope, lit, device=device, threads=threads)
-    wanted, sharp = (*source.key, lit, has_mip_levels(plan)), (*source.key, lit, False)
+    source, how = _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)
+    wanted, sharp = (*source.key, illuminated, has_mip_levels(plan)), (*source.key, illuminated, False)
     options: dict[str, Any] = {"device": device, "threads": threads}
     # Other threads may make the same meanwhile, or let it go.
     found = held.get(wanted)
@@ -114,9 +120,9 @@ def table_for(
         found = held.get(sharp)
         if found is None:
             rows = spectra.get(source.key)
-            free_memory.require(
+            free_memory.require_memory(
                 1e6 * megabytes(plan) + (source.sampled_bytes if rows is None else 0.0),
-                f"a table of nodes={plan.nodes} and rays_per_width={plan.rays_per_width}",
+                f"a table of rings_per_octave={plan.rings_per_octave} and azimuths_per_width={plan.azimuths_per_width}",
                 "take a larger tolerance, or a plan with {share} of the nodes",
             )  # fmt: skip
             _load_kernels(source, how, plan, device)
@@ -125,33 +131,43 @@ def table_for(
                 spectra.clear()
                 rows = (
                     line_spectrum.of_table(source.base.arguments, source.layout.highest)
-                    if source.is_lines
+                    if source.is_line_spectrum
                     else _sampled(source, **options)
                 )
                 spectra.put(source.key, rows)
-            found = _coloured(source, how, rows, lit, **options)
+            found = _coloured(source, how, rows, illuminated, **options)
             held.put(sharp, found)
         if wanted != sharp:
             # Levels are added to colours that have none, whose rows both then have.
             kernel, table, _ = found
             held.put(sharp, (kernel, table, 0.0))
-            found = _blurred(source.layout.with_mip_levels(), table, is_lines=source.is_lines, **options)
+            found = _blurred(
+                source.layout.with_mip_levels(), table, is_line_spectrum=source.is_line_spectrum, **options
+            )
         held.put(wanted, found)
     return found[:2]
 
 
 def function_count(
-    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
+    heightfield: HeightField,
+    plan: Plan,
+    direction_range: DirectionRange,
+    illuminated: IlluminatedMaterial,
+    *,
+    device: wp.Device,
+    threads: int,
 ) -> int:
     """Functions of w that colours of a plan's table share."""
-    return int(_prepared(hf, plan, scope, lit, device=device, threads=threads)[1].functions.shape[1])
+    return int(
+        _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)[1].functions.shape[1]
+    )
 
 
 def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
     count = how.functions.shape[1]
-    target = colour_lookup.lookup(count, source.is_lines)
+    target = colour_lookup.lookup(count, source.is_line_spectrum)
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
-    if source.is_lines:
+    if source.is_line_spectrum:
         needed = [source.sampler.gather, projector.project_lines]
     else:
         needed = [source.sampler.resample, projector.project]
@@ -162,34 +178,47 @@ def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Devic
 
 
 def _prepared(
-    hf: HeightField, plan: Plan, scope: DirectionRange, lit: LitMaterial, *, device: wp.Device, threads: int
+    heightfield: HeightField,
+    plan: Plan,
+    direction_range: DirectionRange,
+    illuminated: IlluminatedMaterial,
+    *,
+    device: wp.Device,
+    threads: int,
 ) -> tuple[_Source, Projection]:
     """Prepare layout, terms and projection, before any rows are made."""
-    reached = coefficient_table.Reached.by(plan.scope.joined(scope))
-    numbers = plan.terms, plan.least_weight, plan.nodes, plan.rays_per_width, plan.functions, plan.tolerance
+    reached = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))
+    numbers = (
+        plan.terms,
+        plan.least_weight,
+        plan.rings_per_octave,
+        plan.azimuths_per_width,
+        plan.w_basis_size,
+        plan.tolerance,
+    )
     key = device.alias, plan.method, plan.coherence, numbers, reached
 
-    def make() -> tuple[_Source, dict[LitMaterial, Projection]]:
-        return _source(hf, plan, scope, key, reached, device=device, threads=threads), {}
+    def make() -> tuple[_Source, dict[IlluminatedMaterial, Projection]]:
+        return _source(heightfield, plan, direction_range, key, reached, device=device, threads=threads), {}
 
-    source, projections = coefficient_table.kept(hf).prepared.get_or_make(key, make)
-    if lit not in projections:
-        projections[lit] = projection(plan, source.terms, lit, source.layout)
-    return source, projections[lit]
+    source, projections = coefficient_table.kept(heightfield).prepared.get_or_make(key, make)
+    if illuminated not in projections:
+        projections[illuminated] = projection(plan, source.terms, illuminated, source.layout)
+    return source, projections[illuminated]
 
 
 def _source(
-    hf: HeightField,
+    heightfield: HeightField,
     plan: Plan,
-    scope: DirectionRange,
+    direction_range: DirectionRange,
     key: Any,
-    reached: coefficient_table.Reached,
+    reached: coefficient_table.CoefficientRange,
     *,
     device: wp.Device,
     threads: int,
 ) -> _Source:
     """The source of a plan's table."""
-    base = coefficient_table.table_for(hf, plan, scope, device=device, threads=threads)
+    base = coefficient_table.table_for(heightfield, plan, direction_range, device=device, threads=threads)
     found = base.coefficients
     count = min(plan.terms, found.terms)
     lanes = coefficient_table.lanes_of(count)
@@ -199,7 +228,7 @@ def _source(
         def basis_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
             return found.basis_at(at)[:, :count]
 
-        terms = Terms(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _FUNCTIONS_SHARE)
+        terms = SpectrumBasis(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _FUNCTIONS_SHARE)
         own = found.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
         mirror = np.maximum(basis_at(np.linspace(*kappas, _MIRROR_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
@@ -207,19 +236,19 @@ def _source(
         # Amplitudes of the mean plane and of others do not come apart.
         mirror = np.zeros(0, dtype=np.float32)
         # As many nodes as a power's oscillations take.
-        argument = math.pi * (kappas[1] - kappas[0]) * hf.height_range_um
+        argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         count_of_nodes = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, count_of_nodes)
 
         def cardinals_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
             return chebyshev.cardinals(at, *kappas, count_of_nodes)
 
-        terms = Terms(cardinals_at, kappas, np.ones(count_of_nodes), _CARDINALS_SHARE)
+        terms = SpectrumBasis(cardinals_at, kappas, np.ones(count_of_nodes), _CARDINALS_SHARE)
         at_kappas = np.zeros((coefficient_table.lanes_of(len(nodes)), lanes), dtype=np.float32)
         at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
-    layout = Layout.of(plan, reached.frequency)
+    layout = MipLayout.of(plan, reached.frequency)
     lobe2 = 0.0 if plan.coherence.sigma_um is None else 0.5 / coefficient_table.falloff_um2(plan.coherence)
-    phase = 2.0 * math.pi * kappas[1] * hf.height_range_um
+    phase = 2.0 * math.pi * kappas[1] * heightfield.height_range_um
     return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, phase, plan.coherence)
 
 
@@ -237,29 +266,35 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     layout, sampler = source.layout, source.sampler
     bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
-    for octave, (spokes, divisions) in enumerate(zip(layout.spectrum_spokes, layout.divisions, strict=True)):
+    for octave, (azimuths, divisions) in enumerate(zip(layout.spectrum_azimuths, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
         inputs = [
-            source.base.arguments, bases, spokes, layout.nodes, log_low, divisions, layout.highest, source.left_out,
+            source.base.arguments, bases, azimuths, layout.nodes, log_low, divisions, layout.highest, source.unserved_gain,
             start,
         ]  # fmt: skip
-        launch(sampler.resample, spokes, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
+        launch(sampler.resample, azimuths, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
     return values
 
 
 def _coloured(
-    source: _Source, how: Projection, spectrum_rows: Any, lit: LitMaterial, *, device: wp.Device, threads: int
+    source: _Source,
+    how: Projection,
+    spectrum_rows: Any,
+    illuminated: IlluminatedMaterial,
+    *,
+    device: wp.Device,
+    threads: int,
 ) -> tuple[Any, Any, float]:
     """The kernel, the table of colours without levels, and its size."""
     layout, count = source.layout, how.functions.shape[1]
-    target = colour_lookup.lookup(count, source.is_lines)
+    target = colour_lookup.lookup(count, source.is_line_spectrum)
     table = target.Colours()
     table.functions = wp.array(how.functions, dtype=target.functions, device=device)
     table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
     table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
     table.per_log = per_log = layout.nodes / math.log(2.0)
     table.node_of_one = (LOG_RED - layout.log_low) * per_log
-    table.detail = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(lit, per_log) else _NO_DECIMATION
+    table.detail = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
     table.lobe_uv = math.sqrt(source.lobe2) * MIDDLE_UM
@@ -267,15 +302,15 @@ def _coloured(
     table.least_kappa, highest = source.terms.kappas
     table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)
     table.lobe2 = source.lobe2
-    wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, lit.illuminant)
+    wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, illuminated.illuminant)
     table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
     table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
     reflectances = np.zeros((len(weights), 0))
-    if lit.material is not None:
+    if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _MIRROR_ANGLES)
-        reflectances = reflectance_at(lit.material, 1e3 / wavenumbers[::-1, None], angles)
+        reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
     table.reflectances = wp.array(reflectances, dtype=wp.float32, device=device)
-    if source.is_lines:
+    if source.is_line_spectrum:
         table.line_blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
         table.spread2 = source.coherence.spread**2
         table.near2 = near(source.coherence) ** 2
@@ -297,7 +332,7 @@ def _filler(
     before = len(how.weights) - 1
     held: dict[int, wp.array] = {}
 
-    def matrices_of(product: Product) -> wp.array:
+    def matrices_of(product: SeparableTerm) -> wp.array:
         """The matrices of a product on the device: octaves share them."""
         key = id(product.matrices)
         if key not in held:
@@ -311,55 +346,57 @@ def _filler(
         values = line_spectrum.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin,
             per_log=layout.nodes / math.log(2.0),
-            nodes=given, spokes=layout.spokes[0][octave], blur=layout.blurs[octave], **options,
+            nodes=given, azimuths=layout.azimuths[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
         inputs = [values, matrices, curves, terms, layout.nodes, given]
-        launch(projector.project_lines, layout.spokes[0][octave] // projector.abreast, inputs, [on_spokes], **options)
+        launch(projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [on_spokes], **options)
 
     # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
     length = layout.nodes + before + colour_lookup.FILTER_REACH
-    sequence, starts, spokes = None, None, None
-    if not source.is_lines:
-        sequence = wp.empty(layout.spokes[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
+    sequence, starts, azimuths = None, None, None
+    if not source.is_line_spectrum:
+        sequence = wp.empty(layout.azimuths[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
         starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
-        spokes = wp.array(layout.spectrum_spokes, dtype=wp.int32, device=device)
+        azimuths = wp.array(layout.spectrum_azimuths, dtype=wp.int32, device=device)
 
     def project(octave: int, matrices: wp.array, on_spokes: wp.array) -> None:
-        inputs = [spectrum_rows, starts, spokes, matrices, curves, terms, layout.nodes, octave, length, sequence]
-        groups = layout.spokes[0][octave] // projector.abreast
+        inputs = [spectrum_rows, starts, azimuths, matrices, curves, terms, layout.nodes, octave, length, sequence]
+        groups = layout.azimuths[0][octave] // projector.abreast
         launch(projector.project, groups, inputs, [on_spokes], in_runs=True, **options)
 
     def fill(_level: int, octave: int, on_spokes: wp.array) -> None:
         products = how.octaves[octave]
-        of_octave = project_lines if source.is_lines else project
+        of_octave = project_lines if source.is_line_spectrum else project
         if products[0].factors is None:
             of_octave(octave, matrices_of(products[0]), on_spokes)
             return
-        values = wp.empty(layout.spokes[0][octave] * layout.nodes, dtype=projector.row, device=device)
+        values = wp.empty(layout.azimuths[0][octave] * layout.nodes, dtype=projector.row, device=device)
         for index, product in enumerate(products):
             of_octave(octave, matrices_of(product), values)
             factors = wp.array(product.factors, dtype=wp.float32, device=device)
             inputs = [values, factors, index == 0]
-            launch(spectrum_sampling.adder(count), layout.spokes[0][octave], inputs, [on_spokes], **options)
+            launch(spectrum_sampling.adder(count), layout.azimuths[0][octave], inputs, [on_spokes], **options)
 
     return fill
 
 
-def _megabytes(layout: Layout, functions: int) -> float:
+def _megabytes(layout: MipLayout, functions: int) -> float:
     """Size of the rows of a table that are filled."""
     return layout.rows * 3 * functions * 4e-6
 
 
-def _blurred(layout: Layout, sharp: Any, *, is_lines: bool, device: wp.Device, threads: int) -> tuple[Any, Any, float]:
+def _blurred(
+    layout: MipLayout, sharp: Any, *, is_line_spectrum: bool, device: wp.Device, threads: int
+) -> tuple[Any, Any, float]:
     """A table with mip levels, from one without, whose rows have room for them."""
     count = len(sharp.functions.dtype())
-    target = colour_lookup.lookup(count, is_lines)
+    target = colour_lookup.lookup(count, is_line_spectrum)
     table = _copied(sharp, target, leaving="first_rows spokes blurs")
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
     def fill(level: int, octave: int, on_spokes: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
-        launch(target.blur, layout.spokes[level][octave], inputs, [on_spokes], in_runs=True, **options)
+        launch(target.blur, layout.azimuths[level][octave], inputs, [on_spokes], in_runs=True, **options)
 
     _fill(table, target, layout, 1, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -382,7 +419,7 @@ def without_zeroth_order(table: Any, coherence: Coherence) -> Any:
 def _fill(
     table: Any,
     target: Any,
-    layout: Layout,
+    layout: MipLayout,
     first_level: int,
     fill: Callable[[int, int, Any], None],
     *,
@@ -390,27 +427,29 @@ def _fill(
     threads: int,
 ) -> None:
     """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the spokes of a level and an octave."""
-    table.spokes = wp.array(layout.spokes, dtype=wp.int32, device=device)
+    table.azimuths = wp.array(layout.azimuths, dtype=wp.int32, device=device)
     table.blurs = wp.array(layout.level_blurs, dtype=wp.float32, device=device)
-    table.first_rows = wp.array(layout.first_rows[:-1].reshape(np.shape(layout.spokes)), dtype=wp.int32, device=device)
+    table.first_rows = wp.array(
+        layout.first_rows[:-1].reshape(np.shape(layout.azimuths)), dtype=wp.int32, device=device
+    )
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
-    on_spokes = wp.empty(max(layout.spokes[0]) * layout.nodes, dtype=target.row, device=device)
-    for level in range(first_level, len(layout.spokes)):
-        for octave, spokes in enumerate(layout.spokes[level]):
+    on_spokes = wp.empty(max(layout.azimuths[0]) * layout.nodes, dtype=target.row, device=device)
+    for level in range(first_level, len(layout.azimuths)):
+        for octave, azimuths in enumerate(layout.azimuths[level]):
             fill(level, octave, on_spokes)
             inputs = [on_spokes, table, level, octave]
-            repeated = spokes + 2 * colour_lookup.REACH
+            repeated = azimuths + 2 * colour_lookup.REACH
             launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
 
 
-def _is_smooth(lit: LitMaterial, per_log: float) -> bool:
+def _is_smooth(illuminated: IlluminatedMaterial, per_log: float) -> bool:
     """Whether colours under a light are so smooth in ln λ that every second node tells their mean; lines are not."""
-    products = colour_products(lit)
+    products = colour_products(illuminated)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
     left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
     return bool(left.max() < _MOST_AT_ALIAS)
 
 
-def _kappas(reached: coefficient_table.Reached) -> tuple[float, float]:
+def _kappas(reached: coefficient_table.CoefficientRange) -> tuple[float, float]:
     """The range of |κ| of the basis."""
     return max(reached.kappa_low, _SMALLEST_KAPPA * reached.kappa_high), reached.kappa_high

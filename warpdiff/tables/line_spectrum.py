@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.compute.pipeline import launch
 from warpdiff.core import free_memory
+from warpdiff.device.kernel_calls import launch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,8 +40,8 @@ def of_table(arguments: Any, highest: float) -> LineSpectrum:
     """The lines up to a frequency [1/µm], of coefficients as the kernels' struct ``Table`` has them."""
     lengths = arguments.length_y, arguments.length_x
     most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
-    free_memory.require(
-        _BYTES_A_LINE * most, f"a table of {most:.3g} lines", "take method='low-rank', or {share} of hf's area"
+    free_memory.require_memory(
+        _BYTES_A_LINE * most, f"a table of {most:.3g} lines", "take method='low-rank', or {share} of heightfield's area"
     )
     s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)
     qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
@@ -64,7 +64,7 @@ def gathered(
     log_begin: float,
     per_log: float,
     nodes: int,
-    spokes: int,
+    azimuths: int,
     blur: float,
     device: wp.Device,
     **options: Any,
@@ -78,7 +78,7 @@ def gathered(
         log_begin: ln |q| of the first node.
         per_log: Nodes per unit of ln |q|.
         nodes: Of a spoke.
-        spokes: Their number.
+        azimuths: Their number.
         blur: Standard deviation of a line's angle [rad].
         device: Where.
         options: Of ``launch``.
@@ -89,20 +89,20 @@ def gathered(
     # A turn, and what of it reaches beyond its ends.
     far = _FAR_IN_BLURS * blur
     after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
-    turned = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
+    rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
     again = some[np.concatenate([np.arange(before, len(some)), np.arange(len(some)), np.arange(after)])]
-    at = 2.0 * math.pi * np.arange(spokes) / spokes
-    values = wp.empty(spokes * nodes, dtype=sampler.row, device=device)
+    at = 2.0 * math.pi * np.arange(azimuths) / azimuths
+    values = wp.empty(azimuths * nodes, dtype=sampler.row, device=device)
     inputs = [
         coefficients,
         wp.array(lines.which[again], dtype=wp.int32, device=device),
-        wp.array(turned, dtype=wp.float32, device=device),
+        wp.array(rotated, dtype=wp.float32, device=device),
         wp.array(places[again], dtype=wp.float32, device=device),
         wp.array(np.exp(-2.0 * lines.log_frequencies[again]), dtype=wp.float32, device=device),
-        wp.array(np.searchsorted(turned, at - far), dtype=wp.int32, device=device),
-        wp.array(np.searchsorted(turned, at + far), dtype=wp.int32, device=device),
+        wp.array(np.searchsorted(rotated, at - far), dtype=wp.int32, device=device),
+        wp.array(np.searchsorted(rotated, at + far), dtype=wp.int32, device=device),
         nodes,
         blur,
     ]
-    launch(sampler.gather, spokes, inputs, [values], device=device, **options)
+    launch(sampler.gather, azimuths, inputs, [values], device=device, **options)
     return values

@@ -1,0 +1,430 @@
+"""Spectral integration: windowed Fourier coefficients near (u, v)/λ, summed over a set of wavelengths.
+
+One thread is one direction. At each wavelength the coefficients around q = (u, v)/λ are weighted by the Gaussian of the
+coherence, as powers or as amplitudes; of finitely many copies of the patch, amplitudes on a finer grid are weighted by
+an interpolation kernel instead, and the copies' interference factor multiplies the result. A coefficient is the scalar
+product of a basis in κ = w/λ, the same for all coefficients, with its row of a table; the basis is interpolated from a
+table of its own, so that the kernels serve any series.
+"""
+
+import functools
+import types
+
+import warp as wp
+
+from warpdiff.kernels import compile_options
+
+OPTIONS = compile_options.options()
+FORMS = ("averaged", "centred", "source", "replicas")
+# Taps of the interpolation kernel along an axis.
+TAPS = 8
+# Below this argument the copies' factor is its parabola, which errs by the fourth power.
+NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
+
+
+@wp.struct
+class Quadrature:
+    """Wavelengths and their colour weights, in sets of which each has 2^(−1/4) of the samples of the one before.
+
+    A direction takes the set for its bandwidth as a share of the largest one, |(per_u u, per_v v)| + per_w |w| +
+    constant; u and v are stretched along a source's foreshortening.
+    """
+
+    wavenumbers: wp.array(dtype=wp.float64)  # 1/λ [1/µm], set after set
+    weights: wp.array(dtype=wp.vec3f)
+    reflectances: wp.array2d(dtype=wp.float32)  # of a material, by cos θd from 0 to 1 and by nm from ``least_nm`` on
+    least_nm: wp.float64
+    firsts: wp.array(dtype=wp.int32)  # where each set begins, and where the last one ends
+    subdivisions: wp.int32  # for copies: samples of their factor from one sample of the patch to the next
+    per_u: wp.float32
+    per_v: wp.float32
+    per_w: wp.float32
+    constant: wp.float32
+
+
+@wp.func
+def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+    """R(θd, λ) of the quadrature's material, with cos θd = |(u, v, w)|/2; 1 where it has none."""
+    if quadrature.reflectances.shape[0] == 0:
+        return wp.float32(1.0)
+    place = wp.min(wp.length(scattering_vector) * wp.float64(0.5), wp.float64(1.0)) * wp.float64(
+        quadrature.reflectances.shape[0] - 1
+    )
+    row = wp.min(wp.int32(place), quadrature.reflectances.shape[0] - 2)
+    steps = wp.max(wp.float64(1.0e3) / wavenumber - quadrature.least_nm, wp.float64(0.0))
+    column = wp.min(wp.int32(steps), quadrature.reflectances.shape[1] - 2)
+    s = wp.float32(place - wp.float64(row))
+    t = wp.min(wp.float32(steps - wp.float64(column)), 1.0)
+    first = (1.0 - t) * quadrature.reflectances[row, column] + t * quadrature.reflectances[row, column + 1]
+    second = (1.0 - t) * quadrature.reflectances[row + 1, column] + t * quadrature.reflectances[row + 1, column + 1]
+    return (1.0 - s) * first + s * second
+
+
+@wp.struct
+class Window:
+    """The Gaussian exp(−across dy² − along (dx + slant dy)²) over distances in coefficients, for one direction."""
+
+    across: wp.float32
+    along: wp.float32
+    slant: wp.float32
+    radius_y: wp.float32  # in coefficients, of what is not left out
+    radius_x: wp.float32
+    shrink_y: wp.float32  # exp(−2 across) and exp(−2 along), for windows that are the same at all wavelengths
+    shrink_x: wp.float32
+
+
+@wp.func
+def copies_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
+    """[sin(πNt)/(N sin(πt))]² at the position t in coefficients of the patch; 1 where t is whole."""
+    # Both arguments are reduced to half a period in float64: N t is thousands, and float32 would lose it.
+    t = position - wp.rint(position)
+    turns = t * periods
+    small = wp.float32(turns)
+    pi = wp.float32(wp.PI)
+    n = wp.float32(periods)
+    if wp.abs(small) < NEAR_RESONANCE:
+        return 1.0 - (1.0 - 1.0 / (n * n)) * pi * pi * small * small / 3.0
+    ratio = wp.sin(pi * wp.float32(turns - wp.rint(turns))) / (n * wp.sin(pi * wp.float32(t)))
+    return ratio * ratio
+
+
+@functools.cache
+def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
+    """The struct and the kernels for rows of ``lanes`` terms.
+
+    Args:
+        lanes: Length of a row of the table.
+        form: One of ``FORMS``.
+        powers: Whether a row gives the power of a coefficient; otherwise two rows give its amplitude.
+
+    Returns:
+        A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.
+    """
+    row_t = wp.types.vector(length=lanes, dtype=wp.float32)
+    taps_t = wp.types.vector(length=TAPS, dtype=wp.float32)
+    adds_powers = form in ("averaged", "source")
+
+    @wp.struct
+    class Table:
+        rows: wp.array(dtype=row_t)  # (my·mx) powers, or (my·mx·2) real and imaginary parts
+        basis: wp.array(dtype=row_t)  # the basis at equal steps in |κ|, one step before the range and two behind
+        kappa_low: wp.float64  # |κ| of the second entry [1/µm]
+        steps: wp.float64  # entries per unit of |κ|
+        count_y: wp.int32
+        count_x: wp.int32
+        origin_y: wp.int32
+        origin_x: wp.int32
+        length_y: wp.float64  # coefficients per unit of frequency [µm]
+        length_x: wp.float64
+        exponent: wp.float32  # coefficients of less weight than exp(−exponent) are left out
+        across: wp.float32  # the window's, or a source's facing it, at λ = 1 µm
+        along: wp.float32
+        taps_y: wp.array2d(dtype=wp.float32)  # for copies: polynomials of the interpolation kernel, tap by tap
+        taps_x: wp.array(dtype=taps_t)  # the same, coefficient by coefficient
+        copies_y: wp.float64
+        copies_x: wp.float64
+        patch_y: wp.float64  # the patch's size [µm]
+        patch_x: wp.float64
+
+    @wp.func
+    def window_for(table: Table, to_light: wp.vec3f) -> Window:
+        """The Gaussian for one direction to the light."""
+        window = Window()
+        if wp.static(form == "source"):
+            # Σ⁻¹ = (1 + t tᵀ/cos²θ)/s², whose determinant is 1/(s⁴cos²θ): Cholesky's factors without cancellation.
+            tangent = 1.0 / to_light[2]
+            t_x = to_light[0] * tangent
+            t_y = to_light[1] * tangent
+            stretch = 1.0 + t_x * t_x
+            window.along = table.along * stretch
+            window.across = table.across * (tangent * tangent / stretch)
+            window.slant = t_x * t_y / stretch * wp.sqrt(table.across / table.along)
+        else:
+            window.along = table.along
+            window.across = table.across
+            window.shrink_y = wp.exp(-2.0 * table.across)
+            window.shrink_x = wp.exp(-2.0 * table.along)
+        window.radius_y = wp.sqrt(table.exponent / window.across)
+        window.radius_x = wp.sqrt(table.exponent / window.along)
+        return window
+
+    @wp.func
+    def basis_at(table: Table, kappa: wp.float64) -> row_t:
+        """The basis at |κ|: the cubic through four entries of its table, the first of which lies before the range."""
+        steps = wp.max((kappa - table.kappa_low) * table.steps, wp.float64(0.0))
+        entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
+        t = wp.float32(steps - wp.float64(entry))
+        before = t + 1.0
+        after = 1.0 - t
+        beyond = 2.0 - t
+        return (
+            (-t * after * beyond / 6.0) * table.basis[entry]
+            + (0.5 * before * after * beyond) * table.basis[entry + 1]
+            + (0.5 * before * t * beyond) * table.basis[entry + 2]
+            - (before * t * after / 6.0) * table.basis[entry + 3]
+        )
+
+    @wp.func
+    def wrapped(index: wp.int32, count: wp.int32) -> wp.int32:
+        """An index into an axis that repeats."""
+        if index < 0 or index >= count:
+            index = index % count
+            if index < 0:
+                index = index + count
+        return index
+
+    @wp.func
+    def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+        """⟨|P|²⟩ of a Gaussian at one wavelength; the wavenumber is 1/λ [1/µm]."""
+        # Positions reach hundreds of coefficients and Gaussians are narrow: the integer part is taken off in float64.
+        qy = scattering_vector[1] * wavenumber * table.length_y
+        qx = scattering_vector[0] * wavenumber * table.length_x
+        iy = wp.int32(wp.rint(qy))
+        ix = wp.int32(wp.rint(qx))
+        fy = wp.float32(qy - wp.float64(iy))
+        fx = wp.float32(qx - wp.float64(ix))
+        across = window.across
+        along = window.along
+        radius_y = window.radius_y
+        radius_x = window.radius_x
+        if wp.static(form == "source"):
+            tau = wp.float32(wavenumber)
+            across = across / (tau * tau)
+            along = along / (tau * tau)
+            radius_y = radius_y * tau
+            radius_x = radius_x * tau
+
+        first_y = wp.int32(wp.ceil(fy - radius_y))
+        last_y = wp.int32(wp.floor(fy + radius_y))
+        total = wp.float32(0.0)
+        if first_y > last_y:
+            return total
+        dy = wp.float32(first_y) - fy
+        centre = fx
+        if wp.static(form == "source"):
+            centre = fx - window.slant * dy
+        first_x = wp.int32(wp.ceil(centre - radius_x))
+        last_x = wp.int32(wp.floor(centre + radius_x))
+        if wp.static(form != "source"):
+            if first_x > last_x:
+                return total
+        total_re = wp.float32(0.0)
+        total_im = wp.float32(0.0)
+        basis = basis_at(table, -scattering_vector[2] * wavenumber)
+
+        # The Gaussian along an axis takes two multiplications a step from its first coefficient on. Where there is a
+        # second one, the factors below are at most exp(exponent).
+        dx = wp.float32(first_x) - centre
+        gy = wp.float32(0.0)
+        if wp.static(form == "source"):
+            gy = wp.exp(-across * dy * dy)
+        else:
+            gy = wp.exp(-across * dy * dy - along * dx * dx)
+        step_y = wp.float32(0.0)
+        shrink_y = window.shrink_y
+        if last_y > first_y:
+            step_y = wp.exp(-across * (2.0 * dy + 1.0))
+            if wp.static(form == "source"):
+                shrink_y = wp.exp(-2.0 * across)
+        start_step_x = wp.float32(0.0)
+        shrink_x = window.shrink_x
+        if wp.static(form == "source"):
+            shrink_x = wp.exp(-2.0 * along)
+        elif last_x > first_x:
+            start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
+        y = wrapped(iy + first_y + table.origin_y, table.count_y)
+        for j in range(first_y, last_y + 1):
+            g = gy
+            if wp.static(form == "source"):
+                # Rows of a slanted ellipse begin at their own place.
+                centre = fx - window.slant * (wp.float32(j) - fy)
+                first_x = wp.int32(wp.ceil(centre - radius_x))
+                last_x = wp.int32(wp.floor(centre + radius_x))
+                dx = wp.float32(first_x) - centre
+                g = gy * wp.exp(-along * dx * dx)
+                start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
+            step_x = start_step_x
+            x = wrapped(ix + first_x + table.origin_x, table.count_x)
+            row = y * table.count_x
+            for _i in range(first_x, last_x + 1):
+                if wp.static(powers):
+                    total += g * wp.max(wp.dot(table.rows[row + x], basis), 0.0)
+                else:
+                    at = 2 * (row + x)
+                    re = wp.dot(table.rows[at], basis)
+                    im = wp.dot(table.rows[at + 1], basis)
+                    if wp.static(adds_powers):
+                        total += g * (re * re + im * im)
+                    else:
+                        total_re += g * re
+                        total_im += g * im
+                g = g * step_x
+                step_x = step_x * shrink_x
+                x = x + 1
+                if x == table.count_x:
+                    x = 0
+            gy = gy * step_y
+            step_y = step_y * shrink_y
+            y = y + 1
+            if y == table.count_y:
+                y = 0
+        if wp.static(not adds_powers):
+            total = total_re * total_re + total_im * total_im
+        # A mean of phases is at most 1. A series far beyond its range, which is computed on request only, may overflow
+        # to infinity or NaN; wp.min then returns its second argument.
+        return wp.min(total, wp.float32(1.0))
+
+    @wp.func
+    def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+        """|mean over one patch|² at one wavelength, between its coefficients."""
+        qy = scattering_vector[1] * wavenumber * table.length_y
+        qx = scattering_vector[0] * wavenumber * table.length_x
+        iy = wp.int32(wp.floor(qy))
+        ix = wp.int32(wp.floor(qx))
+        fy = wp.float32(qy - wp.float64(iy)) - 0.5
+        fx = wp.float32(qx - wp.float64(ix)) - 0.5
+        basis = basis_at(table, -scattering_vector[2] * wavenumber)
+        weights = table.taps_x[0]
+        for k in range(1, table.taps_x.shape[0]):
+            weights = weights * fx + table.taps_x[k]
+        rows = table.taps_y.shape[0]
+        y = wrapped(iy - (rows - 1) // 2 + table.origin_y, table.count_y)
+        first_x = wrapped(ix - wp.static(TAPS // 2 - 1) + table.origin_x, table.count_x)
+        total_re = wp.float32(0.0)
+        total_im = wp.float32(0.0)
+        for j in range(rows):
+            weight = table.taps_y[j, 0]
+            for k in range(1, table.taps_y.shape[1]):
+                weight = weight * fy + table.taps_y[j, k]
+            x = first_x
+            row = y * table.count_x
+            row_re = wp.float32(0.0)
+            row_im = wp.float32(0.0)
+            for i in range(wp.static(TAPS)):
+                at = 2 * (row + x)
+                row_re += weights[i] * wp.dot(table.rows[at], basis)
+                row_im += weights[i] * wp.dot(table.rows[at + 1], basis)
+                x = x + 1
+                if x == table.count_x:
+                    x = 0
+            total_re += weight * row_re
+            total_im += weight * row_im
+            y = y + 1
+            if y == table.count_y:
+                y = 0
+        return wp.min(total_re * total_re + total_im * total_im, wp.float32(1.0))
+
+    @wp.func
+    def copies_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+        """The copies' factor at one wavelength."""
+        y = copies_factor(scattering_vector[1] * wavenumber * table.patch_y, table.copies_y)
+        x = copies_factor(scattering_vector[0] * wavenumber * table.patch_x, table.copies_x)
+        return y * x
+
+    @wp.func
+    def set_for(quadrature: Quadrature, scattering_vector: wp.vec3d, to_light: wp.vec3f) -> wp.int32:
+        """The set of wavelengths that a direction takes."""
+        u = wp.float32(scattering_vector[0])
+        v = wp.float32(scattering_vector[1])
+        if wp.static(form == "source"):
+            # A foreshortened source is coherent over longer distances along its tangent.
+            stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
+            uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
+        else:
+            uv = wp.sqrt(u * u * quadrature.per_u * quadrature.per_u + v * v * quadrature.per_v * quadrature.per_v)
+        share = uv + quadrature.per_w * wp.float32(-scattering_vector[2]) + quadrature.constant
+        last = quadrature.firsts.shape[0] - 2
+        return wp.clamp(wp.int32(wp.floor(-4.0 * wp.log2(share))), 0, last)
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def integrate(
+        # In:
+        table: Table,
+        scattering_vectors: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        quadrature: Quadrature,
+        first: wp.int32,
+        # Out:
+        xyz_out: wp.array(dtype=wp.vec3f),
+    ):
+        """Add the XYZ of each direction to ``xyz_out``."""
+        i = first + wp.tid()
+        gain = gains[i]
+        if gain > 0.0:
+            scattering_vector = scattering_vectors[i]
+            chosen = set_for(quadrature, scattering_vector, to_lights[i])
+            start = quadrature.firsts[chosen]
+            end = quadrature.firsts[chosen + 1]
+            # Thousands of samples add up: in float32 their rounding would show at the tightest tolerances.
+            colour = wp.vec3d()
+            if wp.static(form == "replicas"):
+                # The patch is sampled at every subdivisions-th wavelength and its power interpolated by cubics; the
+                # copies' factor, which is cheap and changes faster by their number, at all of them.
+                divisions = quadrature.subdivisions
+                intervals = (end - start - 1) // divisions
+                g0 = patch_power(table, scattering_vector, quadrature.wavenumbers[start])
+                g1 = patch_power(table, scattering_vector, quadrature.wavenumbers[start + divisions])
+                g2 = patch_power(table, scattering_vector, quadrature.wavenumbers[start + 2 * divisions])
+                g3 = patch_power(table, scattering_vector, quadrature.wavenumbers[start + 3 * divisions])
+                base = wp.int32(0)
+                for k in range(start, end):
+                    interval = wp.min((k - start) // divisions, intervals - 1)
+                    if interval - 1 > base and base < intervals - 3:
+                        base = base + 1
+                        g0 = g1
+                        g1 = g2
+                        g2 = g3
+                        g3 = patch_power(
+                            table, scattering_vector, quadrature.wavenumbers[start + (base + 3) * divisions]
+                        )
+                    s = wp.float32(k - start - base * divisions) / wp.float32(divisions)
+                    power = (
+                        (s * (s - 1.0) * (s - 2.0) / 6.0) * g3
+                        - (s * (s - 1.0) * (s - 3.0) / 2.0) * g2
+                        + (s * (s - 2.0) * (s - 3.0) / 2.0) * g1
+                        - ((s - 1.0) * (s - 2.0) * (s - 3.0) / 6.0) * g0
+                    )
+                    factor = copies_at(table, scattering_vector, quadrature.wavenumbers[k])
+                    factor = factor * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
+                    colour += wp.vec3d(quadrature.weights[k] * (wp.max(power, 0.0) * factor))
+            else:
+                window = window_for(table, to_lights[i])
+                for k in range(start, end):
+                    power = gaussian_sum(table, window, scattering_vector, quadrature.wavenumbers[k])
+                    power = power * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
+                    colour += wp.vec3d(quadrature.weights[k] * power)
+            xyz_out[i] = xyz_out[i] + gain * wp.vec3f(colour)
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def sample(
+        # In:
+        table: Table,
+        scattering_vectors: wp.array(dtype=wp.vec3d),
+        to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32),
+        wavenumbers: wp.array(dtype=wp.float64),
+        first: wp.int32,
+        # Out:
+        reflectance_out: wp.array2d(dtype=wp.float32),
+    ):
+        """ρ of each direction at each of the given wavelengths."""
+        i = first + wp.tid()
+        gain = gains[i]
+        window = Window()
+        if gain > 0.0:
+            window = window_for(table, to_lights[i])
+        for k in range(wavenumbers.shape[0]):
+            reflectance = wp.float32(0.0)
+            if gain > 0.0:
+                if wp.static(form == "replicas"):
+                    power = patch_power(table, scattering_vectors[i], wavenumbers[k])
+                    power = power * copies_at(table, scattering_vectors[i], wavenumbers[k])
+                else:
+                    power = gaussian_sum(table, window, scattering_vectors[i], wavenumbers[k])
+                reflectance = gain * power
+            reflectance_out[i, k] = reflectance
+
+    return types.SimpleNamespace(
+        row=row_t, taps=taps_t, Table=Table, integrate=integrate, sample=sample, wrapped=wrapped
+    )

@@ -1,0 +1,307 @@
+"""From what rays see and a light to what the spectral kernels take: (u, v, w), gain and footprint."""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, thresholds
+from warpdiff.kernels.footprints import LEAST_FACING, pixel_footprints_run
+from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
+
+wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
+
+# Of a kernel of arrays with one index, Warp compiles a second variant for the CPU, for arrays that lie densely, hardly
+# faster. A second index, which is always 0, spares it: a third of these modules' time to compile.
+
+
+@wp.struct
+class Lights:
+    """Lights, and what of them the pigment sends back: in arrays, so that a recorded picture finds the next ones."""
+
+    places: wp.array(dtype=wp.vec4d)  # homogeneous: the direction to a light and 0, or where it is and 1
+    strengths: wp.array(
+        dtype=wp.vec2d
+    )  # power, from a place at a distance of 1, and the pigment's strength over R(0); 0 leaves the pigment out
+    deviations: wp.array2d(dtype=wp.vec3f)  # of the light's directions, along two vectors across it [rad]
+    white_rgb: wp.array(dtype=wp.vec3d)  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
+    rgb_to_xyz: wp.mat33d
+
+
+@wp.struct
+class Reflection:
+    """Parameters of the reflectance besides the directions."""
+
+    normal_reflectance: wp.float64  # R(0) of Schlick's; 1 where a material's R is within the integral over λ
+    masking: wp.bool
+    per_light_cosine: wp.bool  # for a light of a size
+    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
+    materials: wp.array(dtype=wp.int32)  # of each face; empty where there is one
+    # What makes energy whole, by angles from the normal and around it; empty leaves Stam's as it is.
+    energy: wp.array2d(dtype=wp.float32)
+
+
+@wp.func_native(
+    f"warpdiff::find_scattering_vectors<32>(pixels, place, reflection, scale, {thresholds.HORIZON}, counted, begins, "
+    "resets, occluded, begin, end, scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, illuminated_out);"
+)
+def scattering_vectors_run(
+    pixels: Pixels,
+    place: wp.vec4d,
+    reflection: Reflection,
+    scale: wp.float64,
+    counted: wp.float64,
+    begins: wp.bool,
+    resets: wp.bool,
+    occluded: wp.array(dtype=wp.bool),
+    begin: wp.int32,
+    end: wp.int32,
+    scattering_vectors_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+    xyz_out: wp.array(dtype=wp.vec3f),
+    coverage_out: wp.array(dtype=wp.float64),
+    illuminated_out: wp.array(dtype=wp.bool),
+):
+    """Deflections, directions to the light and gains of pixels one after the other, and what of them is summed up."""
+
+
+@wp.func
+def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
+    """The vector from a point to a light, not of unit length."""
+    return wp.vec3d(place[0], place[1], place[2]) - place[3] * wp.vec3d(point)
+
+
+@wp.func
+def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32) -> wp.vec3f:
+    """What of light comes through a material's surface, in linear RGB, at the cosine of its angle."""
+    last = reflection.transmittances.shape[1] - 1
+    place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
+    entry = wp.min(wp.int32(place), last - 1)
+    t = place - wp.float32(entry)
+    before = reflection.transmittances[material, entry]
+    return (1.0 - t) * before + t * reflection.transmittances[material, entry + 1]
+
+
+@wp.kernel
+def scattering_vectors(
+    # In:
+    pixels: Pixels,
+    lights: Lights,
+    light_index: wp.int32,
+    reflection: Reflection,
+    weight: wp.float64,
+    counted: wp.float64,
+    begins: wp.bool,
+    resets: wp.bool,
+    occluded: wp.array(dtype=wp.bool),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    scattering_vectors_out: wp.array(dtype=wp.vec3d),
+    to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32),
+    xyz_out: wp.array(dtype=wp.vec3f),
+    coverage_out: wp.array(dtype=wp.float64),
+    illuminated_out: wp.array(dtype=wp.bool),
+):
+    """Deflection, direction to the light and gain of pixels under one of the lights.
+
+    All that meet the mesh have a deflection, and where the light does not come their gain is 0. Its pigment is added to
+    ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked as lit,
+    from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these. ``hidden``
+    says which pixels the light does not reach; empty is none.
+    """
+    place = lights.places[light_index]
+    strength = lights.strengths[light_index]
+    scale = weight * strength[0]
+    thread, _ = wp.tid()
+    begin = first + thread * run
+    scattering_vectors_run(
+        pixels, place, reflection, scale, counted, begins, resets, occluded, begin, begin + run,
+        scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, illuminated_out,
+    )  # fmt: skip
+    if strength[1] == wp.float64(0.0) or xyz_out.shape[0] == 0:
+        return
+    for i in range(begin, begin + run):
+        if gains_out[i] > 0.0:
+            cos_i = to_lights_out[i][2]
+            cos_r = -wp.float32(scattering_vectors_out[i][2]) - cos_i
+            material = wp.int32(0)
+            if reflection.materials.shape[0] > 0:
+                material = reflection.materials[pixels.face[i]]
+            under = transmittance(reflection, material, cos_i)
+            under = wp.cw_mul(under, transmittance(reflection, material, cos_r))
+            base = wp.vec3d(wp.cw_mul(pixels.base_colour[i], under))
+            colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
+            left = wp.float64(cos_i)
+            if place[3] != wp.float64(0.0):
+                left = left / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * left * colour)
+
+
+@wp.func
+def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
+    """The factor a of a direction in the surface's frame, linear between the angles that there are."""
+    rows = reflection.energy.shape[0]
+    columns = reflection.energy.shape[1]
+    if rows == 0:
+        return 1.0
+    # √(1 − cos θ) is nearly even in θ, and so are shares of |x| + |y| in the angle around: neither takes a sine.
+    from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
+    place = wp.sqrt(from_normal) * wp.float32(rows - 1)
+    share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)
+    turn = wp.where(direction[0] < 0.0, 2.0 - share, wp.where(share < 0.0, 4.0 + share, share))
+    around = 0.25 * turn * wp.float32(columns)
+    row = wp.clamp(wp.int32(place), 0, rows - 2)
+    column = wp.clamp(wp.int32(around), 0, columns - 1)
+    after = (column + 1) % columns
+    s = place - wp.float32(row)
+    t = around - wp.float32(column)
+    upper = (1.0 - t) * reflection.energy[row, column] + t * reflection.energy[row, after]
+    lower = (1.0 - t) * reflection.energy[row + 1, column] + t * reflection.energy[row + 1, after]
+    return (1.0 - s) * upper + s * lower
+
+
+@wp.kernel
+def balance_energy(
+    # In:
+    scattering_vectors: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f),
+    reflection: Reflection,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """Multiply gains by a(ωi) a(ωr)."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if gains_out[i] > 0.0:
+            light = to_lights[i]
+            both = energy_factor(reflection, light) * energy_factor(
+                reflection, -wp.vec3f(scattering_vectors[i]) - light
+            )
+            gains_out[i] = both * gains_out[i]
+
+
+@wp.kernel
+def add_light_rotation(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    pixels: Pixels,
+    lights: Lights,
+    light_index: wp.int32,
+    deviation: wp.float32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    footprints_out: wp.array(dtype=Footprint),
+):
+    """Add to footprints how the direction to a light at a place changes over them, in the plane of the face."""
+    place = lights.places[light_index]
+    eye = wp.vec3f(camera.axes[0])
+    back = wp.vec3f(camera.axes[3])
+    steps = wp.vec2f(
+        2.0 * deviation * wp.float32(camera.axes[4][0]) / wp.float32(camera.width),
+        -2.0 * deviation * wp.float32(camera.axes[4][1]) / wp.float32(camera.height),
+    )
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if pixels.hit[i] == 0:
+            continue
+        face = pixels.face[i]
+        corner = surface.positions[surface.faces[face, 0]]
+        edge1 = surface.positions[surface.faces[face, 1]] - corner
+        edge2 = surface.positions[surface.faces[face, 2]] - corner
+        plane = wp.normalize(wp.cross(edge1, edge2))
+        view = pixels.to_view[i]
+        facing = wp.dot(plane, view)
+        if facing < 0.0:
+            plane = -plane
+        facing = wp.max(wp.abs(facing), wp.static(LEAST_FACING))
+        point = pixels.shadow_origin[i]
+        scale = wp.float32(1.0)
+        if not camera.orthographic:
+            scale = wp.length(eye - point) * wp.dot(view, back)
+        away = wp.vec3f(away_from(place, point))
+        per_distance = 1.0 / wp.sqrt(wp.length_sq(away) + 1.0e-12)
+        towards = per_distance * away
+        given = footprints_out[i]
+        for axis in range(2):
+            step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
+            moved = scale * (step - (wp.dot(step, plane) / facing) * view)
+            # (u, v) is against the light.
+            rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
+            given[2 * axis] = given[2 * axis] + wp.dot(pixels.tangent[i], rotated)
+            given[2 * axis + 1] = given[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
+        footprints_out[i] = given
+
+
+@wp.kernel
+def add_light_extent(
+    # In:
+    lights: Lights,
+    light_index: wp.int32,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    footprints_out: wp.array(dtype=Footprint),
+):
+    """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        given = footprints_out[i]
+        xx = given[0] * given[0] + given[2] * given[2]
+        xy = given[0] * given[1] + given[2] * given[3]
+        yy = given[1] * given[1] + given[3] * given[3]
+        for axis in range(2):
+            deviation = lights.deviations[light_index, axis]
+            x = wp.dot(deviation, pixels.tangent[i])
+            y = wp.dot(deviation, pixels.bitangent[i])
+            xx += x * x
+            xy += x * y
+            yy += y * y
+        # Cholesky's factor of the covariance.
+        along = wp.sqrt(wp.max(xx, 1.0e-20))
+        beside = xy / along
+        footprints_out[i] = Footprint(along, beside, 0.0, wp.sqrt(wp.max(yy - beside * beside, 0.0)))
+
+
+@wp.kernel
+def select_material(
+    # In:
+    gains: wp.array(dtype=wp.float32),
+    faces: wp.array(dtype=wp.int32),
+    materials: wp.array(dtype=wp.int32),
+    material: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    gains_out: wp.array(dtype=wp.float32),
+):
+    """Gains of the pixels whose faces are of one material, and 0 elsewhere."""
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        gain = gains[i]
+        if gain > 0.0 and materials[faces[i]] != material:
+            gain = 0.0
+        gains_out[i] = gain
+
+
+@wp.kernel
+def pixel_footprints(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    pixels: Pixels,
+    scattering_vectors: wp.array(dtype=wp.vec3d),
+    deviation: wp.float32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    footprints_out: wp.array(dtype=Footprint),
+):
+    """Footprints in (u, v) of rays' filters of a deviation in pixels."""
+    thread, _ = wp.tid()
+    begin = first + thread * run
+    pixel_footprints_run(camera, surface, pixels, scattering_vectors, deviation, begin, begin + run, footprints_out)

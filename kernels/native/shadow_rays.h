@@ -1,0 +1,109 @@
+// Whether faces hide a light, by lists of those in each cell of a grid across it.
+//
+// Places across the light are whole numbers of steps, and sides of edges exact, as kernels/shadow_grid.py has them: by
+// these the lists are made.
+
+#pragma once
+
+#include "simd.h"
+
+namespace warpdiff {
+
+// Faces of a list that are looked at together.
+constexpr int LISTED = 32;
+
+// Points side by side: across the light in steps, heights, cells (−1 asks nothing), and whether they are hidden.
+template <int N>
+struct ShadowPoints {
+    Batch<N, double> x, y, z;
+    Batch<N, int> cell, occluded;
+
+    template <class Grid, class Pixels, class Vector>
+    WARPDIFF_INLINE void load(const Grid& grid, const Pixels& pixels, const Vector& towards, float facing_away,
+        double steps, int from, int count)
+    {
+        const int* const hit = numbers<const int>(pixels.hit);
+        const float* const normals = numbers<const float>(pixels.normal);
+        const float* const origins = numbers<const float>(pixels.shadow_origin);
+        for (int i = 0; i < N; ++i) {
+            const long long k = from + (i < count ? i : 0), at = 3 * k;
+            const bool asks = i < count && hit[k] != 0
+                && normals[at] * towards[0] + normals[at + 1] * towards[1] + normals[at + 2] * towards[2] > facing_away;
+            // What is nowhere is in the middle.
+            const double p0 = asks ? origins[at] : 0.0f, p1 = asks ? origins[at + 1] : 0.0f;
+            const double p2 = asks ? origins[at + 2] : 0.0f;
+            x[i] = rint((p0 * grid.across[0] + p1 * grid.across[1] + p2 * grid.across[2]) * steps);
+            y[i] = rint((p0 * grid.up[0] + p1 * grid.up[1] + p2 * grid.up[2]) * steps);
+            z[i] = p0 * grid.towards[0] + p1 * grid.towards[1] + p2 * grid.towards[2];
+            const int column = (int)floor((x[i] - grid.low_x) * grid.per_step);
+            const int row = (int)floor((y[i] - grid.low_y) * grid.per_step);
+            const bool inside = column >= 0 && row >= 0 && column < grid.columns && row < grid.rows;
+            cell[i] = asks && inside ? row * grid.columns + column : -1;
+            occluded[i] = 0;
+        }
+    }
+
+    // Mark the points of a cell that lie below a face, whose corners are given and the height of the highest.
+    WARPDIFF_INLINE void mark_below(const float* corners, float top, int here)
+    {
+        const double x0 = corners[0], y0 = corners[1], z0 = corners[2], x1 = corners[3], y1 = corners[4];
+        const double z1 = corners[5], x2 = corners[6], y2 = corners[7], z2 = corners[8];
+        for (int j = 0; j < N; ++j) {
+            // Twice the areas between the edges and the point, exactly.
+            const double e0 = (x2 - x1) * (y[j] - y1) - (y2 - y1) * (x[j] - x1);
+            const double e1 = (x0 - x2) * (y[j] - y2) - (y0 - y2) * (x[j] - x2);
+            const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
+            const int below =
+                (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
+            // What lies in a face's plane is not to depend on what is beside it and lower.
+            occluded[j] |= below & (cell[j] == here) & (top > z[j]);
+        }
+    }
+};
+
+// Look through the list of a cell for the points in it, of which `least` is the lowest.
+template <int N, class Grid>
+WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, ShadowPoints<N>& points)
+{
+    const float* const corners = numbers<const float>(grid.corners);
+    const float* const tops = numbers<const float>(grid.tops);
+    const int* const starts = numbers<const int>(grid.starts);
+    const int* const faces = numbers<const int>(grid.faces);
+    for (int next = starts[here]; next < starts[here + 1];) {
+        // Those that rise above any of the points: told apart without branches, which none could foresee.
+        int above[LISTED], count = 0;
+        float top[LISTED];
+        const int stop = wp::min(next + LISTED, starts[here + 1]);
+        for (; next < stop; ++next) {
+            above[count] = faces[next];
+            top[count] = tops[next];
+            count += tops[next] > least;
+        }
+        for (int which = 0; which < count; ++which) points.mark_below(corners + 9LL * above[which], top[which], here);
+    }
+}
+
+// Whether the light is hidden from what pixels from begin to end see; those in one cell meet its list together.
+template <int BATCH, class Grid, class Vector, class Pixels, class Hidden>
+WARPDIFF_INLINE void look_up_shadows(const Grid& grid, const Vector& towards, const Pixels& pixels, float facing_away,
+    double steps, int begin, int end, Hidden& occluded_out)
+{
+    constexpr int N = batch_of(BATCH);
+    for (int from = begin; from < end; from += N) {
+        const int count = wp::min(end - from, N);
+        ShadowPoints<N> points;
+        points.load(grid, pixels, towards, facing_away, steps, from, count);
+        for (int i = 0; i < count; ++i) {
+            const int here = points.cell[i];
+            if (here < 0) continue;
+            double least = 4.0;
+            for (int j = i; j < N; ++j)
+                if (points.cell[j] == here && points.z[j] < least) least = points.z[j];
+            search_cell(grid, here, least, points);
+            for (int j = 0; j < N; ++j) points.cell[j] = points.cell[j] == here ? -1 : points.cell[j];
+        }
+        for (int i = 0; i < count; ++i) numbers<bool>(occluded_out)[from + i] = points.occluded[i] != 0;
+    }
+}
+
+} // namespace warpdiff

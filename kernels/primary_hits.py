@@ -1,0 +1,269 @@
+"""From pixels to points on a mesh: where their rays lie, what they meet, shading frames and base colours."""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, refinement_levels
+from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
+from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
+
+wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "shading_frames.h"))
+
+# How far from a pixel's centre its samples lie, at most.
+MOST_OFFSET = 1.5
+# Of a ray that meets no face.
+UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
+
+# Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),
+# the last three as shares of 2^32.
+HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
+HASH_2 = wp.constant(wp.uint32(0x846CA68B))
+GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
+R2_X = wp.constant(wp.uint32(3242174889))
+R2_Y = wp.constant(wp.uint32(2447445414))
+
+
+@wp.func
+def scramble(value: wp.uint32) -> wp.uint32:
+    """A hash of 32 bits to 32 bits."""
+    x = value
+    x = x ^ (x >> wp.uint32(16))
+    x = x * HASH_1
+    x = x ^ (x >> wp.uint32(15))
+    x = x * HASH_2
+    return x ^ (x >> wp.uint32(16))
+
+
+@wp.func
+def to_unit(bits: wp.uint32) -> wp.float64:
+    """32 bits as a number strictly between 0 and 1."""
+    return (wp.float64(bits) + wp.float64(0.5)) / wp.float64(4294967296.0)
+
+
+@wp.func
+def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
+    """Where in the pixel a sample lies, (right, down) of its centre [pixels].
+
+    The offsets are distributed as the reconstruction filter, a Gaussian of 0.5 pixel cut at 1.5, so that samples
+    count alike. They follow the R2 sequence, rotated for each pixel by its hash (Cranley-Patterson);
+    in 32-bit integers the sequence is exact at any index.
+    """
+    result = wp.vec2d()
+    if samples > 1:
+        index = wp.uint32(sample)
+        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(seed)))
+        rotation_y = scramble(rotation_x + GOLDEN)
+        radial = to_unit(index * R2_X + rotation_x)
+        angular = to_unit(index * R2_Y + rotation_y)
+        # 1 − exp(−1.5² / (2 · 0.5²)) of the Gaussian lies within the cut.
+        inside = wp.float64(1.0) - wp.exp(wp.float64(-4.5))
+        radius = wp.float64(0.5) * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
+        angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
+        result = wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
+    return result
+
+
+@wp.func
+def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
+    """``index`` modulo ``size``, for an index that is out by less than one period."""
+    result = index
+    if result < 0:
+        result = result + size
+    if result >= size:
+        result = result - size
+    return result
+
+
+@wp.func
+def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
+    """Bilinear texture look-up; the texture repeats, its row 0 is the one at v = 1, texel centres lie at +0.5."""
+    height = texture.shape[0]
+    width = texture.shape[1]
+    x = (uv[0] - wp.floor(uv[0])) * wp.float32(width) - 0.5
+    y = (wp.float32(1.0) - (uv[1] - wp.floor(uv[1]))) * wp.float32(height) - 0.5
+    fx = x - wp.floor(x)
+    fy = y - wp.floor(y)
+    x0 = wrap(wp.int32(wp.floor(x)), width)
+    y0 = wrap(wp.int32(wp.floor(y)), height)
+    x1 = wrap(x0 + 1, width)
+    y1 = wrap(y0 + 1, height)
+    top = (1.0 - fx) * texture[y0, x0] + fx * texture[y0, x1]
+    bottom = (1.0 - fx) * texture[y1, x0] + fx * texture[y1, x1]
+    return (1.0 - fy) * top + fy * bottom
+
+
+# Cells of a pixel at the finest level.
+_MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
+
+
+@wp.func_native(
+    f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, neighbour_extent, begin, end, nearest_out);"
+)
+def rasterize_run(
+    camera: Camera,
+    surface: SurfaceArrays,
+    sampling: Sampling,
+    cells: Cells,
+    neighbour_extent: wp.float64,
+    begin: wp.int32,
+    end: wp.int32,
+    nearest_out: wp.array(dtype=wp.uint64),
+):
+    """Rasterize a run of faces into the nearest face of each ray."""
+
+
+@wp.kernel
+def rasterize(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    sampling: Sampling,
+    cells: Cells,
+    neighbour_extent: wp.float64,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    nearest_out: wp.array(dtype=wp.uint64),
+):
+    """Find the face that each pixel's ray sees, or each cell's, by rasterizing faces: on the CPU alone.
+
+    A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
+
+    Args:
+        camera: The view.
+        surface: The mesh.
+        sampling: Where in the pixel a ray lies.
+        cells: Pixels that are split; empty stands for one ray of each pixel.
+        neighbour_extent: How far from pixels' centres rays lie, at most, along an axis [pixels].
+        first: The first thread's face.
+        run: How many a thread takes.
+        nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
+            kept. All bits set is none.
+    """
+    begin = first + wp.tid() * run
+    rasterize_run(camera, surface, sampling, cells, neighbour_extent, begin, begin + run, nearest_out)
+
+
+@wp.func
+def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
+    """The base colour of what a ray has met."""
+    i0 = surface.faces[pixels.face[ray], 0]
+    i1 = surface.faces[pixels.face[ray], 1]
+    i2 = surface.faces[pixels.face[ray], 2]
+    b0 = pixels.place[ray][0]
+    b1 = pixels.place[ray][1]
+    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
+    colour = wp.vec3f(-1.0, -1.0, -1.0)
+    if surface.has_vertex_colours:
+        c0 = surface.vertex_colours[i0]
+        c1 = surface.vertex_colours[i1]
+        c2 = surface.vertex_colours[i2]
+        colour = b0 * c0 + b1 * c1 + b2 * c2
+    if colour[0] < 0.0:
+        # A plain colour is a texture of one texel.
+        colour = surface.texture[0, 0]
+        if surface.texture.shape[0] * surface.texture.shape[1] > 1:
+            uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
+            colour = sample_texture(surface.texture, uv)
+    pixels.base_colour[ray] = colour
+
+
+@wp.func_native(
+    f"warpdiff::intersect_known_faces<32, {int(UNSEEN)}ULL>(camera, surface, sampling, pixels, begin, end);"
+)
+def intersect_known_faces_run(
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
+):
+    """Where rays one after the other meet the faces that are known to be nearest."""
+
+
+@wp.kernel
+def intersect_known_faces(
+    # In:
+    camera: Camera,
+    surface: SurfaceArrays,
+    sampling: Sampling,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+):
+    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` or ``trace_bvh`` has found.
+
+    Args:
+        camera: The view.
+        surface: The mesh.
+        sampling: Where in the pixel.
+        pixels: What was and is found.
+        first: The first thread's pixel, or ray of a tile.
+        run: How many a thread takes.
+    """
+    begin = first + wp.tid() * run
+    intersect_known_faces_run(camera, surface, sampling, pixels, begin, begin + run)
+    if pixels.base_colour.shape[0] > 0:
+        for ray in range(begin, begin + run):
+            if pixels.hit[ray] != 0:
+                paint(surface, pixels, ray)
+
+
+@wp.kernel
+def place_samples(
+    # In:
+    sample: wp.int32,
+    samples: wp.int32,
+    seed: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    offsets_out: wp.array(dtype=wp.vec2d),
+):
+    """Where a sample of each pixel lies, as ``pixel_offset`` has it."""
+    for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
+
+
+@wp.kernel
+def make_shading_frames(
+    # In:
+    surface: SurfaceArrays,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+):
+    """The shading frames at what was met, and where shadow rays start.
+
+    The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
+    b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
+    the same x direction.
+
+    Args:
+        surface: The mesh.
+        pixels: What was and is found.
+        first: The first thread's pixel.
+        run: How many a thread takes.
+    """
+    begin = first + wp.tid() * run
+    if shading_frames_run(surface, pixels, begin, begin + run) == 0:
+        return
+    for ray in range(begin, begin + run):
+        if pixels.hit[ray] == SPECIAL:
+            pixels.hit[ray] = 1
+            i0 = surface.faces[pixels.face[ray], 0]
+            i1 = surface.faces[pixels.face[ray], 1]
+            i2 = surface.faces[pixels.face[ray], 2]
+            p0 = surface.positions[i0]
+            geometric = wp.normalize(wp.cross(surface.positions[i1] - p0, surface.positions[i2] - p0))
+            to_view = pixels.to_view[ray]
+            if wp.dot(geometric, to_view) < 0.0:
+                geometric = -geometric
+            normal = face_the_viewer(pixels.normal[ray], geometric, to_view)
+            place = pixels.place[ray]
+            share = wp.max(wp.float32(0.0), 1.0 - place[0] - place[1])
+            tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
+            tangent = tangent - wp.dot(tangent, normal) * normal
+            if wp.length_sq(tangent) > LEAST_TANGENT:
+                # Projected twice, as in face_the_viewer.
+                tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
+            else:
+                tangent = perpendicular(normal)
+            pixels.normal[ray] = normal
+            pixels.tangent[ray] = tangent
+            pixels.bitangent[ray] = surface.handedness[i0] * wp.cross(normal, tangent)

@@ -1,0 +1,42 @@
+"""Levels of cells that pixels are split into, the pixels' filter, and what is believed of differences between levels.
+
+Plain numbers, without Warp, for kernels and for those who launch them.
+"""
+
+import math
+
+# The pixel's filter, a Gaussian: its deviation, and where it is cut, along each axis [pixels].
+FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
+# What of it lies in each of three pixels in a row.
+_MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
+FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
+# The finest level: 4,096 cells a pixel, of which a filter reaches some 36,900.
+MOST_LEVEL = 6
+LEVELS = range(1, MOST_LEVEL + 1)
+# From this tolerance on pixels end at the level before: what that leaves is within it, and frames are to be fast.
+COARSE_TOLERANCE = 0.05
+# Points, which have no filters, begin at this level: nothing else tells how much they differ.
+LEAST_LEVEL_OF_POINTS = 2
+# What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
+# where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
+# change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
+# itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
+CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
+# Of others: over the difference of their last two levels; at least so much of what they were said to err by before, and
+# of what the nine pixels' cells change by, as if these did not depend on each other, for levels may agree by chance.
+ERROR_PER_DIFFERENCE, LEAST_ERROR_PER_LAST, ERROR_PER_CHANGES = 0.65, 0.1, 0.1
+# Pixels of each level are split whose error, times so much, is above the tolerance: the first cells may well agree with
+# the pixel's ray where both are wrong, and the finest take as long as all others.
+THRESHOLD_DIVISOR = 1.0, 2.5, 1.4, 1.4, 1.0, 1.0
+# What cells change by is taken to be so much at least of what was expected, or of what the level before changed, where
+# it is asked which are split again.
+MIN_CONTRACTION = 0.15
+# Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
+SPLIT_AGAIN_SHARE = 1.0 / 8.0
+# What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
+BRIGHTEST_SHARE = 0.01
+
+
+def rays_at(level: int) -> int:
+    """Cells of a pixel at a level."""
+    return 1 << 2 * level

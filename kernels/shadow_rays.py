@@ -1,0 +1,205 @@
+"""Whether a light is hidden, by a grid over the mesh as the light sees it: each cell lists the faces in its reach.
+
+Positions across the light are whole numbers of 2^-24 radii. Their differences and products are exact in float64, so
+that the side of an edge on which a point lies is the same for both faces that meet there, however it is compiled: no
+ray slips between them.
+"""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options
+from warpdiff.kernels.atomics import atomic_increment
+from warpdiff.kernels.bvh import FAR, occluded
+from warpdiff.kernels.structs import Pixels
+
+wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
+
+# Why most ask for a second index: see ``directions``.
+
+# Steps in a radius: the most that float32 counts one by one.
+STEPS = wp.constant(wp.float64(16777216.0))
+# Less than any cosine that rounds to above the horizon.
+FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
+
+
+@wp.struct
+class ShadowGrid:
+    """A mesh as a light sees it."""
+
+    mesh_id: wp.uint64  # whose hierarchy is asked where there is no grid
+    across: wp.vec3d  # unit vectors at right angles to the light, ...
+    up: wp.vec3d
+    towards: wp.vec3d  # ... and towards it
+    low_x: wp.float64  # the first cell's corner [steps]
+    low_y: wp.float64
+    per_step: wp.float64  # cells
+    columns: wp.int32
+    rows: wp.int32
+    is_closed: wp.bool  # so that faces that look away from the light need no lists: others lie beyond them
+    corners: wp.array(dtype=wp.mat33f)  # of each face, a row each, counter-clockwise: across and up [steps], height
+    starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and the last one ends; empty is no grid
+    faces: wp.array(dtype=wp.int32)  # the lists
+    tops: wp.array(dtype=wp.float32)  # the largest height of each listed face
+
+
+@wp.func
+def seen(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
+    """A position across the light, in whole steps, and its height."""
+    at = wp.vec3d(position)
+    return wp.vec3d(
+        wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
+    )
+
+
+@wp.func
+def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
+    """The column or row of a place: never less for one further on."""
+    return wp.int32(wp.floor((place - low) * per_step))
+
+
+@wp.func
+def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Twice the area between an edge and a point to its left, exactly."""
+    ax = wp.float64(a[0])
+    ay = wp.float64(a[1])
+    return (wp.float64(b[0]) - ax) * (y - ay) - (wp.float64(b[1]) - ay) * (x - ax)
+
+
+@wp.func
+def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
+    """First and last column and row of a face's box; none of a face without area."""
+    c0 = corners[0]
+    c1 = corners[1]
+    c2 = corners[2]
+    result = wp.vec4i(0, -1, 0, -1)
+    if left_of(c0, c1, wp.float64(c2[0]), wp.float64(c2[1])) > wp.float64(0.0):
+        result[0] = cell_of(wp.float64(wp.min(wp.min(c0[0], c1[0]), c2[0])), grid.low_x, grid.per_step)
+        result[1] = cell_of(wp.float64(wp.max(wp.max(c0[0], c1[0]), c2[0])), grid.low_x, grid.per_step)
+        result[2] = cell_of(wp.float64(wp.min(wp.min(c0[1], c1[1]), c2[1])), grid.low_y, grid.per_step)
+        result[3] = cell_of(wp.float64(wp.max(wp.max(c0[1], c1[1]), c2[1])), grid.low_y, grid.per_step)
+    return result
+
+
+@wp.kernel
+def project(
+    # In:
+    grid: ShadowGrid,
+    positions: wp.array(dtype=wp.vec3f),
+    faces: wp.array2d(dtype=wp.int32),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    cells_out: wp.array(dtype=wp.int32),
+):
+    """Each face's corners as the light sees them, and how many cells its box overlaps; none if it needs no lists."""
+    for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        p0 = seen(grid, positions[faces[face, 0]])
+        p1 = seen(grid, positions[faces[face, 1]])
+        p2 = seen(grid, positions[faces[face, 2]])
+        c0 = wp.vec3f(p0)
+        c1 = wp.vec3f(p1)
+        c2 = wp.vec3f(p2)
+        if left_of(c0, c1, p2[0], p2[1]) < wp.float64(0.0):
+            c1 = wp.where(grid.is_closed, c0, wp.vec3f(p2))
+            c2 = wp.where(grid.is_closed, c0, wp.vec3f(p1))
+        corners = wp.matrix_from_rows(c0, c1, c2)
+        grid.corners[face] = corners
+        cells = cells_of(grid, corners)
+        cells_out[face] = (cells[1] - cells[0] + 1) * (cells[3] - cells[2] + 1)
+
+
+@wp.kernel
+def count(
+    # In:
+    grid: ShadowGrid,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """How many faces each cell lists."""
+    thread, _ = wp.tid()
+    for face in range(first + thread * run, first + (thread + 1) * run):
+        cells = cells_of(grid, grid.corners[face])
+        for row in range(cells[2], cells[3] + 1):
+            for column in range(cells[0], cells[1] + 1):
+                atomic_increment(counts_out, row * grid.columns + column)
+
+
+@wp.kernel
+def fill(
+    # In:
+    grid: ShadowGrid,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    ends_out: wp.array(dtype=wp.int32),
+):
+    """The cells' lists, in whatever order threads come: whether any face hides the light does not depend on it.
+
+    ``ends_out`` are the lists' beginnings and become their ends.
+    """
+    thread, _ = wp.tid()
+    for face in range(first + thread * run, first + (thread + 1) * run):
+        corners = grid.corners[face]
+        top = wp.max(wp.max(corners[0, 2], corners[1, 2]), corners[2, 2])
+        cells = cells_of(grid, corners)
+        for row in range(cells[2], cells[3] + 1):
+            for column in range(cells[0], cells[1] + 1):
+                place = atomic_increment(ends_out, row * grid.columns + column)
+                grid.faces[place] = face
+                grid.tops[place] = top
+
+
+# Places and cells are found as by ``seen`` and ``cell_of``, and sides of edges as by ``left_of``, which make the lists.
+@wp.func_native(
+    f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, "
+    "occluded_out);"
+)
+def look_up(
+    grid: ShadowGrid,
+    towards: wp.vec3f,
+    pixels: Pixels,
+    begin: wp.int32,
+    end: wp.int32,
+    occluded_out: wp.array(dtype=wp.bool),
+):
+    """Whether faces in the lists hide what pixels one after the other see."""
+
+
+@wp.kernel
+def trace_shadow_rays(
+    # In:
+    grid: ShadowGrid,
+    places: wp.array(dtype=wp.vec4d),
+    light_index: wp.int32,
+    pixels: Pixels,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    occluded_out: wp.array(dtype=wp.bool),
+):
+    """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
+
+    ``grid`` is that of the same light, and has no lists for one at a place.
+    """
+    place = places[light_index]
+    towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    at_place = wp.bool(place[3] != wp.float64(0.0))
+    thread, _ = wp.tid()
+    begin = first + thread * run
+    if grid.starts.shape[0] > 0:
+        look_up(grid, towards, pixels, begin, begin + run, occluded_out)
+        return
+    for ray in range(begin, begin + run):
+        is_occluded = bool(False)
+        origin = pixels.shadow_origin[ray]
+        along = towards
+        far = FAR
+        if at_place:
+            along = towards - origin
+            far = wp.min(FAR, wp.length(along))
+            along = wp.normalize(along)
+        if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], along) > FACING_AWAY:
+            is_occluded = occluded(grid.mesh_id, origin, along, far)
+        occluded_out[ray] = is_occluded

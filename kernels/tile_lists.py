@@ -1,0 +1,187 @@
+"""Lists of pixels to be split, made and worked off where the picture is: no host has a part in it."""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, refinement_levels, thresholds
+from warpdiff.kernels.atomics import atomic_increment
+from warpdiff.kernels.subdivision import CONVERGED
+
+wp.set_module_options(compile_options.options("atomics.h"))
+
+# Luminances are told apart by the bits of their float32 above so many: sign, exponent, and seven bits of the fraction,
+# a 128th. Groups of these bins are counted, too, so that one thread finds a bin among them.
+BELOW = wp.constant(wp.uint32(16))
+GROUPS = wp.constant(512)
+BINS = wp.constant(64)
+FLOOR = wp.constant(wp.float32(thresholds.FLOOR))
+BRIGHTEST_SHARE = wp.constant(wp.float32(refinement_levels.BRIGHTEST_SHARE))
+TINY = wp.constant(wp.float32(thresholds.TINY))
+
+
+@wp.kernel
+def luminance_histogram(
+    # In:
+    colours: wp.array(dtype=wp.vec3f),
+    illuminated: wp.array(dtype=wp.bool),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    tallies_out: wp.array(dtype=wp.int32),
+):
+    """How often luminances occur among the pixels that are lit: by groups, and then by bins."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if illuminated[i]:
+            luminance = wp.max(colours[i][1], wp.float32(0.0))
+            place = wp.int32(wp.cast(luminance, wp.uint32) >> BELOW)
+            atomic_increment(tallies_out, place // BINS)
+            atomic_increment(tallies_out, GROUPS + place)
+
+
+@wp.kernel
+def luminance_floor(
+    # In:
+    tallies: wp.array(dtype=wp.int32),
+    # Out:
+    floor_out: wp.array(dtype=wp.float32),
+):
+    """A picture's floor, by one thread."""
+    total = wp.int32(0)
+    for k in range(GROUPS):
+        total += tallies[k]
+    left = BRIGHTEST_SHARE * wp.float32(total)
+    group = wp.int32(GROUPS - 1)
+    while group > 0 and wp.float32(tallies[group]) <= left:
+        left -= wp.float32(tallies[group])
+        group -= 1
+    place = wp.int32((group + 1) * BINS - 1)
+    while place > group * BINS and wp.float32(tallies[GROUPS + place]) <= left:
+        left -= wp.float32(tallies[GROUPS + place])
+        place -= 1
+    # The middle of the bin.
+    bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
+    floor_out[0] = wp.max(FLOOR * bright, TINY)
+
+
+@wp.kernel
+def count_marks(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """Add how many pixels are marked."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if marks[i] != wp.uint8(0):
+            atomic_increment(counts_out, 0)
+
+
+@wp.kernel
+def running_max(
+    # In:
+    counts: wp.array(dtype=wp.int32),
+    begins: wp.bool,
+    # Out:
+    most_out: wp.array(dtype=wp.int32),
+):
+    """Keep the larger of a count and of the one before, if there is one."""
+    most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
+
+
+@wp.func
+def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2ub:
+    """The least and the largest mark of a pixel and those around it."""
+    column = pixel % width
+    row = pixel // width
+    least = marks[pixel]
+    most = marks[pixel]
+    for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+        for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+            least = wp.min(least, marks[y * width + x])
+            most = wp.max(most, marks[y * width + x])
+    return wp.vec2ub(least, most)
+
+
+@wp.kernel
+def dilate_marks(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    width: wp.int32,
+    height: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    marks_out: wp.array(dtype=wp.uint8),
+):
+    """Mark the pixels that are marked and those around them."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        marks_out[i] = marks_around(marks, i, width, height)[1]
+
+
+@wp.kernel
+def mark_interior(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    width: wp.int32,
+    height: wp.int32,
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    wanted_out: wp.array(dtype=wp.uint8),
+):
+    """Mark as settled the pixels that are not wanted but marked with all around them."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if wanted_out[i] == wp.uint8(0) and marks_around(marks, i, width, height)[0] != wp.uint8(0):
+            wanted_out[i] = CONVERGED
+
+
+@wp.kernel
+def compact_marks(
+    # In:
+    marks: wp.array(dtype=wp.uint8),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    pixels_out: wp.array(dtype=wp.int32),
+    counts_out: wp.array(dtype=wp.int32),
+):
+    """The pixels that are marked, in whatever order: none depends on those beside it."""
+    for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        if marks[i] != wp.uint8(0):
+            pixels_out[atomic_increment(counts_out, 0)] = i
+
+
+@wp.kernel
+def copy_batch(
+    # In:
+    pixels: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    taken: wp.array(dtype=wp.int32),
+    first: wp.int32,
+    run: wp.int32,
+    # Out:
+    pixels_out: wp.array(dtype=wp.int32),
+):
+    """The next pixels of a list, and −1 where there are no more."""
+    for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
+        place = taken[0] + k
+        pixels_out[k] = -1
+        if place < counts[0]:
+            pixels_out[k] = pixels[place]
+
+
+@wp.kernel
+def advance_batch(
+    # In:
+    counts: wp.array(dtype=wp.int32),
+    count: wp.int32,
+    # Out:
+    taken_out: wp.array(dtype=wp.int32),
+    unserved_gain: wp.array(dtype=wp.int32),
+):
+    """Count those that were taken, and tell whether any are left."""
+    taken_out[0] += count
+    unserved_gain[0] = wp.int32(0)
+    if taken_out[0] < counts[0]:
+        unserved_gain[0] = wp.int32(1)

@@ -1,0 +1,429 @@
+"""The command line, run as a user would: exit codes, files, messages, progress."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+import subprocess
+import sys
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import pytest
+from conftest import slow
+
+import warpdiff as wd
+from warpdiff import gratings
+from warpdiff.apps import cli, demo
+from warpdiff.core import disk_cache
+
+SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
+
+
+def test_render_writes_a_picture(tmp_path, capsys):
+    target = tmp_path / "disc.exr"
+    assert cli.main(["render", "disc", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target)]) == 0
+    spec = oiio.ImageInput.open(str(target)).spec()
+    assert (spec.width, spec.height) == (24, 16)
+    out = capsys.readouterr().out
+    assert str(target) in out
+    assert "Low-rank basis" in out
+
+
+def test_render_of_files(tmp_path, fuze_path):
+    heights = tmp_path / "h.npy"
+    np.save(heights, 0.1 * np.sin(2.0 * np.pi * np.arange(32) / 32)[None, :] * np.ones((32, 1)))
+    target = tmp_path / "fuze.png"
+    arguments = [
+        "render",
+        str(fuze_path),
+        str(heights),
+        "--pixel-um",
+        "0.05",
+        *SMALL,
+        "--width",
+        "20",
+        "--height",
+        "30",
+    ]
+    more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--flat"]
+    assert cli.main([*arguments, *more, "-o", str(target)]) == 0
+    pixels = oiio.ImageBuf(str(target)).get_pixels(oiio.FLOAT)
+    assert 0.05 < pixels[..., 3].mean() < 0.9
+
+
+def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
+    polar, azimuth = (np.arange(8) + 0.5) / 8, (np.arange(16) + 0.5) / 16
+    radiance = np.stack([*np.broadcast_arrays(polar[:, None], azimuth, 1.0 - polar[:, None])], axis=-1)
+    output = oiio.ImageOutput.create(str(tmp_path / "sky.exr"))
+    output.open(str(tmp_path / "sky.exr"), oiio.ImageSpec(16, 8, 3, "float"))
+    output.write_image(radiance.astype(np.float32))
+    output.close()
+    size = {"width": 16, "height": 12}
+    short = ["--tolerance", "0.5", "--sigma-um", "1"]
+    command = ["render", "disc", "blazed", *short, "--width", "16", "--height", "12", "--eye", "0", "1", "3"]
+    command += ["--target", "0", "0", "0", "--point-light", "1", "2", "1", "3", "--no-refine"]
+    command += ["--environment", str(tmp_path / "sky.exr"), "--environment-rotation-deg", "40"]
+    command += ["--environment-scale", "2", "--environment-directions", "16"]
+    assert cli.main([*command, "-o", str(tmp_path / "under.exr")]) == 0
+    assert cli.main([*command, "--environment-behind", "-o", str(tmp_path / "under.png")]) == 0
+    found = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
+    sky = wd.Environment(radiance, rotation_deg=40.0, scale=2.0, directions=16)
+    view = wd.View((0, 1, 3), (0, 0, 0), fov_y_deg=40, **size)
+    lights = [wd.PointLight((1, 2, 1), power=3.0), sky]
+    exact = wd.shade(
+        wd.meshes.disc(), wd.gratings.blazed(2.0, 0.25), lights, view, coherence=wd.Coherence(sigma_um=1.0),
+        tolerance=0.5, refine=False,
+    )  # fmt: skip
+    exact.save(tmp_path / "exact.exr")
+    exact.save(tmp_path / "exact.png", background=sky.seen(view) / np.float32(0.04))
+    assert np.array_equal(found, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
+    shown, same = (oiio.ImageBuf(str(tmp_path / name)).get_pixels() for name in ("under.png", "exact.png"))
+    assert np.abs(shown - same).max() < 0.01
+    capsys.readouterr()
+    wrong = {
+        "--environment: there is no file": ["--environment", "none.exr"],
+        "--environment-directions must be an integer >= 16": ["--environment-directions", "3"],
+        "--environment-behind is for .png": ["--environment-behind"],
+    }
+    for said, options in wrong.items():
+        assert cli.main([*command, *options, "-o", str(tmp_path / "no.exr")]) == 2
+        assert said in capsys.readouterr().err
+    assert cli.main(["render", "disc", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr")]) == 2
+    assert "--environment-scale is of an --environment" in capsys.readouterr().err
+
+
+def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
+    folder, film = tmp_path / "turn", tmp_path / "turn.webp"
+    command = ["sequence", "disc:segments=16,rings=1", "blazed:period_um=2.5,depth_um=0.2", *SMALL, "--width", "24"]
+    command += ["--height", "16", "--count", "3", "-o", str(folder)]
+    assert cli.main([*command, "--animation", str(film)]) == 0
+    frames = {path: path.read_bytes() for path in folder.glob("frame_*.png")}
+    assert len(frames) == 3
+    assert film.is_file()
+    assert "3 frames in" in capsys.readouterr().out
+    last = sorted(frames)[-1]
+    last.unlink()
+    assert cli.main(command) == 0
+    assert {path: path.read_bytes() for path in folder.glob("frame_*.png")} == frames
+    assert cli.main([*command, "--lights-stay"]) == 2
+    assert "another sequence" in capsys.readouterr().err
+    assert cli.main([*command, "--light-to", "0", "1", "1", "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("surface", "said"),
+    [("blazed:x=1", "period_um"), ("blazed:period_um", "period_um"), ("blazed:", "blazed"), ("disc:kind=LP", "kind")],
+)
+def test_parameters_of_gratings_are_refused_by_name(tmp_path, capsys, surface, said):
+    assert cli.main(["render", "disc", surface, *SMALL, "-o", str(tmp_path / "a.png")]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--port", "70000"], ["no.obj"], ["--height", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
+     ["--environment", "no.exr"], ["--environment", __file__]],
+)  # fmt: skip
+def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
+    assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("warpdiff view:")
+    assert "Traceback" not in error
+
+
+def test_brdf_writes_a_map(tmp_path):
+    target = tmp_path / "map.png"
+    arguments = ["brdf", "sinusoidal", "--period-um", "1.5", "--depth-um", "0.1", "--incidence-deg", "20", *SMALL]
+    assert cli.main([*arguments, "--size", "32", "-o", str(target)]) == 0
+    assert oiio.ImageInput.open(str(target)).spec().width == 32
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
+        (["--coherence", "source"], "source of 0.53° in diameter"),
+        (["--coherence", "source", "--angular-diameter-deg", "2"], "source of 2° in diameter"),
+        (["--coherence", "replicas", "--copies", "1", "12"], "1 × 12 copies in step"),
+        (["--method", "power"], "Chebyshev series of the powers"),
+    ],
+)
+def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
+    arguments = ["brdf", "blazed", "--tolerance", "0.1", "--size", "6", *options]
+    assert cli.main([*arguments, "-o", str(tmp_path / "map.exr")]) == 0
+    assert said in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "name", [slow(name) if name == "fingers" else name for name in cli.GRATINGS if name not in ("dvd", "blu-ray", "cd")]
+)
+def test_info_describes_each_grating(name, monkeypatch, capsys):
+    # Of a window that takes seconds less to plan for.
+    monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
+    assert cli.main(["info", name, "--tolerance", "0.1"]) == 0
+    out = capsys.readouterr().out
+    assert "pitch" in out
+    assert "hemisphere" in out
+
+
+def test_info_of_the_scan(scan_path, capsys):
+    arguments = ["info", str(scan_path), "--extent-um", "65", "--height-range-um", "0.375", "--crop-um", "20"]
+    assert cli.main([*arguments, "--level", "2", "--despike", "--periodic"]) == 0
+    assert "410 × 410 samples" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "nothing.png"], "there is no file 'nothing.png'"),
+        (["info", "blazed", "--period-um", "-1"], "--period-um must"),
+        (["info", "blazed", "--tolerance", "7"], "tolerance"),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "laser"],
+            "--coherence must be one of 'averaged', 'centred', 'source', 'replicas'",
+        ),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "replicas"],
+            "--copies must be given for --coherence='replicas'",
+        ),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--copies", "1", "2"],
+            "--copies is for --coherence='replicas', not 'averaged'",
+        ),
+        (["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"], "--sigma-um is for"),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--angular-diameter-deg", "0"],
+            "--angular-diameter-deg must be",
+        ),
+        (
+            ["brdf", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
+            "--method='power' expands powers",
+        ),
+        (["brdf", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
+        (["brdf", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
+        (["brdf", "blazed", "--incidence-deg", "90", "-o", "map.png"], "--incidence-deg must"),
+        (["render", "nothing.obj", "blazed", "-o", "x.png"], "MESH: there is no"),
+        (["render", "tube", "blazed", "--width", "0", "-o", "x.png"], "--width must"),
+        (["render", "tube", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "--light must"),
+        (["render", "tube", "blazed", "--device", "tpu", "-o", "x.png"], "--device must"),
+        (["info", "blazed", "--crop-um", "900"], "--crop-um along x must"),
+        (["demo", "--data", "no/such/folder"], "does not exist"),
+        (["demo", "--scale", "0"], "--scale must"),
+        (["demo", "--display", "film"], "display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
+        (["brdf", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
+        (["brdf", "nothing", "-o", "x.png", "--gamut", "film"], "--gamut must be one of 'srgb', 'display-p3'"),
+        (["brdf", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
+        (["brdf", "nothing", "-o", "x.exr", "--background", "1", "1", "0"], "--background is for .png files"),
+    ],
+)
+def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    heights = np.add.outer(np.zeros(9), np.arange(40.0) ** 2) * 1e-4
+    np.save("slope.npy", heights)
+    np.save("gaps.npy", np.where(heights > 0.1, np.nan, heights))
+    assert cli.main(["info", "slope.npy"]) == 2
+    assert "exactly one of --extent-um (width along x) and --pixel-um" in capsys.readouterr().err
+    assert cli.main(["brdf", "gaps.npy", "--pixel-um", "0.1", "-o", "map.png"]) == 2
+    said = capsys.readouterr().err
+    assert "HEIGHTFIELD must have all samples" in said
+    assert "fill them with --fill, or cut out a part without gaps with --crop-um" in said
+    assert cli.main(["brdf", "slope.npy", "--pixel-um", "0.1", "--periodic", *SMALL, "--size", "4", "-o", "b.exr"]) == 0
+    assert "warning: --periodic changed heights" in capsys.readouterr().err
+    # Words and file names stay what they are.
+    options = cli._parser().parse_args(["render", "tube", "a.png", "-o", "b.png"])
+    for text in ("a level of light, mesh and path", "'heightfield=1.png': 'kind=x/size_um' is a file"):
+        assert cli._in_flags(text, options) == text
+
+
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+@pytest.mark.parametrize(
+    "arguments",
+    [["brdf", "blazed", "-o", "map.png"], ["render", "tube", "blazed", "-o", "tube.exr"], ["demo"]],
+)
+def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    # Nothing is denied to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr("warpdiff.device.devices.load", lambda *_: pytest.fail("kernels are loaded"))
+    assert cli.main(arguments) == 2
+    assert "may not be written to; name another one" in capsys.readouterr().err
+
+
+def test_the_tolerance_is_that_of_the_library():
+    default = inspect.signature(wd.shade).parameters["tolerance"].default
+    for command in (["render", "tube", "fingers"], ["brdf", "fingers"]):
+        assert cli._parser().parse_args([*command, "-o", "a.png"]).tolerance == default
+
+
+def test_unknown_options_are_2():
+    for arguments in ([], ["paint"], ["info"], ["info", "blazed", "--colour", "red"]):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments)
+        assert stopped.value.code == 2
+
+
+def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
+    def fail(*_args, **_options):
+        raise OSError("disk full")
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    arguments = ["brdf", "blazed", "--size", "4", "-o", str(tmp_path / "map.png")]
+    monkeypatch.setattr("warpdiff.Image.save", fail)
+    assert cli.main(arguments) == 1
+    assert "disk full" in capsys.readouterr().err
+    monkeypatch.setattr("warpdiff.Image.save", interrupt)
+    assert cli.main(arguments) == 130
+
+
+def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
+
+    def shown(*options):
+        assert cli.main(["cache", *options]) == 0
+        return capsys.readouterr().out
+
+    assert f"{tmp_path / 'kept'}: 0 files, 0.0 MiB" in shown()
+    for index in range(4):
+        disk_cache.cached_on_disk(index, np.zeros(1), lambda: {"rows": np.zeros(2**17)})
+    (tmp_path / "kept" / "mine.npz").touch()
+    assert "4 files, 4.0 MiB" in shown()
+    assert "2 files, 2.0 MiB" in shown("--trim-mib", "2.5")
+    assert "0 files, 0.0 MiB" in shown("--clear")
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["mine.npz"]
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    assert "nothing is kept" in shown()
+    assert cli.main(["cache", "--trim-mib", "-1"]) == 2
+
+
+def run_without_home(code, folder, **environment):
+    """Run code where a user has no folder."""
+    names = {
+        key: value for key, value in os.environ.items() if key not in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
+    }
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=names | {"TMPDIR": str(folder)} | environment,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+def test_a_user_without_a_home_is_served(tmp_path):
+    done = run_without_home(
+        "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
+        "from warpdiff.device.devices import resolve_device; resolve_device(None); import warp\n"
+        "from pathlib import Path; assert Path(warp.config.kernel_cache_dir).is_absolute()", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "the user has no home folder" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
+    (tmp_path / "file").touch()
+    code = "import sys; from warpdiff.apps import cli; sys.exit(cli.main(['info', 'lamellar']))"
+    done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
+    assert done.returncode == 1
+    assert "Warp cannot keep compiled kernels" in done.stderr
+    assert "WARP_CACHE_PATH" in done.stderr
+    assert "device must" not in done.stderr
+
+
+def test_help_teaches(capsys):
+    for command in ("demo", "render", "brdf", "info", "cache"):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main([command, "--help"])
+        assert stopped.value.code == 0
+        assert "example:\n  warpdiff " + command in capsys.readouterr().out
+
+
+def test_warnings_are_one_line(tmp_path, capsys):
+    heights = tmp_path / "h.npy"
+    np.save(heights, np.zeros((8, 8)))
+    assert cli.main(["info", str(heights), "--pixel-um", "0.5"]) == 0
+    error = capsys.readouterr().err
+    assert error.startswith("warpdiff: warning: a pitch of 0.5 µm")
+    assert error.count("\n") == 1
+
+
+def test_progress_bar_waits_a_second(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    bar = cli.Bar("render")
+    bar(0.3)
+    assert capsys.readouterr().err == ""
+    now[0] = 1.5
+    bar(0.5)
+    assert " 50 %" in capsys.readouterr().err
+    bar(1.0)
+    assert capsys.readouterr().err.endswith("\x1b[K")
+
+
+# Pictures of 18 pixels across.
+TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
+
+
+def small_fingers(fingers, *, size_um, pitch_um):
+    """Those of a patch a sixth as wide."""
+    return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
+
+
+@TINY
+def test_demo_without_the_data(tmp_path, monkeypatch):
+    empty = tmp_path / "data"
+    empty.mkdir()
+    # Of a grating that takes seconds less.
+    monkeypatch.setattr(gratings, "fingers", functools.partial(small_fingers, gratings.fingers))
+    lines: list[str] = []
+    written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
+    assert len(written) == 7
+    assert all(path.is_file() for path in written)
+    assert "synthetic gratings only" in lines[0]
+    monkeypatch.setenv("WARPDIFF_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match="WARPDIFF_DATA"):
+        demo.data_folder()
+
+
+@TINY
+@pytest.mark.parametrize(
+    ("name", "crop_um"),
+    [
+        ("fuze_elaphe", 10.0),
+        *(slow(f"{each}_elaphe", 65.0) for each in ("snake", "map", "fuze")),
+        slow("snake_elaphe_across", 65.0),
+    ],
+)
+def test_demo_with_the_data(name, crop_um, fuze_path, scan_path, monkeypatch):
+    assert scan_path.is_file()
+    cleaned = demo.cleaned_scan
+    monkeypatch.setattr(demo, "cleaned_scan", lambda path: cleaned(path).cropped(crop_um))
+    (made,) = (each for each in demo.pictures(fuze_path.parent, scale=0.03) if each.name == name)
+    assert made.make(None).mask.any()
+
+
+def test_the_module_runs(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "warpdiff", "brdf", "blazed", *SMALL, "--size", "4", "-o", "map.exr"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": "utf-8"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("map.exr\n")

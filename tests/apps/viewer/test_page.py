@@ -1,0 +1,432 @@
+"""The viewer through its page in a real browser; ``make test-browser`` says what that takes.
+
+Pages are driven by their controls, and what is compared are the pixels on their canvas.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warpdiff as wd
+from warpdiff.apps import cli
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs it")
+
+pytestmark = pytest.mark.browser
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync"),
+]
+# Machines that test may be busy.
+WAIT_MS = 240_000
+# A stage of 320 × 240 beside the panel.
+SMALL = {"width": 640, "height": 240}
+
+
+class Viewer:
+    """A server of its own process."""
+
+    def __init__(self, *arguments, cache, port=0):
+        environment = os.environ | {"WARPDIFF_CACHE_DIR": str(cache)}
+        command = [sys.executable, "-m", "warpdiff", "view", "--no-browser", "--port", str(port), *map(str, arguments)]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True
+        )
+        line = self.process.stdout.readline()
+        found = re.match(r"(http://\S+:(\d+)/\S*)", line)
+        assert found, (line, self.process.stderr.read())
+        self.url, self.port = found[1], int(found[2])
+
+    def end(self):
+        """Interrupt it, and return what it said on standard error."""
+        self.process.send_signal(signal.SIGINT)
+        error = self.process.communicate(timeout=30)[1]
+        assert self.process.returncode == 130, error
+        return error
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def served(cache):
+    """Begins servers, which end with the test where it fails."""
+    made = []
+
+    def begin(*arguments, **options):
+        made.append(Viewer(*arguments, cache=cache, **options))
+        return made[-1]
+
+    yield begin
+    for each in made:
+        each.process.kill()
+
+
+@pytest.fixture(scope="module")
+def waves(tmp_path_factory):
+    path = tmp_path_factory.mktemp("heights") / "waves.npy"
+    np.save(path, 0.1 * np.sin(2.0 * np.pi * np.arange(40) / 20)[None, :] * np.ones((40, 1)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def viewer(cache, waves):
+    made = Viewer("--height", waves, "--pixel-um", "0.05", cache=cache)
+    yield made
+    said = made.end()
+    assert "Traceback" not in said, said
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    if CHROMIUM is None:
+        pytest.fail("there is no Chromium: install it (Debian: apt-get install chromium), or name it in CHROMIUM")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Page:
+    """A page with what it said on its console."""
+
+    def __init__(self, browser, url, size=SMALL):
+        self.context = browser.new_context(viewport=size)
+        self.page = self.context.new_page()
+        self.said = []
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.goto(url)
+
+    def rest(self):
+        """Wait until the finest picture of what is set is there."""
+        self.page.wait_for_function(
+            "() => { const c = document.getElementById('picture').dataset;"
+            "return c.error || (c.last === 'true' && c.generation === c.wanted); }",
+            timeout=WAIT_MS,
+        )
+        assert not self.page.eval_on_selector("#picture", "c => c.dataset.error")
+        return self.pixels()
+
+    def pixels(self):
+        """What is on the canvas."""
+        url = self.page.eval_on_selector("#picture", "c => c.toDataURL('image/png')")
+        image = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2])))
+        return np.asarray(image.convert("RGB")).astype(int)
+
+    def set(self, name, value):
+        """Set a control as its user does."""
+        field = self.page.locator(f"#set-{name}")
+        kind = field.evaluate("each => each.type")
+        if kind == "checkbox":
+            field.set_checked(value)
+        elif kind == "select-one":
+            field.select_option(label=value)
+        else:
+            field.fill(str(value))
+            field.press("Enter")
+            field.evaluate("each => each.blur()")
+
+    def drag(self, dx, dy, button="left", steps=4):
+        box = self.page.locator("#stage").bounding_box()
+        x, y = box["x"] + 20, box["y"] + 20
+        self.page.mouse.move(x, y)
+        self.page.mouse.down(button=button)
+        self.page.mouse.move(x + dx, y + dy, steps=steps)
+        self.page.mouse.up(button=button)
+
+    def close(self):
+        self.context.close()
+        assert not self.said
+
+
+@pytest.fixture
+def page(chromium, viewer):
+    made = Page(chromium, viewer.url)
+    # The first file that was named is shown at first.
+    for name, value in {"mesh": "tube", "surface": "nano-fingers", "height": "240", "tolerance": "1e-1"}.items():
+        made.set(name, value)
+    yield made
+    made.close()
+
+
+def changed(found, before):
+    return np.mean(np.abs(found - before).max(axis=2) > 8)
+
+
+def test_the_picture_changes_with_what_is_set_and_comes_back(page):
+    # Otherwise a mirror is but exposed otherwise.
+    page.set("held", True)
+    first = page.rest()
+    assert first.shape == (240, 320, 3)
+    assert first.std() > 10.0
+    for name, value, back in (
+        ("azimuth_deg", -60, 150),
+        ("sigma_um", 2, 16.25),
+        ("surface", "blazed", "nano-fingers"),
+        ("surface", "waves.npy", "nano-fingers"),
+        ("mesh", "disc", "tube"),
+        ("along", "world x", "around the body"),
+        ("material", "gold", "dielectric"),
+        ("pigment", 1.5, 0.05),
+        ("illuminant", "incandescent, A", "daylight, D65"),
+        ("exposure_stops", -2, 0),
+        ("display", "clipped", "ACES 2.0"),
+    ):
+        page.set(name, value)
+        found = page.rest()
+        # Pigment is of bodies that have a colour.
+        assert (changed(found, first) > 2e-3) == (name != "pigment"), name
+        page.set(name, back)
+        np.testing.assert_array_equal(page.rest(), first, err_msg=name)
+
+
+def test_the_camera_orbits_pans_and_zooms_and_is_framed_again(page):
+    first = page.rest()
+    for move in (
+        lambda: page.drag(50, 10),
+        lambda: page.drag(30, 20, button="right"),
+        lambda: page.page.mouse.wheel(0, -200),
+        lambda: page.page.locator("#picture").press("ArrowLeft"),
+    ):
+        before = page.rest()
+        move()
+        assert changed(page.rest(), before) > 0.01
+    page.page.locator("#reset").click()
+    np.testing.assert_array_equal(page.rest(), first)
+
+
+def test_the_light_is_dragged_by_its_handle(page):
+    before = page.rest()
+    azimuth = page.page.locator("#set-azimuth_deg").input_value()
+    box = page.page.locator("#light").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x - 60, y + 10, steps=5)
+    page.page.mouse.up()
+    found = page.rest()
+    assert changed(found, before) > 0.01
+    assert page.page.locator("#set-azimuth_deg").input_value() != azimuth
+    box = page.page.locator("#light").bounding_box()
+    assert np.hypot(box["x"] + box["width"] / 2 - (x - 60), box["y"] + box["height"] / 2 - (y + 10)) < 2.0
+
+
+def test_at_rest_it_is_the_picture_that_its_lines_make(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page.set("sigma_um", 8)
+    page.set("tolerance", "3e-2")
+    page.drag(-40, 15)
+    found = page.rest()
+    lines = page.page.locator("#python").text_content()
+    made = {}
+    exec(lines, made)  # noqa: S102 (it is ours)
+    saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
+    assert np.abs(found - saved).max() <= 1
+    # And of shade, by the plan that is stated.
+    asked = re.sub(
+        r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
+    )
+    asked = asked.replace("\n)", "\n    plan=plan,\n)").replace("renderer.image()", "image")
+    exec(asked, {"plan": made["renderer"].plan})  # noqa: S102
+    saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
+    assert np.abs(found - saved).max() <= 1
+    # The command makes a plan for its own directions: the same within the tolerances.
+    command = shlex.split(page.page.locator("#command").text_content())
+    assert command[:2] == ["warpdiff", "render"]
+    assert cli.main(command[1:]) == 0
+    saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
+    assert saved.shape == found.shape
+    assert np.percentile(np.abs(found - saved), 99.0) <= 8
+
+
+def test_pictures_are_saved(page):
+    found = page.rest()
+    with page.page.expect_download() as download:
+        page.page.locator("#png").click()
+    saved = np.asarray(Image.open(download.value.path()).convert("RGB")).astype(int)
+    np.testing.assert_allclose(saved, found, atol=2)
+    with page.page.expect_download() as download:
+        page.page.locator("#exr").click()
+    assert download.value.suggested_filename == "warpdiff.exr"
+    assert download.value.path().read_bytes()[:4] == b"\x76\x2f\x31\x01"
+
+
+def test_angles_and_the_map_are_of_the_place_that_is_clicked(page):
+    page.rest()
+    page.page.wait_for_function("() => document.getElementById('map').dataset.generation", timeout=WAIT_MS)
+    first = page.page.locator("#angles").text_content()
+    box = page.page.locator("#stage").bounding_box()
+    page.page.mouse.click(box["x"] + 80, box["y"] + 130)
+    page.rest()
+    page.page.wait_for_function(
+        "first => document.getElementById('angles').textContent !== first", arg=first, timeout=WAIT_MS
+    )
+    assert re.search(r"light: θ \d+\.\d°, φ -?\d+\.\d°\s*view: θ \d", page.page.locator("#angles").text_content())
+
+
+def test_a_reload_shows_the_same(page):
+    page.set("azimuth_deg", 20)
+    page.drag(40, 0)
+    before = page.rest()
+    page.page.reload()
+    np.testing.assert_array_equal(page.rest(), before)
+
+
+def test_two_pages_at_once_and_one_page_s_error_reaches_no_other(page, chromium, viewer):
+    other = Page(chromium, viewer.url)
+    for name, value in {"mesh": "disc", "surface": "nano-fingers", "height": "240", "tolerance": "1e-1"}.items():
+        other.set(name, value)
+    first, second = page.rest(), other.rest()
+    assert changed(first, second) > 0.1
+    # Bumps that do not fit into their cell.
+    other.set("surface", "bumps")
+    other.set("bumps_width_um", 2)
+    other.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)
+    assert "spacing_um[1] must be at least width_um = 2" in other.page.locator("#notice").text_content()
+    page.set("azimuth_deg", -20)
+    assert changed(page.rest(), first) > 2e-3
+    other.set("surface", "nano-fingers")
+    np.testing.assert_array_equal(other.rest(), second)
+    other.close()
+
+
+def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, waves, tmp_path):
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+    radiance = np.full((8, 16, 3), 0.3, dtype=np.float32)
+    radiance[:, 8:] = 0.6, 0.4, 0.3
+    out = oiio.ImageOutput.create(str(tmp_path / "sky.hdr"))
+    out.open(str(tmp_path / "sky.hdr"), oiio.ImageSpec(16, 8, 3, "float"))
+    out.write_image(radiance)
+    out.close()
+    wd.meshes.tube().export(tmp_path / "body.obj")
+    files = tmp_path / "body.obj", "--height", waves, "--pixel-um", "0.05", "--environment", tmp_path / "sky.hdr"
+    server = served(*files)
+    made = Page(chromium, server.url)
+    simple = {
+        "height": "240",
+        "tolerance": "1e-1",
+        "environment_directions": "256",
+        "shadows": False,
+        "material": "perfect mirror",
+    }
+    for name, value in simple.items():
+        made.set(name, value)
+    first = made.rest()
+    assert not made.page.locator("#light").is_visible()
+    # Behind the body, on the left and on the right.
+    assert np.ptp(first[0], axis=0)[0] > 10
+    made.set("environment_rotation_deg", 150)
+    assert changed(made.rest(), first) > 0.2
+    made.set("environment_rotation_deg", 0)
+    np.testing.assert_array_equal(made.rest(), first)
+    made.set("environment_behind", False)
+    plain = made.rest()
+    assert np.ptp(plain[0]) == 0
+    made.set("light", "far away")
+    illuminated = made.rest()
+    assert changed(illuminated, plain) > 0.05
+    assert made.page.locator("#light").is_visible()
+    assert "DirectionalLight" in made.page.locator("#python").text_content()
+    made.set("environment", "none")
+    assert not made.page.locator("#set-environment_scale").is_visible()
+    assert changed(made.rest(), illuminated) > 0.01
+    assert "--environment" not in made.page.locator("#command").text_content()
+    made.set("light", "none")
+    made.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)
+    assert "there is no light" in made.page.locator("#notice").text_content()
+    made.close()
+    server.end()
+
+
+def test_the_server_may_go_and_come_back(chromium, served):
+    server = served()
+    made = Page(chromium, server.url)
+    for name, value in {"mesh": "tube", "height": "240", "tolerance": "1e-1"}.items():
+        made.set(name, value)
+    before = made.rest()
+    server.end()
+    made.page.wait_for_function("() => !document.body.dataset.connected", timeout=WAIT_MS)
+    assert "away" in made.page.locator("#notice").text_content()
+    server = served(port=server.port)
+    made.page.wait_for_function("() => document.body.dataset.connected", timeout=WAIT_MS)
+    made.set("azimuth_deg", 10)
+    assert changed(made.rest(), before) > 0.01
+    server.end()
+    # The browser itself tells of a server that refuses.
+    made.said = [each for each in made.said if "ERR_CONNECTION_REFUSED" not in each]
+    made.close()
+
+
+def test_beyond_this_machine_the_page_is_opened_with_its_token(chromium, served):
+    server = served("--host", "0.0.0.0")  # noqa: S104 (that is what is tested)
+    made = Page(chromium, f"http://127.0.0.1:{server.port}/?{server.url.partition('?')[2]}")
+    made.page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
+    made.close()
+    server.end()
+
+
+def test_touch_orbits_and_pinches(chromium, viewer):
+    context = chromium.new_context(viewport=SMALL, has_touch=True)
+    page = context.new_page()
+    page.goto(viewer.url)
+    page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
+    kept = "() => JSON.parse(sessionStorage.getItem('warpdiff view')).camera"
+    session = context.new_cdp_session(page)
+
+    def touch(kind, *points):
+        session.send(
+            "Input.dispatchTouchEvent",
+            {"type": kind, "touchPoints": [{"x": x, "y": y, "id": id_} for id_, (x, y) in enumerate(points)]},
+        )
+
+    before = page.evaluate(kept)
+    touch("touchStart", (60, 60))
+    for k in range(5):
+        touch("touchMove", (60 + 8 * k, 60))
+    touch("touchEnd")
+    time.sleep(0.3)
+    orbited = page.evaluate(kept)
+    assert not np.allclose(orbited["eye"], before["eye"])
+    np.testing.assert_allclose(orbited["target"], before["target"])
+    touch("touchStart", (60, 60), (120, 60))
+    for k in range(5):
+        touch("touchMove", (60 - 4 * k, 60), (120 + 4 * k, 60))
+    touch("touchEnd")
+    time.sleep(0.3)
+    pinched = page.evaluate(kept)
+    apart = [np.linalg.norm(np.subtract(each["eye"], each["target"])) for each in (orbited, pinched)]
+    assert apart[1] < 0.8 * apart[0]
+    context.close()
+
+
+def test_what_a_page_keeps_and_is_none_any_more_does_no_harm(chromium, viewer):
+    context = chromium.new_context(viewport=SMALL)
+    page = context.new_page()
+    said = []
+    page.on("pageerror", lambda error: said.append(str(error)))
+    kept = {"values": {"mesh": "file 7", "gone": 3, "sigma_um": "x"}, "camera": None, "generation": 5}
+    page.add_init_script(f"sessionStorage.setItem('warpdiff view', {json.dumps(json.dumps(kept))})")
+    page.goto(viewer.url)
+    page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
+    assert not said
+    assert wd.Coherence().sigma_um == float(page.locator("#set-sigma_um").input_value())
+    context.close()

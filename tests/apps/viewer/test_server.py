@@ -1,0 +1,275 @@
+"""The viewer's server against requests that no page sends: nothing unnamed is served, and nothing piles up."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.apps.viewer.controls import checked, controls, defaults, described
+from warpdiff.apps.viewer.page_calls import NamedFiles, Scene
+
+websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs it")
+from websockets.sync.client import connect  # noqa: E402 (what may be absent)
+
+from warpdiff.apps.viewer import server as view_server  # noqa: E402
+from warpdiff.apps.viewer.server import MOST_PAGES, ViewServer  # noqa: E402
+
+KNOWN = controls()
+
+
+class Studio:
+    """Draws nothing, and remembers what was wanted."""
+
+    def __init__(self):
+        self.sessions, self.seen = [], []
+
+    def session(self, send):
+        self.sessions.append(send)
+        return send
+
+    def leave(self, session):
+        self.sessions.remove(session)
+
+    def acknowledge(self, session):
+        session({"kind": "picture"}, bytes(100_000))
+
+    def want(self, _, wanted):
+        self.seen.append(wanted)
+
+    def wanted(self, *operands, **options):
+        return operands, options
+
+
+@contextlib.contextmanager
+def serving(host="127.0.0.1"):
+    """A server on a thread of its own."""
+    studio, ready = Studio(), threading.Event()
+
+    async def begun():
+        return studio
+
+    server = ViewServer(KNOWN, begun, host)
+    loop = asyncio.new_event_loop()
+    task = loop.create_task(server.run(ready.set))
+
+    def run():
+        with contextlib.suppress(asyncio.CancelledError):
+            loop.run_until_complete(task)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    assert ready.wait(10.0)
+    try:
+        yield server, studio
+    finally:
+        loop.call_soon_threadsafe(task.cancel)
+        thread.join(10.0)
+        assert not thread.is_alive()
+        loop.close()
+
+
+def ask(server, text, wait_s=5.0):
+    """What a connection gets to read for these bytes."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=wait_s) as connection:
+        connection.sendall(text if isinstance(text, bytes) else text.replace("\n", "\r\n").encode())
+        found = b""
+        with contextlib.suppress(OSError):
+            while part := connection.recv(65536):
+                found += part
+    return found.decode(errors="replace")
+
+
+def page_of(server, **options):
+    address = f"ws://127.0.0.1:{server.port}/socket"
+    return connect(address, origin=f"http://127.0.0.1:{server.port}", **options)
+
+
+def want(**changes):
+    told = {
+        "do": "want", "generation": 1, "values": defaults(KNOWN), "aspect": 1.5, "moving": False, "probe": [0.5, 0.5],
+        "camera": None,
+    }  # fmt: skip
+    return json.dumps(told | changes)
+
+
+def test_nothing_but_the_page_is_served():
+    with serving() as (server, _):
+        host = f"Host: 127.0.0.1:{server.port}\n"
+        served = ask(server, f"GET / HTTP/1.1\n{host}\n")
+        assert served.startswith("HTTP/1.1 200")
+        assert "default-src 'none'" in served
+        assert "http://" not in served.partition("\r\n\r\n")[2].replace("http://www.w3.org", "")
+        for path in ("/page.js", "/../etc/passwd", "/%2e%2e/x", "//", "/socket", "/index.html", "*", "/" + "a" * 7000):
+            assert ask(server, f"GET {path} HTTP/1.1\n{host}\n").startswith("HTTP/1.1 404"), path
+        for named in ("evil.example", "127.0.0.1:1", "127.0.0.1", "localhost.evil.example", "[::1", "", "127.0.0.1:x"):
+            assert ask(server, f"GET / HTTP/1.1\nHost: {named}\n\n").startswith("HTTP/1.1 403"), named
+        assert ask(server, f"GET / HTTP/1.1\nHost: localhost:{server.port}\n\n").startswith("HTTP/1.1 200")
+        for request in (
+            "GET / HTTP/1.1\n\n", f"POST / HTTP/1.1\n{host}\n", f"GET / HTTP/1.1\n{host}{host}\n", "\n\n", "GET\n\n",
+            f"GET / HTTP/0.9\n{host}\n", f"GET / HTTP/1.1\n{host}X: {'a' * 20000}\n\n",
+            f"GET / HTTP/1.1\n{host}" + "X: 1\n" * 500 + "\n", f"GET /{'a' * 20000} HTTP/1.1\n{host}\n",
+        ):  # fmt: skip
+            assert not ask(server, request).startswith("HTTP/1.1 200"), request[:40]
+        for noise in (bytes(range(256)) * 64, b"\x16\x03\x01\x02\x00\x01", b""):
+            with contextlib.suppress(OSError):
+                assert "200" not in ask(server, noise, wait_s=0.3)
+
+
+def test_other_pages_of_the_browser_open_no_socket():
+    with serving() as (server, studio):
+        address = f"ws://127.0.0.1:{server.port}/socket"
+        for origin in ("https://evil.example", "null", None, f"http://127.0.0.1:{server.port + 1}", "file://"):
+            with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
+                connect(address, origin=origin)
+        assert not studio.sessions
+
+
+def test_beyond_this_machine_a_token_is_asked_for():
+    with serving("0.0.0.0") as (server, _):  # noqa: S104 (that is what is tested)
+        assert len(server.token) > 20
+        assert server.address.endswith(f"/?token={server.token}")
+        host = f"Host: example.org:{server.port}\n"
+        for given in ("", "?token=", "?token=x", f"?token={server.token}x", f"?tokens={server.token}", "?token=%ff"):
+            assert ask(server, f"GET /{given} HTTP/1.1\n{host}\n").startswith("HTTP/1.1 403"), given
+            with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
+                connect(f"ws://127.0.0.1:{server.port}/socket{given}", origin=f"http://127.0.0.1:{server.port}")
+        assert ask(server, f"GET /?token={server.token} HTTP/1.1\n{host}\n").startswith("HTTP/1.1 200")
+        origin = f"http://127.0.0.1:{server.port}"
+        with connect(f"ws://127.0.0.1:{server.port}/socket?token={server.token}", origin=origin) as page:
+            assert json.loads(page.recv())["kind"] == "hello"
+
+
+def test_a_hundred_connections_are_let_in_up_to_a_number():
+    with serving() as (server, studio), contextlib.ExitStack() as stack:
+        refused = 0
+        for _ in range(100):
+            try:
+                stack.enter_context(page_of(server)).recv(timeout=5.0)
+            except websockets.exceptions.InvalidStatus:
+                refused += 1
+        assert refused == 100 - MOST_PAGES
+        assert len(studio.sessions) == MOST_PAGES
+        stack.close()
+        give_up = time.monotonic() + 5.0
+        while studio.sessions and time.monotonic() < give_up:
+            time.sleep(0.02)
+        assert not studio.sessions
+        with page_of(server) as page:
+            page.recv(timeout=5.0)
+
+
+def test_connections_that_say_nothing_are_closed(monkeypatch):
+    monkeypatch.setattr(view_server, "_OPENING_S", 0.3)
+    with serving() as (server, _), contextlib.ExitStack() as stack:
+        silent = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5.0)) for _ in range(100)
+        ]
+        # Or this times out.
+        for each in silent:
+            while each.recv(1000):
+                pass
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["", "x", "[]", "1", "null", "{}", '{"do": "rm"}', '{"do": "save", "as": "../x"}', "[" * 9000, b"\0\1", "1e999",
+     '{"do": ["want"]}', "{" + '"a":{' * 2000],
+)  # fmt: skip
+def test_messages_that_no_page_sends_end_the_connection(message):
+    with serving() as (server, studio), page_of(server) as page:
+        page.recv()
+        page.send(message)
+        with pytest.raises(websockets.exceptions.ConnectionClosedError, match="1008"):
+            page.recv(timeout=5.0)
+        assert not studio.seen
+
+
+def test_a_message_of_any_size_takes_no_memory():
+    with serving() as (server, _), page_of(server) as page:
+        page.recv()
+        with contextlib.suppress(websockets.exceptions.ConnectionClosed):
+            page.send("x" * 50_000_000)
+        with pytest.raises(websockets.exceptions.ConnectionClosedError, match="1009"):
+            page.recv(timeout=5.0)
+
+
+def test_values_that_make_no_sense_are_told_to_the_page_alone():
+    with serving() as (server, studio), page_of(server) as page, page_of(server) as other:
+        assert json.loads(page.recv())["controls"] == json.loads(json.dumps(described(KNOWN)))
+        other.recv()
+        legal = defaults(KNOWN)
+        fuzz = [None, True, -1, 1e300, 10**400, "x", [], {}, [1, 2, 3], float("nan"), float("-inf"), "x" * 5000]
+        cases = [{name: value} for name in ("generation", "aspect", "probe", "camera", "values") for value in fuzz]
+        cases += [{"values": legal | {name: value}} for name in legal for value in fuzz]
+        cases += [{"values": legal | {"unknown": 1}}, {"values": {"mesh": "file 0"}}]
+        camera = {"eye": [0, 0, 3], "target": [0, 0, 0], "up": [0, 1, 0], "fov_y_deg": 30}
+        cases += [{"camera": camera | {name: value}} for name in camera for value in fuzz]
+        refused = 0
+        for case in cases:
+            before = len(studio.seen)
+            page.send(want(**case))
+            page.send(want(generation=7))
+            # What follows it is served.
+            give_up = time.monotonic() + 5.0
+            while time.monotonic() < give_up and not (len(studio.seen) > before and studio.seen[-1][0][0] == 7):
+                time.sleep(0.0005)
+            assert studio.seen[-1][0][0] == 7, case
+            refused += len(studio.seen) == before + 1
+            if len(studio.seen) > before + 1:
+                # Of those that are let through, all is what the controls say.
+                values = studio.seen[before][0][1]
+                assert checked(KNOWN, values) == values
+        assert refused > 0.75 * len(cases)
+        errors = 0
+        with contextlib.suppress(TimeoutError):
+            while True:
+                errors += json.loads(page.recv(timeout=0.2))["kind"] == "error"
+        assert errors == refused
+        with pytest.raises(TimeoutError):
+            other.recv(timeout=0.1)
+
+
+def test_a_page_that_reads_nothing_is_let_go():
+    with serving() as (server, studio):
+        page = page_of(server, max_queue=1)
+        with contextlib.suppress(websockets.exceptions.ConnectionClosed, OSError):
+            for _ in range(2000):
+                page.send('{"do": "shown"}')
+        give_up = time.monotonic() + 10.0
+        while studio.sessions and time.monotonic() < give_up:
+            time.sleep(0.02)
+        assert not studio.sessions
+        page.socket.close()
+
+
+def test_every_control_is_part_of_a_scene(tmp_path):
+    np.save(tmp_path / "h.npy", np.zeros((8, 8)))
+    levelled = ("levelled", (("order", 1),))
+    skies = tmp_path / "s.exr", tmp_path / "r.hdr"
+    files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), skies, (("pitch_um", 0.1),), (levelled,))
+    known = controls(["m.obj"], ["h.npy"], ["s.exr", "r.hdr"])
+    first = checked(known, {"mesh": "snake", "surface": "fingers", "light": "far"})
+    of_picture = {"height", "display", "exposure_stops", "held", "background"}
+    for control in known.values():
+        shown = {name: values[0] for name, values in control.shown}
+        if control.choices:
+            others = [value for value, _ in control.choices]
+        elif isinstance(control.default, bool):
+            others = [True, False]
+        else:
+            others = [control.least, control.most]
+        base = first | shown
+        scenes = {str(Scene.of(base | {control.name: value}, files)) for value in others}
+        assert len(scenes) == (1 if control.name in of_picture else len(others)), control.name
+    scene = Scene.of(first | {"surface": "file 0"}, files)
+    assert isinstance(scene.heightfield.make(), wd.HeightField)
+    assert str(scene.heightfield) == f"wd.HeightField.load('{tmp_path}/h.npy', pitch_um=0.1).levelled(order=1)"
+    assert Scene.of(first, files).mesh.make().faces.shape[1] == 3

@@ -1,0 +1,249 @@
+"""Baked lobes and spectra, against closed forms, the float64 reference, and what they were baked from."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from conftest import hemisphere
+from scipy.special import jv
+
+import warpdiff as wd
+from bench.truth import reference
+from warpdiff.baked import quantisation
+from warpdiff.baked.interpolation import PolarGrid
+from warpdiff.optics import colorimetry, reflectance_factors
+
+WINDOW, WIDE = wd.Coherence(sigma_um=3.0), wd.Coherence(sigma_um=1.5)
+TOLERANCE = 2.0
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+@pytest.fixture(scope="module")
+def lobes(fingers):
+    return wd.bake(fingers, coherence=WINDOW, tolerance=TOLERANCE)
+
+
+@pytest.fixture(scope="module")
+def spectrum(fingers):
+    return wd.bake_spectrum(fingers, coherence=WIDE, size=512, tolerance=1e-2)
+
+
+def test_colours_keep_the_difference_that_was_asked_for(fingers, lobes):
+    """Against the float64 reference, on directions that baking did not look at, the bright ones among them."""
+    rng = np.random.default_rng(91)
+    lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
+    luminance = lobes.reflectance(lights, views)[:, 1].astype(float)
+    some = np.concatenate([np.arange(150), rng.choice(20_000, 150, replace=False, p=luminance / luminance.sum())])
+    lights, views = lights[some], views[some]
+    gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
+    exact = gains[:, None] * reference.colours(fingers, -lights - views, lights, WINDOW, tolerance=1e-3)
+    exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 99.0)))[:, None]
+    found = colorimetry.colour_difference(exposed * lobes.reflectance(lights, views), exposed * exact)
+    assert np.percentile(found, 99.0) <= TOLERANCE
+    assert np.median(found) <= 0.25 * TOLERANCE
+    assert 0.0 < lobes.error <= TOLERANCE
+
+
+def test_gold_is_within_the_colours_and_in_the_file(fingers, tmp_path):
+    """Against the float64 reference, whose reflectances are by characteristic matrices."""
+    gold = wd.Material.metal("Au")
+    found = wd.bake(fingers, coherence=WIDE, material=gold, tolerance=3.0)
+    rng = np.random.default_rng(92)
+    lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
+    # Some in the mirror direction, where the mean plane is seen.
+    views[::10] = lights[::10] * [-1.0, -1.0, 1.0]
+    exact = reference.reference_reflectance(fingers, lights, views, WIDE, tolerance=1e-3, material=gold)
+    exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 90.0)))[:, None]
+    differences = colorimetry.colour_difference(exposed * found.reflectance(lights, views), exposed * exact)
+    assert np.percentile(differences, 98.0) <= 3.0
+    again = wd.BakedLobes.load(found.save(tmp_path / "gold.npz"))
+    np.testing.assert_array_equal(again.reflectance(lights, views), found.reflectance(lights, views))
+    assert "with a material" in str(again)
+    with pytest.raises(ValueError, match="ior must not be given beside lobes that were baked with a material"):
+        found.reflectance(lights, views, ior=1.5)
+    with pytest.raises(ValueError, match=r"material must be opaque, got n = 1\.5"):
+        wd.bake(fingers, coherence=WINDOW, material=wd.Material.dielectric(1.5))
+
+
+def test_a_flat_mirror_is_its_closed_form():
+    flat = wd.HeightField(np.zeros((8, 8)), 0.09)
+    found = wd.bake(flat, coherence=WINDOW)
+    # Around the mirror direction, where there is something to see.
+    views = np.array([math.sin(0.3), 0.0, math.cos(0.3)]) + np.random.default_rng(5).normal(0.0, 0.03, (200, 3))
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    light = np.array([[-math.sin(0.3), 0.0, math.cos(0.3)]])
+    wavelengths = np.arange(380.0, 781.0)
+    q2 = np.sum((light + views)[:, :2] ** 2, axis=1)[:, None] / (1e-3 * wavelengths) ** 2
+    colours = np.exp(-((2.0 * math.pi * 3.0) ** 2) * q2) @ colorimetry.colour_products("D65")
+    exact = (
+        reflectance_factors.gain(np.broadcast_to(light, views.shape), views, normal=0.04, masking=True)[:, None]
+        * colours
+    )
+    np.testing.assert_allclose(found.reflectance(light, views), exact, rtol=2e-3, atol=1e-4 * exact.max())
+
+
+def test_more_is_kept_where_less_may_differ(fingers, lobes):
+    rough = wd.bake(fingers, coherence=WINDOW, tolerance=8.0)
+    assert rough.error <= 8.0
+    assert rough.bytes < lobes.bytes
+
+
+def test_lobes_of_a_source_are_those_of_light_from_above():
+    bumps = wd.gratings.bumps(height_um=0.1)
+    sun = wd.Coherence("source", angular_diameter_deg=6.0)
+    found = wd.bake(bumps, coherence=sun, tolerance=6.0)
+    views = hemisphere(np.random.default_rng(7), 300)
+    above = np.array([0.0, 0.0, 1.0])
+    exact = wd.reflectance(bumps, above, views, coherence=sun, method="low-rank", tolerance=3e-3)
+    exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 99.0)))[:, None]
+    differences = colorimetry.colour_difference(exposed * found.reflectance(above, views), exposed * exact)
+    assert np.percentile(differences, 95.0) <= 6.0
+
+
+def test_a_cartesian_grid_holds_the_same(lobes):
+    grid = lobes.cartesian(256)
+    assert grid.shape == (256, 256, 3, lobes.functions.shape[1])
+    row, column = 140, 77
+    uv = np.array([[column + 0.5, row + 0.5]]) / 128.0 * 2.0 - 2.0
+    w = 1.1
+    at_w = lobes.functions[round(w / 2.0 * (len(lobes.functions) - 1))]
+    w = round(w / 2.0 * (len(lobes.functions) - 1)) / (len(lobes.functions) - 1) * 2.0
+    expected = lobes.colours([[*uv[0], -w]], zeroth_order=False)[0]
+    np.testing.assert_allclose(np.maximum(w * w * grid[row, column] @ at_w, 0.0), expected, rtol=1e-4)
+    assert not grid[0, 0].any(), "outside the disc there is nothing"
+
+
+def test_a_spectrum_is_that_of_the_directions(fingers, spectrum):
+    rng = np.random.default_rng(17)
+    lights, views = hemisphere(rng, 400, lowest=0.2), hemisphere(rng, 400, lowest=0.2)
+    wavelength = 520.0
+    exact = wd.spectral_reflectance(fingers, lights, views, wavelength, coherence=WIDE, ior=math.inf, masking=False)
+    uvw = -(lights + views) / (wavelength * 1e-3)
+    size = len(spectrum.powers)
+    place = (uvw[:, :2] / spectrum.largest_q + 1.0) * size / 2.0 - 0.5
+    cell = np.floor(place).astype(int)
+    t = place - cell
+    kappas = np.linspace(spectrum.least_kappa, spectrum.largest_kappa, len(spectrum.functions))
+    at_kappa = [np.interp(-uvw[:, 2], kappas, each) for each in spectrum.functions.T]
+    power = np.zeros(len(uvw))
+    for i in (0, 1):
+        for j in (0, 1):
+            weight = (t[:, 0] if i else 1.0 - t[:, 0]) * (t[:, 1] if j else 1.0 - t[:, 1])
+            power += weight * np.einsum("nk,kn->n", spectrum.powers[cell[:, 1] + j, cell[:, 0] + i], np.array(at_kappa))
+    lobe = np.exp(-((2.0 * math.pi * WIDE.sigma_um) ** 2) * np.sum(uvw[:, :2] ** 2, axis=1))
+    power += np.interp(-uvw[:, 2], kappas, spectrum.zeroth) * lobe
+    gains = reflectance_factors.gain(lights, views, normal=1.0, masking=False)
+    relative = np.abs(gains * power - exact[:, 0]) / np.maximum(exact[:, 0], 1e-2 * np.percentile(exact, 99.0))
+    # Cells of a quarter of a lobe's deviation blur it a little.
+    assert np.percentile(relative, 90.0) < 0.05
+    assert np.sum(gains * power) == pytest.approx(np.sum(exact), rel=0.02)
+
+
+def test_the_powers_of_a_sine_add_up_to_what_bessel_functions_leave():
+    """Σ over the cells of 4πσ² times the power is the sum of the orders but for the zeroth, J₀² … of them all."""
+    sine = wd.gratings.sinusoidal(2.0, 0.2)
+    found = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
+    kappas = np.linspace(found.least_kappa, found.largest_kappa, len(found.functions))
+    orders = np.arange(-10, 11)
+    inside = (np.abs(orders / 2.0) < found.largest_q) & (orders != 0)
+    for kappa in (1.0, 3.0):
+        functions = np.array([np.interp(kappa, kappas, f) for f in found.functions.T])
+        # A grating of one row has one order along y, at 0.
+        total = 4.0 * math.pi * 9.0 * float((found.powers @ functions).sum()) * (2.0 * found.largest_q / 256) ** 2
+        argument = 2.0 * math.pi * kappa * 0.1
+        assert total == pytest.approx(float(np.sum(jv(orders[inside], argument) ** 2)), rel=2e-3)
+        assert np.interp(kappa, kappas, found.zeroth) == pytest.approx(float(jv(0, argument) ** 2), abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["lobes", "spectrum"])
+def test_files_hold_all_of_it(name, request, tmp_path):
+    baked = request.getfixturevalue(name)
+    path = baked.save(tmp_path / "a.npz")
+    again = type(baked).load(path)
+    for field in dataclasses.fields(baked):
+        one, other = getattr(baked, field.name), getattr(again, field.name)
+        assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other, field.name
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["lobes", "spectrum"])
+def test_what_is_no_such_file_is_refused(name, request, tmp_path):
+    baked = request.getfixturevalue(name)
+    whole = baked.save(tmp_path / "a.npz").read_bytes()
+    rng = np.random.default_rng(3)
+    damaged = [whole[: len(whole) // 2], b"", b"PK\x03\x04", rng.bytes(500)]
+    for _ in range(12):
+        changed = bytearray(whole)
+        for at in rng.integers(0, len(whole), 40):
+            changed[at] ^= 255
+        damaged.append(bytes(changed))
+    path = tmp_path / "b.npz"
+    for data in damaged:
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match="path must be a file"):
+            type(baked).load(path)
+    other = {"lobes": wd.BakedSpectrum, "spectrum": wd.BakedLobes}[name]
+    with pytest.raises(ValueError, match="format is 'warpdiff baked"):
+        other.load(tmp_path / "a.npz")
+    with pytest.raises(FileNotFoundError):
+        type(baked).load(tmp_path / "none.npz")
+
+
+def test_files_with_other_arrays_are_refused(lobes, tmp_path):
+    path = lobes.save(tmp_path / "a.npz")
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    changes = {
+        "mantissas": arrays["mantissas"][:-1], "exponents": arrays["exponents"].astype(np.int64),
+        "functions": np.full_like(arrays["functions"], np.nan), "rays": np.array([16, -5]), "rings": 0,
+        "illuminant": "none", "scale": -1.0, "zeroth": np.zeros(0, np.float32),
+    }  # fmt: skip
+    for name, value in changes.items():
+        np.savez(path, **(arrays | {name: value}))
+        with pytest.raises(ValueError, match=r"path must be a file that BakedLobes\.save wrote"):
+            wd.BakedLobes.load(path)
+
+
+def test_bytes_err_by_half_a_step_of_their_own_largest():
+    rng = np.random.default_rng(2)
+    values = (rng.normal(size=(500, 3, 4)) * 10.0 ** rng.uniform(-7.0, 0.0, (500, 1, 1))).astype(np.float32)
+    largest = np.abs(values).max(axis=2, keepdims=True)
+    for dtype in (np.int8, np.int16):
+        found = quantisation.dequantise(*quantisation.quantise(values, dtype))
+        assert np.all(np.abs(found - values) <= 0.5 / np.iinfo(dtype).max * 1.1 * largest)
+
+
+def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():
+    """A lobe of one wavelength is as narrow along its ray as across; colours smear it along, by a tenth of |(u, v)|."""
+    width = 0.02
+    grid = PolarGrid.of(width, 16, 1.0)
+    angles, radii = np.array([0.3, 2.0, 4.4]), np.array([1.1, 0.5, 1.7])
+
+    def lobes_at(uv):
+        away = np.arctan2(uv[:, 1], uv[:, 0])[:, None] - angles
+        away = (away + math.pi) % (2.0 * math.pi) - math.pi
+        size = np.hypot(*uv.T)[:, None]
+        return np.exp(-0.5 * (away * size / width) ** 2 - 0.5 * (np.log(size / radii) / 0.1) ** 2).astype(np.float32)
+
+    coefficients = grid.coefficients(lobes_at(grid.places()))
+    uv = np.random.default_rng(1).uniform(-1.4, 1.4, (20_000, 2))
+    assert np.abs(grid.interpolated(coefficients, uv) - lobes_at(uv)).max() < 0.02
+
+
+def test_what_cannot_be_baked_is_refused():
+    sine = wd.gratings.sinusoidal(2.0, 0.1)
+    with pytest.raises(ValueError, match="coherence of kind='centred' adds amplitudes"):
+        wd.bake(sine, coherence=wd.Coherence("centred"))
+    with pytest.raises(ValueError, match="coherence must be of kind 'averaged'"):
+        wd.bake_spectrum(sine, coherence=wd.Coherence("source"))
+    with pytest.raises(ValueError, match=r"tolerance must be a finite number >= 0\.2"):
+        wd.bake(sine, tolerance=0.01)
+    with pytest.raises(ValueError, match=r"coherence takes [0-9,]+ wavelengths a colour, .* σ = 1000 µm: take one"):
+        wd.bake(sine, coherence=wd.Coherence(sigma_um=1000.0))

@@ -1,0 +1,70 @@
+"""The LRU cache: what was used longest ago goes first, and threads get what came first."""
+
+import threading
+
+from warpdiff.core.caching import LruCache
+
+
+def test_the_least_recently_used_one_goes_first():
+    cache = LruCache(2)
+    assert [cache.get_or_make(key, lambda key=key: key.upper()) for key in "ab"] == ["A", "B"]
+    assert cache.get("a") == "A"
+    cache.put("c", "C")
+    assert "b" not in cache
+    assert (cache.get("a"), cache.get("b"), len(cache)) == ("A", None, 2)
+    cache.clear()
+    assert len(cache) == 0
+
+
+def test_bytes_are_bounded_but_for_the_last_one():
+    cache = LruCache(most_bytes=10.0, bytes_of=len)
+    cache.put("a", "four")
+    cache.put("b", "six..6")
+    assert len(cache) == 2
+    cache.put("a", "seven.7")
+    assert "b" not in cache
+    cache.put("c", "more than ten bytes")
+    assert cache.get("c")
+    assert len(cache) == 1
+
+
+def test_a_key_stays_the_one_that_was_put():
+    """Another that was equal when it was asked for may change."""
+    cache, put, asked = LruCache(2), Frozen(1), Frozen(1)
+    cache.put(put, "value")
+    assert cache.get(asked) == "value"
+    asked.number = 2
+    assert cache.get(Frozen(2)) is None
+    assert cache.get(Frozen(1)) == "value"
+
+
+class Frozen:
+    """A key that is not, compared by its number."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def __hash__(self):
+        return 0
+
+    def __eq__(self, other):
+        return self.number == other.number
+
+
+def test_threads_that_make_the_same_get_the_first_ones():
+    cache, both = LruCache(4), threading.Barrier(2)
+    found = []
+
+    def ask(name):
+        def make():
+            both.wait(10.0)
+            return name
+
+        found.append(cache.get_or_make("key", make))
+
+    threads = [threading.Thread(target=ask, args=(name,)) for name in "ab"]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert found[0] == found[1]

@@ -1,0 +1,198 @@
+"""What is kept on disk: found again to the bit, under a limit, and never in the way."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from endurance import count
+
+import warpdiff as wd
+from warpdiff.core import disk_cache
+
+ROW = "files of the cache: damaged, left by killed processes"
+HEIGHTS = np.arange(12.0).reshape(3, 4)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder for it, and everything worth keeping."""
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
+    return tmp_path / "kept"
+
+
+def counted(value):
+    calls = []
+
+    def make():
+        calls.append(value)
+        return {"rows": np.full((2, 3), value, dtype=np.float32), "step": 0.25}
+
+    return calls, make
+
+
+def test_what_is_kept_is_found_again(folder):
+    calls, make = counted(1.0)
+    first = disk_cache.cached_on_disk("key", HEIGHTS, make)
+    again = disk_cache.cached_on_disk("key", HEIGHTS, make)
+    assert len(calls) == 1
+    np.testing.assert_array_equal(first["rows"], again["rows"])
+    assert again["rows"].dtype == np.float32
+    assert again["step"] == 0.25
+    assert [each.suffix for each in folder.iterdir()] == [".npz"]
+
+
+@pytest.mark.parametrize(("key", "heights"), [("other", HEIGHTS), ("key", HEIGHTS + 1.0), ("key", HEIGHTS.T)])
+def test_another_question_has_another_answer(folder, key, heights):
+    disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
+    assert disk_cache.cached_on_disk(key, heights, counted(2.0)[1])["rows"][0, 0] == 2.0
+    assert len(list(folder.iterdir())) == 2
+
+
+def archive(**arrays):
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def damaged(whole, rng):
+    """Mutations of a file: other contents, cut off, bytes changed."""
+    sound = archive(rows=np.ones((2, 3), np.float32), step=0.25)
+    yield from (b"", b"PK\x03\x04 no archive", bytes(4096), sound)
+    yield archive(rows=np.ones((2, 3), np.float32))
+    yield archive(rows=np.ones((3, 2), np.float64), step=0.25)
+    yield archive(rows=np.full((2, 3), np.nan, np.float32), step=np.inf)
+    for at in range(8, 40, 2):
+        # The version of the archive, the flag of encryption, the compression, in either of the headers.
+        for header in (b"PK\x03\x04", b"PK\x01\x02"):
+            for start in (0, whole.index(b"PK")):
+                content = bytearray(whole[start:])
+                content[content.index(header) + at - 4] ^= 0x41
+                yield bytes(content)
+    yield from (whole[:size] for size in range(0, len(whole), 29))
+    for _ in range(count(1000, 12_000)):
+        content = bytearray(whole)
+        content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
+        yield bytes(content)
+
+
+@pytest.mark.permanent(ROW, shares=10)
+def test_a_damaged_file_is_made_anew(folder, rng, tries):
+    disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
+    path = next(folder.iterdir())
+    whole = path.read_bytes()
+    disk_cache.cached_on_disk("other", HEIGHTS, counted(2.0)[1])
+    other = next(each for each in folder.iterdir() if each != path)
+    for content in tries.of((other.read_bytes(), *damaged(whole, rng))):
+        path.write_bytes(content)
+        calls, make = counted(1.0)
+        for _ in range(2):
+            found = disk_cache.cached_on_disk("key", HEIGHTS, make)
+            np.testing.assert_array_equal(found["rows"], np.ones((2, 3), np.float32))
+            assert found["step"] == 0.25
+        # Once, and then it is whole again.
+        assert len(calls) == 1
+        assert path.read_bytes() == whole
+
+
+@pytest.mark.permanent(ROW)
+def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
+    disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
+    path = next(folder.iterdir())
+    path.unlink()
+    path.mkdir()
+    assert disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
+
+
+@pytest.mark.permanent(ROW)
+def test_what_killed_processes_leave_is_swept_once_it_is_old(folder, tries):
+    disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
+    kill = "import os, signal; from pathlib import Path; from warpdiff.core.file_writing import replacing\n"
+    kill += f"with replacing(Path({str(folder)!r}, 'a'), suffix='.part'): os.kill(os.getpid(), signal.SIGKILL)"
+    for _ in tries.of(range(count(1, 5))):
+        for _one_old_and_one_young in range(2):
+            subprocess.run([sys.executable, "-c", kill], check=False)
+    (folder / "mine.part").touch()
+    old, young, *_ = (each for each in folder.iterdir() if each.name.startswith(".warpdiff"))
+    for each in (old, folder / "mine.part"):
+        os.utime(each, (1e9, 1e9))
+    disk_cache.cached_on_disk("other", HEIGHTS, counted(1.0)[1])
+    assert not old.exists()
+    # Another process may be writing it; and what is not ours is not looked at.
+    assert young.exists()
+    assert (folder / "mine.part").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_folder_that_can_only_be_read_is_of_use(monkeypatch):
+    disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
+
+    def denied(*_args):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "utime", denied)
+    calls, make = counted(1.0)
+    disk_cache.cached_on_disk("key", HEIGHTS, make)
+    assert not calls
+
+
+def test_a_user_without_a_home_keeps_nothing(monkeypatch):
+    def none():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("WARPDIFF_CACHE_DIR")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(disk_cache.Path, "home", none)
+    monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
+    assert disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
+
+
+def test_the_oldest_go_where_it_is_full(folder, monkeypatch):
+    monkeypatch.setattr(disk_cache, "MOST_BYTES", 1600)
+    for index in range(5):
+        disk_cache.cached_on_disk(index, HEIGHTS, counted(float(index))[1])
+        for age, path in enumerate(sorted(folder.iterdir(), key=lambda each: each.stat().st_mtime, reverse=True)):
+            os.utime(path, (1e9 - age, 1e9 - age))
+    assert 1 <= len(list(folder.iterdir())) <= 3
+    calls, make = counted(9.0)
+    disk_cache.cached_on_disk(4, HEIGHTS, make)
+    disk_cache.cached_on_disk(0, HEIGHTS, make)
+    assert len(calls) == 1
+
+
+def test_it_can_be_turned_off_and_may_fail(tmp_path, monkeypatch):
+    monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    monkeypatch.chdir(tmp_path)
+    assert disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
+    assert not list(tmp_path.iterdir())
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(blocked))
+    assert disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
+    assert blocked.read_text() == "not a folder"
+
+
+def test_what_is_fast_is_not_kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
+    assert not (tmp_path / "kept").exists()
+
+
+@pytest.mark.permanent(ROW)
+def test_pictures_are_the_same_with_it(folder):
+    lights = np.array([[0.1, 0.2, 0.97]])
+    views = np.array([[-0.3, 0.1, 0.95]])
+    grating = wd.gratings.fingers(size_um=6.4, seed=3)
+    first = wd.reflectance(grating, lights, views)
+    assert list(folder.iterdir())
+    for content in (None, archive(rows=np.ones(3)), b""):
+        for path in folder.iterdir():
+            path.write_bytes(path.read_bytes() if content is None else content)
+        again = wd.HeightField(grating.heights_um, grating.pitch_um)
+        np.testing.assert_array_equal(first, wd.reflectance(again, lights, views))

@@ -1,0 +1,163 @@
+"""Damaged files, read in a process of its own: ``python damaged_bytes.py meshes SEED COUNT SECONDS FOLDER``.
+
+It prints how many were tried, then what was wrong. Where it dies or hangs, the last one lies in the folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import signal
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import trimesh
+from gltf_files import BUFFER, gltf
+from PIL import Image
+
+import warpdiff as wd
+from warpdiff.scene.mesh_import import prepare_surface
+
+MOST_BYTES = 4 << 30
+MOST_S = 20
+EVIL_NUMBERS = [
+    b"nan",
+    b"inf",
+    b"-1",
+    b"0",
+    b"1e308",
+    b"1e-308",
+    b"2147483648",
+    b"99999999999999999999",
+    b"/etc/passwd",
+]
+
+
+def scans():
+    """Height fields in every kind of file, by name."""
+    waves = np.add.outer(np.sin(np.arange(9.0)), np.cos(np.arange(12.0)))
+    for dtype in ("float64", "float32", "uint8", ">i4"):
+        np.save(Path(f"scan-{dtype.strip('>')}.npy"), (waves * 50.0 + 100.0).astype(dtype))
+    for suffix, kind in (("png", "uint8"), ("png", "uint16"), ("tif", "uint16"), ("tif", "float"), ("exr", "float")):
+        output = oiio.ImageOutput.create(name := f"scan-{kind}.{suffix}")
+        output.open(name, oiio.ImageSpec(12, 9, 1, kind))
+        output.write_image(((waves + 3.0) / 6.0).astype(np.float32)[:, :, None])
+        output.close()
+    return sorted(Path().iterdir())
+
+
+def meshes():
+    """Bodies in every kind of file, and what they name."""
+    disc = wd.meshes.disc(segments=4, rings=1)
+    for suffix in ("ply", "stl", "glb", "off"):
+        disc.export(f"mesh.{suffix}")
+    (Path("ascii.ply")).write_bytes(trimesh.exchange.ply.export_ply(disc, encoding="ascii"))
+    (Path("ascii.stl")).write_text(trimesh.exchange.stl.export_stl_ascii(disc))
+    Image.new("RGB", (3, 2), (200, 30, 30)).save("paint.png")
+    Path("paint.mtl").write_text("newmtl paint\nKd 0.5 0.25 1.0\nmap_Kd paint.png\n")
+    Path("buffer.bin").write_bytes(BUFFER)
+    Path("mesh.gltf").write_text(gltf(buffer="buffer.bin"))
+    Path("mesh.obj").write_text(
+        "mtllib paint.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n"
+        "f 1/1/1 2/2/1 3/3/1\n"
+    )
+    return sorted(Path().iterdir())
+
+
+def read_scan(path):
+    """Whatever of the two it takes."""
+    integers = re.search("uint|i4", path.name)
+    heightfield = wd.HeightField.load(path, pitch_um=0.1, height_range_um=0.3 if integers else None)
+    assert np.isfinite(heightfield.heights_um[~heightfield.missing]).all()
+
+
+def read_mesh(path):
+    """The surface that rays meet."""
+    beside = {".mtl": "mesh.obj", ".png": "mesh.obj", ".bin": "mesh.gltf"}
+    surface = prepare_surface(Path(beside.get(path.suffix, path)))
+    assert np.isfinite(surface.vertices).all()
+
+
+def mutant(content, rng):
+    """A file's content with one to three kinds of damage."""
+    content = bytearray(content)
+    for _ in range(rng.integers(1, 4)):
+        size = max(len(content), 1)
+        at, length = int(rng.integers(size)), int(rng.integers(1, 17))
+        match rng.integers(7):
+            case 0:
+                del content[at:]
+            case 1:
+                del content[at : at + length]
+            case 2:
+                content[at:at] = rng.bytes(length)
+            case 3:
+                content[at : at + length] = bytes([int(rng.choice([0, 255, 127]))]) * length
+            case 4 if content:
+                content[at % len(content)] ^= 1 << int(rng.integers(8))
+            case 5:
+                content[at:at] = content[: int(rng.integers(size + 1))]
+            case _:
+                numbers = list(re.finditer(rb"[-+.\deE]+", bytes(content)))
+                if numbers:
+                    begin, end = numbers[rng.integers(len(numbers))].span()
+                    content[begin:end] = EVIL_NUMBERS[rng.integers(len(EVIL_NUMBERS))]
+    return bytes(content)
+
+
+def watch(folder, wrong):
+    """Note what is opened beyond the folder, but for Python's modules and what tells how much memory there is."""
+    allowed = [folder, *(Path(each).resolve() for each in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
+
+    def hook(event, arguments):
+        if event.startswith(("socket.", "urllib.", "subprocess.", "os.system")):
+            wrong.append(event)
+        if event == "open" and isinstance(arguments[0], (str, bytes)):
+            path = Path(str(arguments[0])).resolve()
+            if not any(path.is_relative_to(each) for each in allowed):
+                wrong.append(f"opens {path}")
+
+    sys.addaudithook(hook)
+
+
+def main(kind, seed, count, seconds, folder):
+    """Try so many, for no longer than so many seconds."""
+    import resource
+
+    files, read = {"scans": (scans, read_scan), "meshes": (meshes, read_mesh)}[kind]
+    sound = {path: path.read_bytes() for path in files()}
+    warnings.simplefilter("ignore")
+    for path in sound:
+        # Some formats have no texture coordinates, which is said once all else is read.
+        with contextlib.suppress(ValueError):
+            read(path)
+    wrong, tried, end = [], 0, time.monotonic() + seconds
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    watch(Path(folder), wrong)
+    while tried < count and time.monotonic() < end and len(wrong) < 10:
+        rng = np.random.default_rng([seed, tried])
+        path = list(sound)[rng.integers(len(sound))]
+        path.write_bytes(mutant(sound[path], rng))
+        tried += 1
+        # What hangs is killed.
+        signal.alarm(MOST_S)
+        try:
+            read(path)
+        except (ValueError, OSError, MemoryError) as error:
+            # A mesh's error names the mesh, whichever of its files is damaged.
+            if not any(each.stem in str(error) for each in sound):
+                wrong.append(f"{tried - 1}: {path}: {error!r}")
+        except Exception as error:
+            wrong.append(f"{tried - 1}: {path}: {error!r}")
+        signal.alarm(0)
+        path.write_bytes(sound[path])
+    sys.stdout.write(json.dumps([tried, wrong]))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]), str(Path.cwd().resolve()))

@@ -1,0 +1,207 @@
+"""The direct sum against an explicit average over window positions, and the kernel against the direct sum."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from conftest import hemisphere, slow
+
+import warpdiff as wd
+from warpdiff.diffraction import direct_sum, fourier_coefficients
+
+WAVELENGTHS_UM = np.array([0.39, 0.46, 0.53, 0.61, 0.7, 0.77])
+
+
+def windowed_sum(heightfield, sigma_um, scattering_vector, wavelength, centre):
+    """|Σ g e^{ik(wh + ux + vy)} / Σ g|² over the patch repeated to eight σ around ``centre``, (y, x) in µm."""
+    u, v, w = scattering_vector
+    (ny, nx), (dy, dx), (length_y, length_x) = heightfield.shape, heightfield.pitch_um, heightfield.size_um
+    copies_y, copies_x = (int(np.ceil(8.0 * sigma_um / length)) + 1 for length in heightfield.size_um)
+    h = np.tile(heightfield.heights_um, (2 * copies_y + 1, 2 * copies_x + 1))
+    y = ((np.arange(h.shape[0]) - copies_y * ny) * dy)[:, None]
+    x = ((np.arange(h.shape[1]) - copies_x * nx) * dx)[None, :]
+    assert length_y > 0
+    assert length_x > 0
+    g = np.exp(-((y - centre[0]) ** 2 + (x - centre[1]) ** 2) / (2.0 * sigma_um**2))
+    phase = 2.0 * np.pi / wavelength * (w * h + u * x + v * y)
+    return abs(np.sum(g * np.exp(1j * phase)) / g.sum()) ** 2
+
+
+@pytest.fixture
+def small(rng):
+    """A rough patch of unequal sides and pitches, 1.2 × 1.1 µm."""
+    return wd.HeightField(rng.uniform(0.0, 0.25, (12, 10)), (0.1, 0.11))
+
+
+def test_averaged_is_the_mean_over_all_window_positions(small, rng):
+    sigma = 0.6
+    lights, views = hemisphere(rng, 4), hemisphere(rng, 4)
+    for scattering_vector in -(lights + views):
+        mean = np.mean(
+            [
+                windowed_sum(small, sigma, scattering_vector, 0.5, (j * 0.1, i * 0.11))
+                for j in range(small.shape[0])
+                for i in range(small.shape[1])
+            ]
+        )
+        value = direct_sum.window_power(
+            small, wd.Coherence("averaged", sigma), scattering_vector[None], np.array([0.5])
+        )
+        assert value[0, 0] == pytest.approx(mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("centre", [None, (0.0, 0.0), (0.337, -0.82)])
+def test_centred_is_one_window(small, rng, centre):
+    sigma = 0.6
+    place = (6 * 0.1, 5 * 0.11) if centre is None else centre
+    lights, views = hemisphere(rng, 6), hemisphere(rng, 6)
+    for scattering_vector in -(lights + views):
+        expected = windowed_sum(small, sigma, scattering_vector, 0.6, place)
+        coherence = wd.Coherence("centred", sigma, centre_um=centre)
+        value = direct_sum.window_power(small, coherence, scattering_vector[None], np.array([0.6]))
+        assert value[0, 0] == pytest.approx(expected, rel=1e-9)
+
+
+FORMS = {
+    "averaged": wd.Coherence("averaged"),
+    "centred": wd.Coherence("centred"),
+    "sun": wd.Coherence("source", angular_diameter_deg=0.53),
+    "lamp": wd.Coherence("source", angular_diameter_deg=3.0),
+    "one-copy": wd.Coherence("replicas", periods=(1, 1)),
+    "12-copies": wd.Coherence("replicas", periods=(3, 4)),
+    "200-copies": wd.Coherence("replicas", periods=(1, 200)),
+}
+METHODS = ("low-rank", "power", "jacobi-anger", "taylor")
+# Powers are a basis only where powers add.
+PAIRS = [
+    pytest.param(coherence, method, id=f"{name}-{method}")
+    for name, coherence in FORMS.items()
+    for method in METHODS
+    if coherence.adds_powers or method != "power"
+]
+
+
+@functools.cache
+def exact_spectra(heightfield, coherence, count, *, in_plane=False):
+    """Directions to the light and to the viewer, and the direct sum at them; for all methods the same."""
+    rng = np.random.default_rng(20140)
+    lights, views = hemisphere(rng, count), hemisphere(rng, count)
+    # A quarter of the directions near the mirror direction, where the reflectance is largest.
+    views[::4] = views[::4] * 0.03 + lights[::4] * np.array([-1.0, -1.0, 1.0])
+    if in_plane:
+        # What is constant along y reflects nothing out of the plane of incidence.
+        views[1::2, 1] = -lights[1::2, 1]
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    options = {"coherence": coherence, "masking": False, "method": "direct"}
+    return lights, views, wd.spectral_reflectance(heightfield, lights, views, 1e3 * WAVELENGTHS_UM, **options)
+
+
+def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
+    """Largest error of the kernel in units of the bar, over random directions and several wavelengths."""
+    lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
+    # "Where the terms suffice": a plan by its bounds, which is what few directions get, here the ends of the range.
+    uv, w = np.hypot(*(lights + views)[:, :2].T), (lights + views)[:, 2]
+    ends = [uv.argmax(), w.argmin(), w.argmax()]
+    options = {"coherence": coherence, "method": method}
+    plan = wd.plan(heightfield, lights[ends], views[ends], tolerance=1e-4, **options)
+    assert not plan.is_measured
+    found = wd.spectral_reflectance(
+        heightfield, lights, views, 1e3 * WAVELENGTHS_UM, plan=plan, masking=False, device=device
+    )
+    bar = 1e-4 * np.maximum(exact.max(axis=1, keepdims=True), 1e-4 * exact.max())
+    return float(np.max(np.abs(found - exact) / bar))
+
+
+@pytest.fixture(scope="module")
+def scan_crops(scan):
+    """A crop for windows, and one for a source and copies, whose direct sums take longer."""
+    return scan.cropped(12.5), scan.cropped(6.25)
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    """Two patches of fingers, the same way."""
+    return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (12.8, 6.4))
+
+
+@pytest.fixture(scope="module")
+def row():
+    """A grating of one row, constant along y."""
+    return wd.gratings.blazed(2.5, 0.25)
+
+
+@pytest.mark.parametrize(("coherence", "method"), PAIRS)
+def test_kernel_against_direct_on_the_scan(scan_crops, coherence, method, device):
+    heightfield, count = (scan_crops[0], 64) if coherence.sigma_um else (scan_crops[1], 32)
+    assert agreement(heightfield, coherence, count, method, device) <= 1.0
+
+
+@pytest.mark.parametrize(("coherence", "method"), PAIRS)
+def test_kernel_against_direct_on_fingers(fingers, coherence, method, device):
+    heightfield = fingers[0 if coherence.sigma_um else 1]
+    assert agreement(heightfield, coherence, 24, method, device) <= 1.0
+
+
+@pytest.mark.parametrize(("coherence", "method"), PAIRS)
+def test_kernel_against_direct_on_one_row(row, coherence, method, device):
+    assert row.shape[0] == 1
+    assert agreement(row, coherence, 64, method, device, in_plane=True) <= 1.0
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+@pytest.mark.parametrize("sigma_um", [0.8, 3.0])
+def test_wide_neighbourhoods(kind, sigma_um, rng):
+    """Short windows reach over more coefficients than the patch has: the look-up is periodic."""
+    heightfield = wd.HeightField(rng.uniform(0.0, 0.1, (24, 40)), (0.09, 0.07))
+    lights, views = hemisphere(rng, 16), hemisphere(rng, 16)
+    options = {"coherence": wd.Coherence(kind, sigma_um), "tolerance": 1e-4}
+    exact = wd.spectral_reflectance(heightfield, lights, views, [420.0, 650.0], method="direct", **options)
+    found = wd.spectral_reflectance(heightfield, lights, views, [420.0, 650.0], **options)
+    np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-4 * np.percentile(exact, 99.0))
+
+
+def test_moved_window_through_the_kernel(rng):
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=5)
+    lights, views = hemisphere(rng, 12), hemisphere(rng, 12)
+    for centre in ((0.0, 0.0), (1.7, 4.2)):
+        coherence = wd.Coherence("centred", 2.0, centre_um=centre)
+        options = {"coherence": coherence, "tolerance": 1e-4}
+        exact = wd.spectral_reflectance(heightfield, lights, views, 550.0, method="direct", **options)
+        found = wd.spectral_reflectance(heightfield, lights, views, 550.0, **options)
+        np.testing.assert_allclose(found, exact, rtol=2e-3, atol=1e-4 * exact.max())
+
+
+# Each with the size of its patch [µm] and its number of directions: direct sums of what is sharp take thousands of
+# wavelengths, most of all under a source near the horizon.
+COLOURED = {
+    "averaged": (wd.Coherence("averaged", 5.0), 6.4, 16),
+    "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
+    "source": (wd.Coherence("source", angular_diameter_deg=3.0), (3.06, 1.8), 12),
+    "replicas": (wd.Coherence("replicas", periods=(2, 3)), (3.06, 1.8), 24),
+}
+
+
+@pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
+def test_colour_within_its_tolerance(kind, rng):
+    """The design's error of a call: 99 % of the directions within the tolerance."""
+    coherence, size_um, count = COLOURED[kind]
+    heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)
+    lowest = 0.2 if kind == "source" else 0.05
+    lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
+    exact = wd.reflectance(heightfield, lights, views, coherence=coherence, method="direct", tolerance=1e-3)
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    for tolerance in (1e-1, 1e-2, 1e-3):
+        found = wd.reflectance(heightfield, lights, views, coherence=coherence, tolerance=tolerance)
+        error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        assert np.percentile(error, 99.0) <= tolerance
+
+
+def test_the_direct_method_does_not_know_the_series(monkeypatch):
+    """The truth shares nothing with what it judges: without the series it still answers."""
+    monkeypatch.setattr(fourier_coefficients, "series_coefficients", None)
+    heightfield = wd.HeightField(np.zeros((4, 4)), 0.05)
+    value = wd.spectral_reflectance(heightfield, (0, 0, 1), (0, 0, 1), 550.0, method="direct")
+    assert value.dtype == np.float64
+    assert value[0] == pytest.approx(1.0, abs=1e-12)

@@ -1,0 +1,121 @@
+"""Energy: pictures and maps whose factors make perfect mirrors send back what comes in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from bench.truth.pictures import furnace_picture
+from warpdiff.diffraction import energy_normalisation
+
+WINDOW = wd.Coherence(sigma_um=8.0)
+MIRROR = {"coherence": WINDOW, "ior": math.inf, "masking": False}
+SURFACES = {
+    "fingers": lambda: wd.gratings.fingers(size_um=12.8, pitch_um=0.08),
+    "blazed": lambda: wd.gratings.blazed(2.5, 0.25),
+}
+
+
+def at(polar_deg, azimuth_deg):
+    polar, azimuth = math.radians(polar_deg), math.radians(azimuth_deg)
+    return (math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar))
+
+
+def seen_from(towards):
+    return wd.View.orthographic(4.0 * np.array(towards), (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3)
+
+
+def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
+    """The furnace, over the views that a sphere shows: the factors are made without any sky."""
+    off, heightfield = [], SURFACES["blazed"]()
+    for energy in energy_normalisation.FORMS:
+        image, radius = furnace_picture(heightfield, energy, directions=512, tolerance=1e-1, size=20)
+        off.append(np.sqrt(np.mean((image.xyz[radius < 0.85, 1] - 1.0) ** 2)))
+    assert off[1] < 0.08
+    assert off[1] < 0.7 * off[0]
+
+
+def test_pictures_have_the_factors_of_single_directions(square):
+    """What kernels do to a light, a lamp, and each of a ``Renderer``'s pictures, and NumPy to directions."""
+    heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
+    factors = energy_normalisation.achromatic_factors(heightfield)
+    both = factors.between(np.array([light]), np.array([view]))[0]
+    assert abs(both - 1.0) > 0.02
+    options = MIRROR | {"tolerance": 3e-3}
+    rho = wd.reflectance(heightfield, light, view, energy="normalised", **options)
+    np.testing.assert_allclose(rho, both * wd.reflectance(heightfield, light, view, **options), rtol=1e-5)
+    options |= {"energy": "normalised", "footprint": False}
+    lamp = wd.PointLight(1e4 * np.array(light), power=1e8)
+    lights = wd.DirectionalLight(light), lamp
+    images = [wd.shade(square, heightfield, each, seen_from(view), **options) for each in lights]
+    renderer = wd.Renderer(square, heightfield, lights[1], seen_from(view), **options)
+    renderer.draw(lights[0])
+    for image in (*images, renderer.image()):
+        np.testing.assert_allclose(image.xyz[1, 1], rho, rtol=6e-3)
+        assert "Energy is normalised" in str(image.plan)
+    assert "nergy" not in str(wd.shade(square, heightfield, lights[0], seen_from(view), **MIRROR).plan)
+
+
+def test_normalised_maps_are_reciprocal_and_say_what_they_are():
+    heightfield, light, view = SURFACES["blazed"](), at(50.0, 10.0), at(20.0, 170.0)
+    options = MIRROR | {"energy": "normalised", "tolerance": 1e-3}
+    there, back = wd.reflectance(heightfield, [light, view], [view, light], **options)
+    np.testing.assert_allclose(there, back, rtol=2e-3)
+    stam, normalised = (
+        wd.reflectance_map(heightfield, light, size=24, **options | {"energy": form})
+        for form in energy_normalisation.FORMS
+    )
+    seen = stam.xyz[..., 1] > 0.0
+    ratio = normalised.xyz[seen, 1] / stam.xyz[seen, 1]
+    assert ratio.max() - ratio.min() > 0.1
+    assert 0.0 == stam.plan.energy_spread < normalised.plan.energy_spread
+
+
+def test_a_wavelength_by_itself_is_what_it_is_among_others():
+    heightfield, views = SURFACES["fingers"](), [at(10.0, 60.0), at(50.0, -30.0), at(45.0, 200.0)]
+    options = {"coherence": WINDOW, "ior": math.inf, "energy": "normalised", "tolerance": 1e-3}
+    wide = np.array([350.0, *np.arange(400.0, 701.0, 25.0), 800.0])
+    among = wd.brdf(heightfield, at(30.0, 20.0), views, wide, **options)
+    for column in (0, 6, 7, len(wide) - 1):
+        alone = wd.brdf(heightfield, at(30.0, 20.0), views, wide[column], **options)
+        assert np.ravel(alone) == pytest.approx(among[:, column], rel=5e-3)
+
+
+def test_gentle_surfaces_keep_their_orders():
+    """Where one order has nearly all of the light, that it is sent back leaves factors free that make others wrong."""
+    x = np.arange(64) / 64.0
+    sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
+    factors = energy_normalisation.achromatic_factors(sine)
+    np.testing.assert_allclose(factors.values[:12], 1.0, atol=3e-3)
+    assert factors.spread < 1e-3
+    for energy in energy_normalisation.FORMS:
+        both = wd.brdf(sine, (0, 0, 1), [at(16.0, 0.0), at(16.0, 180.0)], 550.0, ior=math.inf, energy=energy)
+        np.testing.assert_allclose(both[0], both[1], rtol=1e-3)
+
+
+def test_the_last_order_of_an_even_number_of_samples_is_on_both_sides():
+    steps = wd.HeightField(np.array([[0.0, 0.14]]), 0.5)
+    options = MIRROR | {"energy": "normalised"}
+    with pytest.warns(wd.WarpdiffWarning, match="pitch"):
+        rho = wd.reflectance(steps, (0, 0, 1), [at(33.0, 0.0), at(33.0, 180.0)], **options)
+    np.testing.assert_allclose(rho[0], rho[1], rtol=1e-3)
+
+
+def test_heights_of_another_unit_are_refused_before_their_energy_is_summed(monkeypatch):
+    monkeypatch.setattr(energy_normalisation, "Powers", None)
+    deep = wd.HeightField.of_known_scale(np.random.default_rng(0).uniform(0.0, 1e3, (256, 256)), 0.1)
+    for call in (wd.reflectance, wd.brdf):
+        with pytest.raises(ValueError, match="wavelengths of path"):
+            call(deep, (0, 0, 1), (0.1, 0, 1), *([[550.0]] if call is wd.brdf else []), energy="normalised")
+
+
+def test_masking_gives_way_to_normalised_energy():
+    heightfield, light, view = SURFACES["fingers"](), at(60.0, 0.0), at(70.0, 60.0)
+    options = MIRROR | {"energy": "normalised"}
+    np.testing.assert_array_equal(
+        wd.reflectance(heightfield, light, view, **options | {"masking": True}),
+        wd.reflectance(heightfield, light, view, **options),
+    )

@@ -1,0 +1,163 @@
+"""Fourier coefficients of profiles whose transform is known, in float64 and through the kernel."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.diffraction import fourier_coefficients, phase_series
+from warpdiff.diffraction.phase_series import EXPANSIONS
+
+PERIOD_UM = 2.5
+KAPPAS = np.array([-0.4, -1.7, -2.63, -3.9])
+
+
+def bessel(order, x):
+    """J_m(x) as the mean of cos(mθ − x sin θ): the trapezoidal rule converges exponentially."""
+    theta = 2.0 * np.pi * np.arange(512) / 512
+    return np.mean(np.cos(order * theta - np.asarray(x)[..., None] * np.sin(theta)), axis=-1)
+
+
+def sinusoid(n, depth, kappa, order):
+    assert n >= 64
+    return bessel(order, 2.0 * np.pi * kappa * depth / 2.0) ** 2
+
+
+def two_levels(n, depth, kappa, order, duty=0.375):
+    step = 2.0 * np.pi * kappa * depth
+    high = round(duty * n)
+    if order == 0:
+        return np.abs(high / n * np.exp(1j * step) + 1.0 - high / n) ** 2
+    return 4.0 * np.sin(step / 2.0) ** 2 * (np.sin(np.pi * order * high / n) / (n * np.sin(np.pi * order / n))) ** 2
+
+
+def ramp(n, depth, kappa, order):
+    z = kappa * depth + order
+    return (np.sin(np.pi * z) / (n * np.sin(np.pi * z / n))) ** 2
+
+
+PROFILES = {
+    "sinusoidal": (lambda n: wd.gratings.sinusoidal(PERIOD_UM, 0.3, samples=n), lambda *a: sinusoid(a[0], 0.3, *a[1:])),
+    "lamellar": (
+        lambda n: wd.gratings.lamellar(PERIOD_UM, 0.2, duty=0.375, samples=n),
+        lambda *a: two_levels(a[0], 0.2, *a[1:]),
+    ),
+    "blazed": (lambda n: wd.gratings.blazed(PERIOD_UM, 0.25, samples=n), lambda *a: ramp(a[0], 0.25, *a[1:])),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("n", [64, 200])
+@pytest.mark.parametrize("method", EXPANSIONS)
+def test_coefficients_float64(name, n, method):
+    expansion = EXPANSIONS[method]
+    make, closed = PROFILES[name]
+    heightfield = make(n)
+    block = fourier_coefficients.Block.covering(fourier_coefficients.patch_grid(heightfield), 100.0, (0, 0))
+    _, scale = expansion.offset_and_scale(heightfield)
+    terms = expansion.term_count(2.0 * np.pi * np.abs(KAPPAS).max() * scale, 1e-13)
+    series = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block)
+    _, r = block.orders()
+    basis = expansion.basis(2.0 * np.pi * KAPPAS * scale, terms)
+    powers = np.abs(np.einsum("yxn,kn->kyx", series, basis)) ** 2
+    np.testing.assert_allclose(powers.sum(axis=(1, 2)), 1.0, atol=1e-10)
+    for k, kappa in enumerate(KAPPAS):
+        expected = np.array([closed(n, kappa, order) for order in r])
+        np.testing.assert_allclose(powers[k, 0], expected, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
+@pytest.mark.parametrize("method", ["auto", "taylor"])
+def test_coefficients_through_the_kernel(name, kind, method, device):
+    make, closed = PROFILES[name]
+    # Copies have whole orders where a light without size has them.
+    coherence = wd.Coherence(kind, periods=(1, 7) if kind == "replicas" else None)
+    heightfield = make(128)
+    light = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
+    seen = 0
+    for order in range(-5, 6):
+        for wavelength in (0.4, 0.55, 0.7):
+            u = order * wavelength / PERIOD_UM
+            view = np.array([-u - light[0], 0.0, 0.0])
+            if abs(view[0]) > 0.98:
+                continue
+            view[2] = math.sqrt(1.0 - view[0] ** 2)
+            overlap, total = 1.0 + light @ view, light[2] + view[2]
+            gain = overlap**2 / (total**2 * view[2])
+            if kind == "source":
+                gain /= light[2]
+            rho = wd.spectral_reflectance(
+                heightfield, light, view, [1e3 * wavelength], coherence=coherence, ior=math.inf, masking=False,
+                tolerance=1e-5, method=method, device=device,
+            )  # fmt: skip
+            assert rho[0] / gain == pytest.approx(closed(128, -total / wavelength, order), abs=1e-5)
+            seen += 1
+    assert seen >= 25
+
+
+def test_parseval_on_two_dimensions():
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=3)
+    block = fourier_coefficients.Block.covering(fourier_coefficients.patch_grid(heightfield), 1e3, (0, 0))
+    for expansion in EXPANSIONS.values():
+        _, scale = expansion.offset_and_scale(heightfield)
+        terms = expansion.term_count(2.0 * np.pi * 5.26 * scale, 1e-13)
+        series = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, threads=2)
+        for kappa in (-0.5, -2.6, -5.26):
+            powers = np.abs(series @ expansion.basis(2.0 * np.pi * kappa * scale, terms)) ** 2
+            assert powers.sum() == pytest.approx(1.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0, 40.0])
+@pytest.mark.parametrize("method", EXPANSIONS)
+def test_block_holds_the_transform(frequency, method, rng):
+    heightfield = wd.HeightField(rng.uniform(0.0, 0.2, (15, 24)), (0.11, 0.07))
+    block = fourier_coefficients.Block.covering(fourier_coefficients.patch_grid(heightfield), frequency, (1, 2))
+    expansion = EXPANSIONS[method]
+    offset, scale = expansion.offset_and_scale(heightfield)
+    kappa = -3.3
+    terms = expansion.term_count(2.0 * np.pi * abs(kappa) * scale, 1e-14)
+    series = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block)
+    found = series @ expansion.basis(2.0 * np.pi * kappa * scale, terms)
+    found = found * np.exp(2j * np.pi * kappa * offset)
+    whole = np.fft.ifft2(np.exp(2j * np.pi * kappa * heightfield.heights_um))
+    s, r = block.orders()
+    np.testing.assert_allclose(found, whole[s[:, None], r[None, :]], atol=1e-13)
+    needed = [int(frequency * length) + extra for length, extra in zip(heightfield.size_um, (1, 2), strict=True)]
+    for index, n in zip((s, r), needed, strict=True):
+        assert set(range(-n, n + 1)) <= set(index) or len(set(index)) in heightfield.shape
+
+
+@pytest.mark.parametrize("method", EXPANSIONS)
+@pytest.mark.parametrize("argument", [0.0, 0.3, 2.0, 6.0, 12.0])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-9])
+def test_terms_from_the_remainder_bound(method, argument, tolerance):
+    expansion = EXPANSIONS[method]
+    terms = expansion.term_count(argument, tolerance)
+    x = np.linspace(-argument, argument, 201)[:, None, None]
+    g = np.linspace(-1.0, 1.0, 101)
+    polynomials = np.stack(
+        [1j**n * p for n, p in enumerate(itertools.islice(expansion.polynomials(g), terms))], axis=-1
+    )
+    error = np.abs(np.sum(expansion.basis(x[:, :, 0], terms) * polynomials, axis=-1) - np.exp(1j * x[:, :, 0] * g))
+    assert error.max() <= tolerance * (1.0 + 1e-6)
+    assert terms == 1 or expansion.remainder(argument, terms - 1) > tolerance
+
+
+def test_bessel_functions_are_the_tabulated_ones():
+    """Abramowitz and Stegun, tables 9.1 and 9.4."""
+    known = {
+        (0, 1.0): 0.7651976865579666,
+        (1, 1.0): 0.4400505857449335,
+        (5, 10.0): -0.2340615281867936,
+        (10, 20.0): 0.1864825580239450,
+        (30, 5.0): 2.671177278e-21,
+        (100, 100.0): 0.09636667329586,
+    }
+    for (order, argument), value in known.items():
+        assert phase_series.bessel_j(argument, order + 1)[order] == pytest.approx(value, abs=2e-14)
+        assert phase_series.bessel_j(-argument, order + 1)[order] == pytest.approx((-1) ** order * value, abs=2e-14)

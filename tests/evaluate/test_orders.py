@@ -1,0 +1,227 @@
+"""Efficiencies of orders: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, bad input."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import at_angle, hemisphere
+
+import warpdiff as wd
+from warpdiff.diffraction import energy_normalisation
+
+WAVELENGTHS = [400.0, 550.0, 780.0]
+PERIOD = 2.5
+
+
+def bessel(order, x):
+    """J_m(x) as the mean of cos(mθ − x sin θ)."""
+    theta = 2.0 * np.pi * np.arange(512) / 512
+    return np.mean(np.cos(order * theta - x * np.sin(theta)))
+
+
+def sine(kappa, depth, order):
+    return bessel(order, np.pi * kappa * depth) ** 2
+
+
+def lamellar(kappa, depth, order, duty=0.375):
+    step = np.sin(np.pi * kappa * depth) ** 2
+    return 1.0 - 4.0 * duty * (1.0 - duty) * step if order == 0 else (2.0 * duty * np.sinc(order * duty)) ** 2 * step
+
+
+def blazed(kappa, depth, order):
+    return np.sinc(kappa * depth - order) ** 2
+
+
+# Finely sampled: what the steps of two profiles have beyond the samples falls with their square.
+PROFILES = {
+    "sine": (wd.gratings.sinusoidal(PERIOD, 0.3), sine, 1e-12),
+    "lamellar": (wd.gratings.lamellar(PERIOD, 0.3, duty=0.375, samples=4000), lamellar, 1e-4),
+    "blazed": (wd.gratings.blazed(PERIOD, 0.3, samples=4000), blazed, 1e-4),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
+def test_closed_forms(name, angle):
+    """The grating equation gives directions, κ and geometry; the profile's transform the rest."""
+    heightfield, closed, error = PROFILES[name]
+    found = wd.order_efficiencies(heightfield, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
+    sin_i, cos_i = math.sin(math.radians(angle)), math.cos(math.radians(angle))
+    count = 0
+    for k, wavelength in enumerate(WAVELENGTHS):
+        for m in range(-15, 16):
+            sin_r = m * wavelength * 1e-3 / PERIOD - sin_i
+            if abs(sin_r) >= 1.0:
+                assert found[0, m][k] == 0.0
+                continue
+            cos_r = math.sqrt(1.0 - sin_r**2)
+            kappa = -(cos_i + cos_r) / (wavelength * 1e-3)
+            # The amplitude is the profile's component r = −m of e^{2πiκh}, ∫ e^{2πiκh} e^{+2πirx/d}.
+            power = closed(kappa, 0.3, m)
+            geometry = (1.0 + sin_i * sin_r + cos_i * cos_r) ** 2 / (cos_i * cos_r * (cos_i + cos_r) ** 2)
+            assert found[0, m][k] == pytest.approx(geometry * power, abs=error * geometry)
+            at = found.orders.tolist().index([0, m])
+            np.testing.assert_allclose(found.to_view[k, at], [sin_r, 0.0, cos_r], atol=1e-12)
+            count += 1
+    assert np.count_nonzero(np.isfinite(found.to_view[..., 0])) == count
+
+
+def test_a_blaze_throws_its_light_where_its_facets_mirror():
+    """Facets that rise with x lean towards −x: light from above is reflected to −2α."""
+    wavelength = 0.5
+    heightfield = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
+    found = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
+    best = found.to_view[0, np.argmax(found.efficiencies[0])]
+    assert best[0] == pytest.approx(-math.sin(2.0 * math.atan(wavelength / 4.0)), abs=0.03)
+    assert found[0, -2][0] > 0.9
+
+
+def test_two_dimensions_by_explicit_sums(rng):
+    heightfield = wd.HeightField(rng.uniform(0.0, 0.5, (12, 18)), (0.11, 0.08))
+    light = hemisphere(rng, 1, 0.5)[0]
+    found = wd.order_efficiencies(heightfield, light, [500.0])
+    y, x = np.mgrid[:12, :18]
+    assert len(found.orders) > 20
+    for (m_y, m_x), view, efficiency in zip(found.orders, found.to_view[0], found.efficiencies[0], strict=True):
+        np.testing.assert_allclose((light + view)[:2], [m_x * 0.5 / 1.44, m_y * 0.5 / 1.32], atol=1e-12)
+        w = light[2] + view[2]
+        amplitude = np.mean(np.exp(-2j * np.pi * (w / 0.5 * heightfield.heights_um + m_x * x / 18 + m_y * y / 12)))
+        overlap = 1.0 + light @ view
+        fresnel = 0.04 + 0.96 * (1.0 - math.sqrt(overlap / 2.0)) ** 5
+        expected = fresnel * overlap**2 * abs(amplitude) ** 2 / (light[2] * view[2] * w**2)
+        assert efficiency == pytest.approx(expected, rel=1e-10)
+
+
+def test_an_order_is_the_integral_of_the_brdf():
+    """A window spreads an order over λ²/(4πσ²); at its centre the BRDF is the efficiency over that."""
+    heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
+    found = wd.order_efficiencies(heightfield, light, 550.0)
+    brdf = wd.brdf(heightfield, light, found.to_view[0], 550.0, coherence=wd.Coherence(sigma_um=sigma), tolerance=1e-4)[
+        :, 0
+    ]
+    np.testing.assert_allclose(brdf * 0.55**2 / (4.0 * math.pi * sigma**2), found.efficiencies[0], rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("ior", [1.5, math.inf])
+def test_a_flat_surface_is_a_mirror(ior):
+    heightfield = wd.HeightField(np.full((3, 40), 0.2), 0.05)
+    found = wd.order_efficiencies(heightfield, at_angle(50.0), WAVELENGTHS, ior=ior)
+    normal = 1.0 if math.isinf(ior) else 0.04
+    fresnel = normal + (1.0 - normal) * (1.0 - math.cos(math.radians(50.0))) ** 5
+    np.testing.assert_allclose(found[0, 0], fresnel, rtol=1e-12)
+    np.testing.assert_allclose(found.efficiencies.sum(axis=1), fresnel, rtol=1e-12)
+
+
+def test_energy_is_nearly_conserved_where_periods_are_long():
+    """And not where they are short and the light grazes: the theory's, see the README's limits."""
+
+    def total(period, angle):
+        heightfield = wd.gratings.sinusoidal(period, 0.05)
+        return wd.order_efficiencies(
+            heightfield, at_angle(angle), 550.0, ior=math.inf, energy="stam"
+        ).efficiencies.sum()
+
+    assert abs(total(20.0, 0.0) - 1.0) < 1e-4
+    assert abs(total(2.0, 0.0) - 1.0) < 2e-2
+    assert total(0.6, 75.0) > 1.05
+
+
+def test_reciprocity(rng):
+    """Light sent back along an order returns along the ray, and as much of it."""
+    heightfield = wd.HeightField(rng.uniform(0.0, 0.3, (8, 20)), 0.1)
+    light = hemisphere(rng, 1, 0.4)[0]
+    there = wd.order_efficiencies(heightfield, light, 500.0)
+    for order, view, efficiency in zip(there.orders, there.to_view[0], there.efficiencies[0], strict=True):
+        back = wd.order_efficiencies(heightfield, view, 500.0)
+        assert back[tuple(order)][0] == pytest.approx(efficiency, rel=1e-9)
+
+
+def test_orders_beyond_the_samples_are_told():
+    with pytest.warns(wd.WarpdiffWarning, match="orders up to 9 propagate along x, and 12 samples carry half as many"):
+        wd.order_efficiencies(wd.gratings.sinusoidal(5.0, 0.1, samples=12), (0, 0, 1), 500.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"heightfield": np.zeros((4, 4))}, TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
+        ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
+        ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon, z > 0, got \(1, 0, 0\)"),
+        ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
+        ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm"),
+        ({"ior": 0.5}, ValueError, "ior must be an index of refraction > 1"),
+    ],
+)
+def test_bad_input(arguments, error, message):
+    heightfield = wd.gratings.sinusoidal(PERIOD, 0.1)
+    with pytest.raises(error, match=message):
+        wd.order_efficiencies(
+            **({"heightfield": heightfield, "to_light": (0, 0, 1), "wavelengths_nm": 500.0} | arguments)
+        )
+
+
+def test_an_order_is_a_pair():
+    found = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.1), (0, 0, 1), [500.0])
+    assert found[0, 99].tolist() == [0.0]
+    with pytest.raises(TypeError, match="order must be an integer"):
+        found[0, 0.5]
+
+
+@pytest.mark.parametrize(("angle", "azimuth"), [(0.0, 0.0), (50.0, 0.0), (70.0, 40.0)])
+def test_normalised_orders_of_a_mirror_send_back_all_of_the_light(angle, azimuth):
+    theta, phi = math.radians(angle), math.radians(azimuth)
+    light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
+    for heightfield in (wd.gratings.blazed(1.7, 0.2), wd.gratings.bumps(spacing_um=(1.2, 1.5), height_um=0.15)):
+        stam = wd.order_efficiencies(heightfield, light, WAVELENGTHS, ior=math.inf, energy="stam")
+        found = wd.order_efficiencies(heightfield, light, WAVELENGTHS, ior=math.inf)
+        np.testing.assert_allclose(found.efficiencies.sum(axis=1), 1.0, rtol=1e-12)
+        assert np.max(np.abs(stam.efficiencies.sum(axis=1) - 1.0)) > 1e-3
+
+
+def test_normalised_orders_are_reciprocal():
+    """The share from light to view is that from the view back to the light: dividing by sums alone loses this."""
+    heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
+    found = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
+    over_sums = []
+    for order, view in zip(found.orders, found.to_view[0], strict=True):
+        back = wd.order_efficiencies(heightfield, view, 600.0, ior=math.inf)
+        np.testing.assert_allclose(back[tuple(order)], found[tuple(order)], rtol=1e-9, atol=1e-12)
+        sums = [
+            wd.order_efficiencies(heightfield, each, 600.0, ior=math.inf, energy="stam").efficiencies.sum()
+            for each in (light, view)
+        ]
+        over_sums.append(sums[0] / sums[1] - 1.0)
+    assert np.max(np.abs(over_sums)) > 1e-2
+
+
+def test_metals_are_normalised_and_glass_is_not():
+    heightfield, light = wd.gratings.sinusoidal(1.1, 0.1), at_angle(30.0)
+    gold, glass = wd.Material.metal("Au"), wd.Material.dielectric(1.5)
+    for material, form in ((gold, "normalised"), (glass, "stam")):
+        found = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material)
+        expected = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material, energy=form)
+        np.testing.assert_array_equal(found.efficiencies, expected.efficiencies)
+    with pytest.raises(ValueError, match="energy must be one of 'stam', 'normalised', got 'harvey'"):
+        wd.order_efficiencies(heightfield, light, WAVELENGTHS, energy="harvey")
+
+
+def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
+    """∫ BRDF cos θ dω is the sum over orders that lie closely: factors from a grid of directions."""
+    heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
+    for angle in (0.0, 45.0, 75.0):
+        stam, found = (
+            wd.order_efficiencies(heightfield, at_angle(angle), 450.0, ior=math.inf, energy=energy)
+            for energy in ("stam", "normalised")
+        )
+        assert len(found.orders) > energy_normalisation.MOST_EXACT
+        assert found.efficiencies.sum() == pytest.approx(1.0, abs=1e-9)
+        above = np.argsort(found.efficiencies[0])[-40:]
+        given = at_angle(angle), found.to_view[0, above], 450.0
+        absolute = [
+            wd.brdf(heightfield, *given, ior=math.inf, tolerance=1e-3, energy=form)[:, 0]
+            for form in energy_normalisation.FORMS
+        ]
+        expected = (found.efficiencies / stam.efficiencies)[0, above]
+        np.testing.assert_allclose(absolute[1] / absolute[0], expected, rtol=1e-4)

@@ -1,0 +1,193 @@
+"""Samples without a height: kept apart, filled as stated, left alone by every step, and refused where light falls."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff import gratings
+from warpdiff.apps import cli
+from warpdiff.core.validation import finite_array
+from warpdiff.heightfield import inpainting
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PITCH = (0.1, 0.08)
+SHAPE = (50, 60)
+Y, X = np.meshgrid(np.arange(SHAPE[0]) * PITCH[0], np.arange(SHAPE[1]) * PITCH[1], indexing="ij")
+# A disc away from the edges.
+GAP = np.hypot(Y - 2.0, X - 2.6) < 0.75
+# What an instrument writes where it has no signal.
+NO_SIGNAL = 1000.0
+
+
+def gappy(heights: np.ndarray, gap: np.ndarray = GAP) -> wd.HeightField:
+    return wd.HeightField(np.ma.MaskedArray(np.where(gap, NO_SIGNAL, heights), gap), PITCH)
+
+
+def waves() -> np.ndarray:
+    return 0.05 * np.sin(2.0 * np.pi * X / 2.4) * np.cos(2.0 * np.pi * Y / 3.0)
+
+
+def test_masked_and_nan_samples_are_missing() -> None:
+    heights = waves()
+    masked = gappy(heights)
+    marked = wd.HeightField(np.where(GAP, np.nan, heights), PITCH)
+    for field in (masked, marked):
+        np.testing.assert_array_equal(field.missing, GAP)
+        np.testing.assert_array_equal(np.isnan(field.heights_um), GAP)
+        np.testing.assert_array_equal(field.heights_um[~GAP], heights[~GAP])
+        assert field.height_range_um == np.ptp(heights[~GAP])
+        assert field.rms_um == pytest.approx(np.std(heights[~GAP]))
+        # 2π · 0.05 / 2.4 and / 3.0 at most.
+        assert 0.0 < field.mean_slope < 0.17
+        assert 0.0 < field.rms_slope < 0.17
+        assert f"{GAP.sum()} missing" in repr(field)
+        assert f"missing           {GAP.sum()} samples" in str(field.summary())
+    assert "missing" not in str(gratings.bumps().summary())
+    # Nothing masked is nothing missing, and integers may be masked as well.
+    assert not wd.HeightField(np.ma.MaskedArray(heights), PITCH).missing.any()
+    assert wd.HeightField(np.ma.MaskedArray([[1, 9999]], [[False, True]]), 1.0).height_range_um == 0.0
+
+
+def test_no_heights_at_all_and_masks_elsewhere_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"at least one height, got 3000 NaN or masked"):
+        gappy(waves(), np.ones(SHAPE, dtype=np.bool_))
+    with pytest.raises(ValueError, match="at least one height"):
+        gappy(waves()).cropped(0.5, offset_um=(1.8, 2.4))
+    with pytest.raises(ValueError, match="to_light must be finite, got 1 NaN, masked or infinite"):
+        finite_array(np.ma.MaskedArray([0.0, 1.0, 1.0], [False, True, False]), "to_light")
+
+
+def test_a_filled_gap_errs_by_no_more_than_is_stated() -> None:
+    heights = waves()
+    filled = gappy(heights).filled()
+    assert not filled.missing.any()
+    np.testing.assert_array_equal(filled.heights_um[~GAP], heights[~GAP])
+    laplacian = np.zeros(SHAPE)
+    for axis, pitch in enumerate(PITCH):
+        laplacian += (np.roll(heights, 1, axis) + np.roll(heights, -1, axis) - 2.0 * heights) / pitch**2
+    error = np.abs(filled.heights_um - heights).max()
+    assert 0.1 < error / (1.5**2 / 8.0 * np.abs(laplacian[GAP]).max()) < 1.0
+    plane = 0.3 * X - 0.2 * Y + 5.0
+    np.testing.assert_allclose(gappy(plane).filled().heights_um, plane, atol=1e-9)
+
+
+def test_filling_solves_laplaces_equation_up_to_the_edges() -> None:
+    # Half of the field, its edges among it, and single samples: means of their neighbours, by 1/pitch².
+    gap = (Y > 3.0) | (np.random.default_rng(5).random(SHAPE) < 0.1)
+    field = gappy(waves(), gap)
+    filled = field.filled().heights_um
+    balance = np.zeros(SHAPE)
+    for axis, pitch in enumerate(PITCH):
+        flow = np.diff(np.pad(filled, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], mode="edge"), axis=axis)
+        balance += np.diff(flow, axis=axis) / pitch**2
+    assert np.abs(balance[gap]).max() < 1e-7 * np.abs(balance[~gap]).max()
+    assert filled.min() >= np.nanmin(field.heights_um)
+    assert filled.max() <= np.nanmax(field.heights_um)
+    np.testing.assert_array_equal(wd.HeightField([[np.nan, 2.0, np.nan]], 1.0).filled().heights_um, 2.0)
+
+
+GAPS = {
+    "half": np.add.outer(np.zeros(300), np.arange(301)) > 150,
+    "all but a corner": np.add.outer(np.arange(300), np.arange(301)) > 0,
+    "stripes": np.add.outer(np.zeros(300), np.arange(301) % 20) > 9,
+    "single samples": np.random.default_rng(3).random((300, 301)) < 0.7,
+    "islands": np.random.default_rng(3).random((300, 301)) > 1e-3,
+}
+
+
+@pytest.mark.parametrize("name", GAPS)
+@pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.1, 1.0), (3.0, 0.1)])
+def test_large_gaps_are_filled_in_as_few_steps_as_small_ones(name: str, pitch, monkeypatch, rng) -> None:
+    # Conjugate gradients alone take some thousand.
+    monkeypatch.setattr(inpainting, "_MOST_STEPS", 40)
+    heights = np.where(GAPS[name], np.nan, 0.01 * rng.standard_normal(GAPS[name].shape))
+    filled = wd.HeightField(heights, pitch).filled().heights_um
+    padded = np.pad(filled, 1, mode="edge")
+    beside = [padded[2:, 1:-1] + padded[:-2, 1:-1], padded[1:-1, 2:] + padded[1:-1, :-2]]
+    weights = [(min(pitch) / each) ** 2 for each in pitch]
+    balance = sum(weight * (pair - 2.0 * filled) for weight, pair in zip(weights, beside, strict=True))
+    assert np.abs(balance[GAPS[name]]).max() < 1e-7
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
+    trend = {0: 7.0, 1: 0.3 * X - 0.2 * Y, 2: 0.1 * X * Y - 0.05 * Y**2, 3: 0.01 * X**2 * Y}
+    total = sum((np.broadcast_to(trend[degree], SHAPE) for degree in range(order + 1)), np.zeros(SHAPE))
+    result = gappy(total).levelled(order)
+    np.testing.assert_array_equal(result.missing, GAP)
+    np.testing.assert_allclose(result.heights_um[~GAP], 0.0, atol=1e-12)
+    # The least-squares solution of the samples that are there, as a plain solver has it.
+    rough = gappy(waves() + total)
+    terms = [X**i * Y**j for i in range(order + 1) for j in range(order + 1 - i)]
+    matrix = np.stack([term[~GAP] for term in terms], axis=1)
+    known = rough.heights_um[~GAP]
+    expected = known - matrix @ np.linalg.lstsq(matrix, known, rcond=None)[0]
+    np.testing.assert_allclose(rough.levelled(order).heights_um[~GAP], expected, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:periodic")
+def test_despiking_and_making_periodic_leave_gaps() -> None:
+    grain = 0.6 * np.clip(1.0 - 4.0 * np.hypot(Y - 4.0, X - 0.8), 0.0, 1.0)
+    dirty = gappy(waves() + grain)
+    clean = dirty.despiked()
+    np.testing.assert_array_equal(clean.missing, GAP)
+    assert clean.height_range_um < 0.12
+    assert dirty.height_range_um > 0.3
+    changed = (clean.heights_um != dirty.heights_um) & ~GAP
+    assert changed[grain > 0.1].all()
+    assert not changed[grain == 0.0].mean() > 0.02
+    # Edges without a gap alone tell the smooth part.
+    np.testing.assert_allclose(
+        gappy(waves()).periodic().heights_um[~GAP], wd.HeightField(waves(), PITCH).periodic().heights_um[~GAP]
+    )
+    np.testing.assert_array_equal(gappy(waves()).periodic().missing, GAP)
+    at_edge = gappy(waves(), X > 4.3).periodic()
+    np.testing.assert_array_equal(at_edge.missing, X > 4.3)
+    np.testing.assert_array_equal(gappy(waves()).cropped((2.0, 2.4)).missing, GAP[15:35, 15:45])
+    assert gappy(waves()).dominant_periods_um(1)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda heightfield: heightfield.resampled(0.2),
+        wd.plan,
+        lambda heightfield: wd.reflectance(heightfield, (0, 0, 1), (0, 0, 1)),
+        lambda heightfield: wd.order_efficiencies(heightfield, (0, 0, 1), 550.0),
+        lambda heightfield: wd.shade(
+            wd.meshes.tube(), heightfield, wd.DirectionalLight((0, 0, 1)), wd.View((0, 0, 5), (0, 0, 0))
+        ),
+        lambda heightfield: wd.Renderer(
+            wd.meshes.tube(), heightfield, wd.DirectionalLight((0, 0, 1)), wd.View((0, 0, 5), (0, 0, 0))
+        ),
+    ],
+    ids=["resampled", "plan", "reflectance", "order_efficiencies", "shade", "Renderer"],
+)
+def test_gaps_are_refused_where_light_falls(use) -> None:
+    with pytest.raises(
+        ValueError,
+        match=rf"heightfield must have all samples, got {GAP.sum()} of 3000 missing.*heightfield\.filled\(\)",
+    ):
+        use(gappy(waves()))
+
+
+def test_files_may_hold_nan(tmp_path: Path) -> None:
+    np.save(tmp_path / "scan.npy", np.where(GAP, np.nan, waves()))
+    np.testing.assert_array_equal(wd.HeightField.load(tmp_path / "scan.npy", pitch_um=PITCH).missing, GAP)
+
+
+def test_the_command_line_tells_of_gaps_and_fills_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "scan.npy", np.where(GAP, np.nan, waves()))
+    options = ["info", str(tmp_path / "scan.npy"), "--pixel-um", "0.1", "--tolerance", "0.3"]
+    assert cli.main(options) == 0
+    told = capsys.readouterr().out
+    assert f"missing           {GAP.sum()} samples" in told
+    assert "--fill" in told
+    assert cli.main([*options, "--fill"]) == 0
+    assert "missing" not in capsys.readouterr().out

@@ -1,0 +1,348 @@
+"""Files of pictures, read back through OpenImageIO."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+import subprocess
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import pytest
+from endurance import count
+
+import warpdiff as wd
+from warpdiff.optics import colorimetry
+
+ROW = "pictures saved on full disks, under limits of a file's size, interrupted"
+HEIGHT, WIDTH = 5, 7
+# Row 0 is background, row 1 is partly covered, the rest is full.
+COVERAGE = np.array([0.0, 0.25, 1.0, 1.0, 1.0], np.float32)[:, None] * np.ones((1, WIDTH), np.float32)
+ERROR = np.linspace(0.0, 0.1, COVERAGE.size, dtype=np.float32).reshape(COVERAGE.shape)
+
+
+@pytest.fixture(scope="module")
+def plan() -> wd.Plan:
+    """Any plan."""
+    return wd.plan(wd.HeightField(np.zeros((8, 8)), 0.05))
+
+
+@pytest.fixture
+def image(plan, rng) -> wd.Image:
+    """Colours in and out of gamut, premultiplied by coverage."""
+    rgb = rng.uniform(0.0, 2.0, (HEIGHT, WIDTH, 3))
+    rgb[3, 3] = (-0.25, 0.5, 0.125)
+    xyz = (colorimetry.rgb_to_xyz(rgb) * COVERAGE[..., None]).astype(np.float32)
+    return wd.Image(xyz=xyz, mask=COVERAGE > 0.0, illuminated=COVERAGE > 0.0, coverage=COVERAGE, error=ERROR, plan=plan)
+
+
+def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
+    """Header and samples, as they are in the file."""
+    source = oiio.ImageInput.open(str(path), straight_alpha())
+    assert source is not None, oiio.geterror()
+    spec = source.spec()
+    pixels = np.asarray(source.read_image(0, 0, 0, spec.nchannels, "unknown"))
+    source.close()
+    return spec, pixels
+
+
+def straight_alpha() -> oiio.ImageSpec:
+    """Asks the PNG reader not to multiply colours by alpha, as it otherwise does."""
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    return config
+
+
+def test_exr_is_exact(image, tmp_path):
+    path = image.save(tmp_path / "a.exr")
+    assert path == tmp_path / "a.exr"
+    spec, pixels = read(path)
+    assert tuple(spec.channelnames) == ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
+    assert spec.alpha_channel == 3
+    assert pixels.dtype == np.float32
+    np.testing.assert_array_equal(pixels[..., :3], image.rgb)
+    np.testing.assert_array_equal(pixels[..., 3], image.coverage)
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz)
+    np.testing.assert_array_equal(pixels[..., 7], image.error)
+    # Colours out of gamut keep their negative components.
+    np.testing.assert_allclose(pixels[3, 3, :3], (-0.25, 0.5, 0.125), atol=1e-6)
+
+
+def test_exr_is_scaled_where_asked(image, tmp_path):
+    pixels = read(image.save(str(tmp_path / "a.EXR"), exposure=0.5))[1]
+    np.testing.assert_array_equal(pixels[..., :3], image.rgb * np.float32(0.5))
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz * np.float32(0.5))
+    # Relative errors do not depend on the exposure.
+    np.testing.assert_array_equal(pixels[..., 7], image.error)
+    np.testing.assert_array_equal(pixels[..., 3], image.coverage)
+
+
+@pytest.mark.parametrize("suffix", ["exr", "png"])
+def test_metadata(image, suffix, tmp_path):
+    spec, _ = read(image.save(tmp_path / f"a.{suffix}", exposure=2.5))
+    # OpenImageIO adds its own name after ours in some formats.
+    assert spec.getattribute("Software").startswith("warpdiff")
+    assert spec.getattribute("ImageDescription") == str(image.plan)
+    if suffix == "exr":
+        assert spec.getattribute("warpdiff:exposure") == 2.5
+
+
+@pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (16, np.uint16)])
+@pytest.mark.parametrize("exposure", [None, 0.7])
+def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
+    spec, pixels = read(image.save(tmp_path / "a.png", bits=bits, exposure=exposure, display="clip"))
+    assert tuple(spec.channelnames) == ("R", "G", "B", "A")
+    assert pixels.dtype == dtype
+    levels = 2**bits - 1
+    np.testing.assert_array_equal(pixels[..., 3], np.round(image.coverage * levels).astype(dtype))
+    assert not pixels[0].any(), "the background is to be transparent"
+    # IEC 61966-2-1, written out again; colours in PNG are not multiplied by alpha.
+    # Automatic exposure gives the mean 0.7 for ACES, and a half for others.
+    exposure = exposure or image.auto_exposure * 0.5 / 0.7
+    linear = exposure * colorimetry.xyz_to_rgb(image.xyz[1:]) / image.coverage[1:, :, None]
+    linear = np.clip(linear, 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.max(np.abs(pixels[1:, :, :3] - encoded * levels)) <= 0.5 + 1e-3
+    assert pixels[3, 3, 0] == 0, "negative components are to be clipped"
+
+
+def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_what_fits_aces(plan, rng):
+    luminance = rng.uniform(0.1, 9.0, (200, 250))
+    mask = rng.random(luminance.shape) < 0.5
+    dark = mask & (rng.random(luminance.shape) < 0.2)
+    luminance[~mask | dark] = 0.0
+
+    def exposure():
+        xyz = np.repeat(luminance[..., None], 3, axis=2).astype(np.float32)
+        image = wd.Image(
+            xyz=xyz,
+            mask=mask,
+            illuminated=mask & ~dark,
+            coverage=mask.astype(np.float32),
+            error=0.0 * luminance,
+            plan=plan,
+        )
+        return image.auto_exposure
+
+    illuminated = luminance[mask & ~dark]
+    usual = exposure()
+    assert np.mean(illuminated * usual) == pytest.approx(0.7, rel=1e-3)
+    # A mirror's highlight in a ten-thousandth of them changes nothing, ...
+    brightest = np.flatnonzero((mask & ~dark).ravel())[: len(illuminated) // 10_000]
+    luminance.ravel()[brightest] = 1e6
+    assert exposure() == pytest.approx(usual, rel=1e-3)
+    # ... and an order in a two-hundredth, where all else is dark, is what is exposed for.
+    luminance[luminance > 0.0] = 1e-9
+    orders = np.flatnonzero((mask & ~dark).ravel())[::200]
+    luminance.ravel()[orders] = 2.0
+    assert 2.0 * exposure() == pytest.approx(0.7 * 200.0, rel=0.05)
+
+
+def test_a_black_picture_is_saved_as_one(plan, tmp_path):
+    nothing = np.zeros((2, 3), np.float32)
+    image = wd.Image(
+        xyz=np.zeros((2, 3, 3), np.float32),
+        mask=nothing > 0.0,
+        illuminated=nothing > 0.0,
+        coverage=nothing,
+        error=nothing,
+        plan=plan,
+    )
+    assert image.auto_exposure == 1.0
+    for name in ("a.png", "a.exr"):
+        assert not read(image.save(tmp_path / name))[1].any()
+
+
+def test_exr_is_linear_whatever_the_display(image, tmp_path):
+    paths = [image.save(tmp_path / f"{each}.exr", display=each) for each in ("aces", "clip")]
+    np.testing.assert_array_equal(*(read(path)[1] for path in paths))
+
+
+def test_png_is_what_is_displayed_and_says_how(image, tmp_path):
+    for display in ("aces", "colorimetric", "clip"):
+        spec, pixels = read(image.save(tmp_path / "a.png", display=display, exposure_stops=-1.0))
+        np.testing.assert_array_equal(pixels, np.round(255.0 * image.display(display, exposure_stops=-1.0)))
+        said = spec.getattribute("warpdiff:display")
+        assert ("ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5" in said) == (display == "aces"), said
+        assert display in said.lower(), said
+
+
+def test_display_p3_is_said_by_a_chunk_of_the_png(image, tmp_path):
+    path = image.save(tmp_path / "a.png", gamut="display-p3")
+    assert b"cICP" + bytes([12, 13, 0, 1]) in path.read_bytes()
+    assert b"cICP" not in image.save(tmp_path / "a.png").read_bytes()
+
+
+def test_exposures_in_stops_and_from_another_picture(image, plan):
+    brighter = wd.Image(
+        xyz=4.0 * image.xyz, mask=image.mask, illuminated=image.illuminated, coverage=COVERAGE, error=ERROR, plan=plan
+    )
+    np.testing.assert_allclose(brighter.display(exposure=0.25), image.display(exposure=1.0), atol=1e-6)
+    np.testing.assert_allclose(image.display(exposure_stops=2.0), brighter.display(exposure_from=image), atol=1e-5)
+    np.testing.assert_array_equal(brighter.display(exposure=0.5), brighter.display(exposure=2.0, exposure_stops=-2.0))
+
+
+def test_a_picture_that_is_all_but_black_is_shown(plan, tmp_path):
+    xyz = np.full((2, 2, 3), 1e-14, np.float32)
+    whole = np.ones((2, 2), np.float32)
+    dim = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
+    assert read(dim.save(tmp_path / "a.png"))[1].min() > 100
+    # Of light that is brighter by 1e24, the same exposure leaves white, and EXR stays finite.
+    bright = wd.Image(xyz=1e24 * xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
+    assert read(bright.save(tmp_path / "b.png", exposure_from=dim))[1].min() == 255
+    assert np.isfinite(read(bright.save(tmp_path / "b.exr", exposure_from=dim, exposure_stops=30.0))[1]).all()
+
+
+def test_a_background_is_mixed_in_linear_light(image, tmp_path):
+    shown = image.display("clip")
+    behind = np.array([1.0, 0.5, 0.0])
+    over = image.display("clip", background=behind)
+    np.testing.assert_allclose(over[0], np.broadcast_to(behind, over[0].shape), atol=1e-6)
+    np.testing.assert_allclose(over[2:], shown[2:, :, :3], atol=1e-6)
+    mixed = 0.25 * colorimetry.srgb_decode(shown[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
+    np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
+    # A picture behind is shown alike: over itself it covers 1 - (1 - 0.25)² of where it covers a quarter.
+    itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
+    np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(shown[1, :, :3]), atol=1e-5)
+    spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))
+    assert tuple(spec.channelnames) == ("R", "G", "B")
+    np.testing.assert_array_equal(pixels, np.round(255.0 * over))
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_files_are_replaced_and_have_the_usual_permissions(image, name, tmp_path):
+    path = tmp_path / name
+    path.write_text("old")
+    image.save(path)
+    first = path.read_bytes()
+    image.save(path, exposure=0.1)
+    assert path.read_bytes() != first
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+    if os.name == "posix":
+        (tmp_path / "plain").write_text("")
+        assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
+
+
+class FailingOutput:
+    """A writer of OpenImageIO that breaks off where it is told."""
+
+    def __init__(self, at: str) -> None:
+        self._at = at
+
+    def open(self, name, _spec) -> bool:
+        with open(name, "wb") as file:  # noqa: PTH123 (as a writer would)
+            file.write(b"half a picture")
+        return self._at != "open"
+
+    def write_image(self, _pixels) -> bool:
+        if self._at == "interrupt":
+            raise KeyboardInterrupt
+        return self._at != "write"
+
+    def close(self) -> bool:
+        return self._at != "close"
+
+    def geterror(self) -> str:
+        return "no space left on device"
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+@pytest.mark.parametrize("at", ["create", "open", "write", "close", "interrupt"])
+def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monkeypatch):
+    (tmp_path / name).write_text("precious")
+    monkeypatch.setattr(
+        oiio.ImageOutput, "create", staticmethod(lambda *_: None if at == "create" else FailingOutput(at))
+    )
+    if at == "interrupt":
+        with pytest.raises(KeyboardInterrupt):
+            image.save(tmp_path / name)
+    else:
+        with pytest.raises(OSError, match=rf"cannot write .*{name}" + ("" if at == "create" else ": no space left")):
+            image.save(tmp_path / name)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "precious"}
+
+
+@contextlib.contextmanager
+def largest_file(size):
+    """Makes writing fail beyond so many bytes of a file, as on a full disk; what reports the tests writes files too."""
+    resource = pytest.importorskip("resource", reason="limits of a file's size are POSIX")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # Python ignores SIGXFSZ, so that writes fail instead.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def cannot_save(image, folder, name, *, said="cannot write", **options):
+    """Check that saving says so, over an old file or none, and leaves nothing else behind."""
+    for old in ({}, {name: b"precious"}):
+        for each, content in old.items():
+            (folder / each).write_bytes(content)
+        with pytest.raises(OSError, match=said):
+            image.save(folder / name, **options)
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == old
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize(("name", "bits"), [("a.exr", 8), ("a.png", 8), ("a.png", 16)])
+def test_a_file_cut_off_anywhere_is_no_success(image, name, bits, tmp_path, capfd, tries):
+    size = image.save(tmp_path / name, bits=bits).stat().st_size
+    for most in tries.of({*range(8, size, count(97, 7)), *range(size - 14, size)}):
+        (tmp_path / name).unlink()
+        with largest_file(most):
+            cannot_save(image, tmp_path, name, bits=bits)
+    with largest_file(size):
+        image.save(tmp_path / name, bits=bits)
+    assert not capfd.readouterr().err
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_a_file_system_that_allocates_late_is_heard(image, name, tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    cannot_save(image, tmp_path, name, said="No space left")
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_a_full_disk_is_said(plan, rng, name, tmp_path):
+    shape = (64, 64)
+    xyz = rng.random((*shape, 3), dtype=np.float32)
+    whole = np.ones(shape, np.float32)
+    image = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8k", "tmpfs", str(tmp_path)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a small file system cannot be mounted here; that takes root")
+    try:
+        cannot_save(image, tmp_path, name)
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)  # noqa: S607 (as mount was found)
+
+
+def test_the_umask_is_left_alone(image, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "umask", lambda _mask: pytest.fail("another thread's files would get this umask"))
+    image.save(tmp_path / "a.png")
+
+
+def test_a_folder_is_no_picture(image, tmp_path):
+    (tmp_path / "a.png").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"path: .*a\.png is a folder; name a file"):
+        image.save(tmp_path / "a.png")
+
+
+def test_a_rendered_picture_survives_its_file(tmp_path):
+    image = wd.reflectance_map(wd.gratings.sinusoidal(1.0, 0.1), [0.0, 0.0, 1.0], size=16)
+    pixels = read(image.save(tmp_path / "map.exr"))[1]
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz)
+    np.testing.assert_array_equal(pixels[..., 7], image.error)
+    np.testing.assert_array_equal(pixels[..., 3], image.mask)
+    assert not pixels[~image.mask].any()

@@ -1,0 +1,77 @@
+"""The native look-ups give what plain Warp kernels give, pixel by pixel."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import lookup_specification
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere
+
+import warpdiff as wd
+from warpdiff.device.kernel_calls import launch_pipeline
+from warpdiff.kernels.structs import Footprint
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.request.directions import DirectionRange
+from warpdiff.tables.lookup import ColourLookup
+
+COUNT = 3000
+
+
+def directions(rng):
+    """Deflections, a third of them close to the mirror direction, directions to the light, gains and footprints."""
+    to_lights, to_views = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
+    to_views[::3] = to_lights[::3] * [-1.0, -1.0, 1.0] + 0.02 * rng.normal(size=(COUNT // 3, 3))
+    to_views /= np.linalg.norm(to_views, axis=1, keepdims=True)
+    gains = rng.random(COUNT) * (rng.random(COUNT) > 0.1)
+    # Narrow ones, and some that go all the way round.
+    footprints = rng.normal(size=(COUNT, 4)) * 10.0 ** rng.uniform(-4.0, -0.5, size=(COUNT, 1))
+    return -(to_lights + to_views), to_lights, gains, footprints
+
+
+@pytest.mark.parametrize("footprints_are_given", [False, True])
+@pytest.mark.parametrize(
+    "coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)], ids=lambda c: c.kind
+)
+def test_native_look_ups_are_those_of_the_specification(coherence, footprints_are_given, rng):
+    heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
+    scattering_vectors, to_lights, gains, footprints = directions(rng)
+    plan = wd.plan(heightfield, coherence=coherence, method="low-rank/table", tolerance=5e-2)
+    plan = dataclasses.replace(plan, footprint=True)
+    direction_range = DirectionRange.of(
+        heightfield, coherence, scattering_vectors, to_lights, np.ones(COUNT, dtype=bool)
+    )
+    lookup = ColourLookup(heightfield, plan, direction_range, device=wp.get_device("cpu"), threads=2)
+    given = [
+        wp.array(scattering_vectors, dtype=wp.vec3d, device="cpu"),
+        wp.array(to_lights, dtype=wp.vec3f, device="cpu"),
+        wp.array(gains, dtype=wp.float32, device="cpu"),
+    ]
+    seen = wp.array(footprints, dtype=Footprint, device="cpu") if footprints_are_given else None
+    found = {}
+    for kind in ("native", "plain"):
+        xyz, unserved_gain = (
+            wp.zeros(COUNT, dtype=wp.vec3f, device="cpu"),
+            wp.zeros(COUNT, dtype=wp.float32, device="cpu"),
+        )
+        look_up = lookup.steps(*given, IlluminatedMaterial("D65"), xyz, seen, unserved_gain)[0]
+        if kind == "plain":
+            functions = len(look_up.inputs[0].functions.dtype())
+            kernel = lookup_specification.lookup(functions, coherence.kind == "source")
+            look_up = dataclasses.replace(look_up, kernel=kernel)
+        launch_pipeline([look_up], COUNT, device=wp.get_device("cpu"), threads=2)
+        found[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
+    (native, native_left), (plain, plain_left) = found["native"], found["plain"]
+    served = native_left == plain_left
+    # Where rounding decides.
+    assert np.mean(served) > 0.999
+    size = np.linalg.norm(plain, axis=1)
+    floor = 1e-3 * np.percentile(plain[:, 1], 99.0)
+    errors = np.linalg.norm(native - plain, axis=1)[served] / np.maximum(size, floor)[served]
+    # Fractions of spokes and nodes are rounded to a table's 64.
+    assert np.median(errors) < 1e-5
+    assert np.percentile(errors, 99.0) < 2e-3
+    assert errors.max() < 5e-2
+    assert np.count_nonzero(size) > COUNT // 2

@@ -1,0 +1,219 @@
+"""CUDA: every kernel compiles for sm_90 on a machine without a GPU, and with one computes what the CPU does."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere, slow
+
+import warpdiff as wd
+from warpdiff import kernels
+from warpdiff.kernels import (
+    bvh,
+    coefficient_sum,
+    colour_lookup,
+    light_samples,
+    primary_hits,
+    shadow_rays,
+    spectrum_sampling,
+    subdivision,
+    tile_lists,
+)
+
+SM = 90
+# Ampere, too, for what every frame launches.
+SMS = (80, 90)
+ARCHITECTURES = [slow(80), SM]
+# Modules of functions alone are compiled with the kernels that call them.
+FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
+# Numbers that hosts need, too.
+WITHOUT_WARP = {"cell_levels", "limits", "quadratic_spline"}
+KERNELS = {
+    "bvh": {"trace_bvh"},
+    "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
+    "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
+    "light_samples": {
+        "balance_energy",
+        "pixel_footprints",
+        "scattering_vectors",
+        "select_material",
+        "add_light_rotation",
+        "add_light_extent",
+    },
+    "sky_light": {"add_sky", "mirror_directions"},
+    "subdivision": {
+        "accumulate",
+        "any_occluded",
+        "add_occluded_power",
+        "add_penumbra_error",
+        "select_cells",
+        "resolve_pixels",
+        "estimate_errors",
+        "splat_cells",
+    },
+    "coefficient_sum": {"integrate", "sample"},
+    "tile_lists": {
+        "count_marks",
+        "luminance_floor",
+        "advance_batch",
+        "running_max",
+        "compact_marks",
+        "dilate_marks",
+        "mark_interior",
+        "take",
+        "luminance_histogram",
+    },
+    "colour_lookup": {"blur", "integrate", "interpolate"},
+    "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
+}
+# Rows of powers or of amplitudes, as each form has them.
+FORMS = [
+    (8, "averaged", True),
+    slow(24, "averaged", False),
+    slow(24, "centred", False),
+    slow(8, "source", True),
+    slow(24, "source", False),
+    slow(24, "replicas", False),
+]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiler():
+    """Warp's compiler for CUDA, which its packages for Linux and Windows carry."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+    missing = set(SMS) - set(wp.get_cuda_supported_archs())
+    if missing:
+        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{missing.pop()}")
+
+
+@pytest.fixture
+def cuda() -> str:
+    """The first CUDA device."""
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    return "cuda"
+
+
+def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
+    """PTX of a Python module's kernels, or of a Warp module."""
+    paths = wp.compile_aot_module(module, device=None, arch=arch, module_dir=folder, use_ptx=True)
+    assert [path.suffix for path in paths] == [".ptx"]
+    ptx = Path(paths[0]).read_text()
+    assert f".target sm_{arch}" in ptx
+    return ptx
+
+
+def entry_points(ptx: str) -> set[str]:
+    """Names of the kernels in PTX, without their hashes and their enclosing function's name."""
+    found = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
+    assert "_cuda_kernel_backward" not in ptx, "enable_backward is to be off"
+    return {name.rpartition("locals__")[2] for name in found}
+
+
+def test_every_kernel_module_is_compiled_here():
+    folder = Path(kernels.__file__).parent
+    names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert names == set(KERNELS) | FUNCTIONS_ONLY | WITHOUT_WARP, "a kernel module was added: compile it here"
+    for name in names:
+        declared = re.findall(r"@wp\.kernel.*\n\s*def (\w+)", (folder / f"{name}.py").read_text())
+        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
+
+
+@pytest.mark.parametrize("arch", ARCHITECTURES)
+@pytest.mark.parametrize(
+    "module", [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists], ids=lambda each: each.__name__
+)
+def test_modules_compile(module, arch, tmp_path):
+    assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
+
+
+@pytest.mark.parametrize(("lanes", "form", "powers"), FORMS)
+@pytest.mark.parametrize("name", sorted(KERNELS["coefficient_sum"]))
+def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, powers, tmp_path):
+    ptx = compile_to_ptx(getattr(coefficient_sum.kernels(lanes, form, powers), name).module, tmp_path)
+    assert entry_points(ptx) == {name}
+    # A basis indexed by a variable would live in local memory, which PTX shows; what ptxas spills does not. The seven
+    # words are those of CUDA's sine for large arguments, which the copies' factor never has.
+    depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
+    assert depots == (["28"] if form == "replicas" else [])
+
+
+@pytest.mark.parametrize("arch", ARCHITECTURES)
+@pytest.mark.parametrize("source", [False, True])
+@pytest.mark.parametrize("name", sorted(KERNELS["colour_lookup"]))
+def test_kernels_of_a_table_compile_and_stay_in_registers(name, source, arch, tmp_path):
+    ptx = compile_to_ptx(getattr(colour_lookup.lookup(8, source), name).module, tmp_path, arch)
+    assert entry_points(ptx) == {name}
+    assert "__local_depot" not in ptx
+
+
+@pytest.mark.parametrize(("lanes", "powers", "nodes"), [(8, True, 8), slow(8, False, 16)])
+def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
+    resample = spectrum_sampling.resampler(lanes, powers, nodes).resample
+    assert entry_points(compile_to_ptx(resample.module, tmp_path)) == {"resample"}
+    assert entry_points(compile_to_ptx(spectrum_sampling.gatherer(nodes).gather.module, tmp_path)) == {"gather"}
+    for name in ("project", "project_lines"):
+        ptx = compile_to_ptx(getattr(spectrum_sampling.projector(nodes, 8), name).module, tmp_path)
+        assert entry_points(ptx) == {name}
+        assert "__local_depot" not in ptx
+
+
+@pytest.mark.parametrize(
+    "coherence",
+    [
+        wd.Coherence("averaged", 3.25),
+        wd.Coherence("centred", 3.25),
+        wd.Coherence("source", angular_diameter_deg=2.0),
+        wd.Coherence("replicas", periods=(2, 5)),
+    ],
+    ids=lambda each: each.kind,
+)
+def test_reflectance_is_that_of_the_cpu(coherence, cuda, rng):
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
+    lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
+    plan = wd.plan(heightfield, coherence=coherence)
+    expected = wd.reflectance(heightfield, lights, views, plan=plan, device="cpu")
+    found = wd.reflectance(heightfield, lights, views, plan=plan, device=cuda)
+    scale = np.maximum(np.linalg.norm(expected, axis=1), 1e-3 * np.percentile(expected[:, 1], 99.0))
+    assert np.max(np.linalg.norm(found - expected, axis=1) / scale) < 1e-3
+
+
+def test_shade_is_that_of_the_cpu(cuda):
+    mesh = wd.meshes.tube(segments_along=64, segments_around=32)
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
+    coherence = wd.Coherence(sigma_um=3.25)
+    light = wd.DirectionalLight((0.3, 0.5, 1.0))
+    view = wd.View((0.0, 0.0, 8.0), (0.0, 0.0, 0.0), width=64, height=48)
+    expected = wd.shade(mesh, heightfield, light, view, coherence=coherence)
+    found = wd.shade(mesh, heightfield, light, view, device=cuda, plan=expected.plan)
+    # A ray that grazes an edge may fall on either side of it.
+    assert np.mean(found.mask != expected.mask) < 0.01
+    both = found.mask & expected.mask
+    floor = 1e-3 * np.percentile(expected.xyz[both][:, 1], 99.0)
+    scale = np.maximum(np.linalg.norm(expected.xyz[both], axis=1), floor)
+    assert np.percentile(np.linalg.norm(found.xyz[both] - expected.xyz[both], axis=1) / scale, 99.0) < 1e-2
+
+
+def test_replayed_pictures_are_those_of_shade(cuda):
+    mesh = wd.meshes.tube(segments_along=64, segments_around=32)
+    heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
+    light = wd.DirectionalLight((0.1, 0.9, 1.2))
+    renderer = wd.Renderer(
+        mesh, heightfield, light, view, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2, device=cuda
+    )
+    assert renderer.plan.footprint
+    for angle in (0.3, -0.2):
+        light = wd.DirectionalLight((0.1 + angle, 0.9, 1.2))
+        view = dataclasses.replace(view, eye=(3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)))
+        assert renderer.draw(light, view).device.is_cuda
+        found = renderer.image()
+        expected = wd.shade(mesh, heightfield, light, view, plan=renderer.plan, device=cuda)
+        np.testing.assert_array_equal(found.xyz, expected.xyz)
+        np.testing.assert_array_equal(found.illuminated, expected.illuminated)

@@ -1,0 +1,299 @@
+"""Footprints: a pixel shows the mean of what its filter sees, as the same picture of many rays a pixel does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warpdiff as wd
+from bench.truth.brute_force import shading_frame
+from warpdiff import meshes
+from warpdiff.device.kernel_calls import launch_pipeline
+from warpdiff.kernels.structs import Footprint
+from warpdiff.lights.light_types import lobes_of
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.render.picture import Frame
+from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.tables import colour_table
+from warpdiff.tables.footprint_weights import footprint_taps
+from warpdiff.tables.lookup import ColourLookup
+
+SHORT = wd.Coherence(sigma_um=3.25)
+SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
+LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
+# Of 144, P99 of the best pictures was their own noise: 0.25, and 0.06 against these.
+RAYS = 400
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+@pytest.fixture(scope="module")
+def tube():
+    return meshes.tube(segments_along=64, segments_around=48)
+
+
+def view():
+    return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
+
+
+@pytest.fixture(scope="module")
+def pictures(tube, fingers):
+    """With footprints, with points, and with many points."""
+    blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT, tolerance=3e-2)
+    plan = dataclasses.replace(blurred.plan, footprint=False)
+    points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
+    finer = dataclasses.replace(plan, rings_per_octave=64, azimuths_per_width=2.0)
+    return blurred, points, wd.shade(tube, fingers, LIGHT, view(), plan=finer, samples_per_pixel=RAYS)
+
+
+def errors(image, exact):
+    """Of pixels that lie wholly inside the lit surface."""
+    inside = (exact.coverage == 1.0) & image.illuminated
+    size = np.linalg.norm(exact.xyz[inside], axis=1)
+    floor = 1e-3 * np.percentile(exact.xyz[inside][:, 1], 99.0)
+    return np.linalg.norm(image.xyz[inside] - exact.xyz[inside], axis=1) / np.maximum(size, floor)
+
+
+def to_first_order(spreads):
+    """Footprints of spreads along rows and columns, (n, 4)."""
+    return wp.array(spreads, dtype=Footprint, device="cpu")
+
+
+def test_it_is_on_where_it_is_not_said(pictures):
+    blurred, points, _ = pictures
+    assert blurred.plan.footprint
+    assert "range of (u, v)" in str(blurred.plan)
+    assert not points.plan.footprint
+
+
+def test_a_pixel_shows_its_mean(pictures):
+    blurred, points, exact = pictures
+    ours, theirs = errors(blurred, exact), errors(points, exact)
+    assert len(ours) > 500
+    # So few pixels see (u, v) turn by a tenth of themselves and more; larger pictures are judged in bench/.
+    assert np.median(ours) < 4e-2
+    assert np.median(ours) < 0.2 * np.median(theirs)
+    assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
+
+
+@pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
+def test_rays_are_a_circle(fingers, angle_deg):
+    """A full turn meets what a turn begins with, however wide the footprint."""
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+    plan = dataclasses.replace(plan, footprint=True)
+    device = wp.get_device("cpu")
+    lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
+    found = []
+    for degrees in (angle_deg, angle_deg + 0.05):
+        angle = np.radians(degrees)
+        uv = 0.6 * np.array([np.cos(angle), np.sin(angle)])
+        scattering_vector = wp.array([[*uv, -1.6]], dtype=wp.vec3d, device=device)
+        spread = to_first_order([[*(0.03 * uv[::-1] * [-1.0, 1.0]), 0.0, 0.0]])
+        xyz = wp.zeros(1, dtype=wp.vec3f, device=device)
+        gain = wp.ones(1, dtype=wp.float32, device=device)
+        lookup.add(scattering_vector, None, gain, IlluminatedMaterial("D65"), xyz, footprints=spread)
+        found.append(xyz.numpy()[0])
+    np.testing.assert_allclose(found[0], found[1], rtol=0.05)
+
+
+@pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
+def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, rng):
+    """Look-ups of a run are computed abreast, and where a run begins depends on the number of threads.
+
+    What compilers leave over from vectors they round otherwise: one of two thousand took another row or weight then.
+    """
+    plan = wd.plan(fingers, coherence=window, method="low-rank/table", tolerance=0.1, strict=False)
+    device = wp.get_device("cpu")
+    lookup = ColourLookup(
+        fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, device=device, threads=1
+    )
+    count = 100_000
+    # Any of these runs has a last one that is not whole.
+    runs = (256, 1, 7, 61)
+    scattering_vectors = np.concatenate(
+        [rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, (count, 1))], axis=1
+    )
+    spreads = rng.normal(0.0, 0.03, (count, 4)) * rng.choice([0.1, 1.0, 5.0], (count, 1))
+    gains = np.where(rng.uniform(size=count) < 0.8, rng.uniform(size=count), 0.0)
+    to_lights = wp.array(np.tile([0.3, 0.1, 0.9], (count, 1)), dtype=wp.vec3f, device=device)
+    footprints = to_first_order(spreads) if blurred else None
+    given = wp.array(scattering_vectors, dtype=wp.vec3d, device=device)
+    factors = wp.array(gains, dtype=wp.float32, device=device)
+    found = []
+    for run in runs:
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
+        step = lookup.steps(given, to_lights, factors, IlluminatedMaterial("D65"), xyz, footprints)[0]
+        step = dataclasses.replace(step, inputs=[*step.inputs[:-1], run], block=run)
+        launch_pipeline([step], count, device=device, threads=1, slice_size=count)
+        found.append(xyz.numpy())
+    for each in found[1:]:
+        np.testing.assert_array_equal(each, found[0])
+    assert np.count_nonzero(found[0][:, 1]) > count / 2
+
+
+def colours(heightfield, plan, direction_range, uv, footprints):
+    """XYZ at (u, v), (n, 2), by a plan whose table is for a scope."""
+    device = wp.get_device("cpu")
+    xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
+    scattering_vectors = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
+    gains = wp.ones(len(uv), dtype=wp.float32, device=device)
+    lookup = ColourLookup(heightfield, plan, direction_range, device=device, threads=2)
+    lookup.add(scattering_vectors, None, gains, IlluminatedMaterial("D65"), xyz, footprints=footprints)
+    return xyz.numpy().astype(np.float64)
+
+
+@pytest.mark.parametrize(
+    ("widest", "turn", "median", "most"),
+    [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
+)
+def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
+    """Of footprints that are lines, along and aslant, of which wide ones take fewer nodes and have a skew."""
+    count = 200
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
+    angles, sizes = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.5, 0.9, count)
+    along = sizes[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    aside = along[:, ::-1] * [-1.0, 1.0]
+    spreads = rng.uniform(0.3 * widest, widest, (count, 1)) * along + rng.uniform(-turn, turn, (count, 1)) * aside
+
+    footprints = to_first_order(np.column_stack([spreads, np.zeros((count, 2))]))
+    found = colours(fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, along, footprints)
+    places, weights = np.polynomial.hermite_e.hermegauss(120)
+    seen = along[:, None] + places[:, None] * spreads[:, None]
+    of_points = colours(fingers, sampled, plan.direction_range, seen.reshape(-1, 2), None).reshape(count, -1, 3)
+    exact = np.einsum("p,npc->nc", weights / weights.sum(), of_points)
+    relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    assert np.median(relative) < median
+    assert np.percentile(relative, 90.0) < most
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("surface", ["fingers", "lines"])
+def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers, rng, distance):
+    """Of footprints so many deviations away from it: what reaches around it is no range of angles and ratios."""
+    heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
+    count = 16
+    plan = wd.plan(heightfield, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    sampled = wd.plan(heightfield, coherence=SHORT, method="low-rank", tolerance=1e-3)
+    rotated, around = rng.uniform(0.0, 2.0 * np.pi, (2, count, 1))
+    wide = rng.uniform(0.03, 0.1, (count, 1)) * np.concatenate([np.cos(rotated), np.sin(rotated)], axis=1)
+    across = wide[:, ::-1] * [-1.0, 1.0] / rng.uniform(1.0, 6.0, (count, 1))
+    middles = distance * (np.cos(around) * wide + np.sin(around) * across)
+    footprints = to_first_order(np.column_stack([wide, across]))
+    found = colours(heightfield, dataclasses.replace(plan, footprint=True), plan.direction_range, middles, footprints)
+    places, weights = np.polynomial.hermite_e.hermegauss(80)
+    seen = (
+        middles[:, None, None] + places[:, None, None] * wide[:, None, None] + places[:, None] * across[:, None, None]
+    )
+    of_points = colours(heightfield, sampled, plan.direction_range, seen.reshape(-1, 2), None).reshape(count, 80, 80, 3)
+    exact = np.einsum("p,q,npqc->nc", weights, weights, of_points) / weights.sum() ** 2
+    relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    assert np.median(relative) < 5e-3
+    assert relative.max() < 5e-2
+
+
+def seen_by(surface, view, light, face, column, row, *, smooth):
+    """(u, v) where rays through places in the picture meet the planes of faces, in float64, (n, 2)."""
+    frame = view.frame()
+    x = (2.0 * column / view.width - 1.0) * frame.half_width
+    y = (1.0 - 2.0 * row / view.height) * frame.half_height
+    across = x[:, None] * frame.right + y[:, None] * frame.up
+    along, origin = across - frame.back, (frame.origin - surface.centre) / surface.radius
+    if frame.orthographic:
+        along, origin = np.tile(-frame.back, (len(x), 1)), origin + across / surface.radius
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    corners = surface.faces[face]
+    p0, p1, p2 = (surface.vertices[corners[:, k]].astype(np.float64) for k in range(3))
+    rays = np.stack([p1 - p0, p2 - p0, -along], axis=2)
+    share1, share2, _ = np.linalg.solve(rays, (origin - p0)[..., None])[..., 0].T
+    shares = np.stack([1.0 - share1 - share2, share1, share2], axis=1)
+    given = {"normals": surface.normals, "tangents": surface.tangents, "handedness": surface.handedness}
+    axes = shading_frame(face, shares, along, surface.vertices, surface.faces, **given, smooth=smooth)
+    halfway = np.asarray(light.to_light) - along
+    return np.stack([np.sum(axis * halfway, axis=1) for axis in axes[:2]], axis=1)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+@pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far"])
+def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
+    """On the face that was hit, against differences of rays that meet its plane a little aside."""
+    size = {"width": 48, "height": 36}
+    camera = {
+        "outside": wd.View((0.5, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, **size),
+        "inside": wd.View((0.2, 0.0, 0.1), (1.0, 0.3, 0.0), **size),
+        "orthographic": wd.View.orthographic((0.3, 1.0, 2.0), (0.0, 0.0, 0.0), extent_y=1.5, **size),
+        "far": wd.View((500.0, 1600.0, 3100.0), (0.0, 0.0, 0.0), fov_y_deg=0.03, **size),
+    }[place]
+    surface, deviation = prepare_surface(tube), 0.4
+    frame = Frame(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
+    frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
+    frame.deflect(0, 0)
+    rays, pixels, found = frame.rays, frame.seen.pixels, frame.seen.footprints
+    launch_pipeline([rays.footprints(frame.seen, deviation)], 48 * 36, **rays.options)
+    hit = np.flatnonzero(pixels.hit.numpy())
+    face, step = pixels.face.numpy()[hit], 1e-3
+    at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
+    right, left, below, above = (seen_by(surface, camera, LIGHT, face, *each, smooth=smooth) for each in at)
+    expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
+    # Where the normal is turned to the viewer, slopes have a kink.
+    cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
+    facing = cosine > 0.03
+    assert np.count_nonzero(facing) > 200
+    # The arrays hold −u and −v.
+    size = np.linalg.norm(expected[facing], axis=1, keepdims=True)
+    error = np.abs(np.abs(found.numpy()[hit][facing]) - np.abs(expected[facing])) / size
+    assert np.percentile(error, 99) < 2e-3
+
+
+def test_nodes_are_skipped_under_smooth_lights_alone():
+    per_log = 32.0 / np.log(2.0)
+    assert all(colour_table._is_smooth(IlluminatedMaterial(name), per_log) for name in ("D65", "D50", "A", "E"))
+    assert not any(colour_table._is_smooth(IlluminatedMaterial(name), per_log) for name in ("FL2", "FL11", "HP1"))
+
+
+@pytest.mark.parametrize(
+    ("is_line_spectrum", "own", "worst"), [(False, 1.1, 0.03), (False, 1.8, 0.015), (True, 0.8, 0.05)]
+)
+def test_few_rays_blur_a_line(is_line_spectrum, own, worst):
+    """A Gaussian anywhere between rays, as a spline through its values on them, blurred by few of the coefficients.
+
+    Of a source's lines that spline itself is 3 % of their peak off.
+    """
+    made = footprint_taps("cpu", is_line_spectrum=is_line_spectrum)
+    weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
+    variances = np.arange(len(weights)) / made.per_variance
+    np.testing.assert_allclose(weights.sum(axis=2), 1.0, atol=1e-6)
+    on_rays = np.arange(-24, 25)
+    between = 0.75 * np.eye(49) + 0.125 * (np.eye(49, k=1) + np.eye(49, k=-1))
+    for index in range(2, len(weights), 7):
+        count, variance = lengths[index], own**2 + variances[index]
+        for which in range(0, weights.shape[1], 9):
+            fraction = (which + 0.5) / weights.shape[1] - 0.5
+            places = np.arange(count) - (count - 1) / 2.0 - fraction
+            if not is_line_spectrum:
+                moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
+                np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
+            # The rays' numbers, so that the middle ones are those that count.
+            first = 24 - count // 2
+            for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
+                values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own
+                coefficients = np.linalg.solve(between, values)
+                found = weights[index, which, :count] @ coefficients[first : first + count]
+                away = on_rays[first] - places[0] - line
+                exact = np.exp(-0.5 * away**2 / variance) / np.sqrt(variance)
+                assert abs(found - exact) * np.sqrt(variance) < worst
+
+
+def test_a_flat_surface_has_none(fingers):
+    disc = meshes.disc(inner_radius=0.0, outer_radius=1.0, segments=32, rings=3)
+    along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
+    camera = wd.View.orthographic((0.3, 0, 2), (0, 0, 0), extent_y=0.5, width=16, height=12)
+    plan = wd.shade(disc, fingers, LIGHT, camera, coherence=SHORT, tangents=along_x).plan
+    images = [wd.shade(disc, fingers, LIGHT, camera, plan=plan, tangents=along_x, footprint=on) for on in (True, False)]
+    np.testing.assert_allclose(images[0].xyz, images[1].xyz, rtol=2e-3)

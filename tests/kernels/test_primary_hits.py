@@ -1,0 +1,501 @@
+"""Rays, shading frames and base colours of the kernel against brute force in float64."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
+
+from bench.truth.brute_force import intersect, pixel_rays, shading_frame
+from warpdiff import meshes
+from warpdiff.kernels import bvh, compile_options, primary_hits, refinement_levels
+from warpdiff.kernels.structs import Cells, Pixels, Sampling
+from warpdiff.render import pixel_filter
+from warpdiff.scene.camera import View
+from warpdiff.scene.device_mesh import SceneArrays, camera, needs_shadow_rays
+from warpdiff.scene.mesh_import import prepare_surface
+
+OUTPUTS = ("hit", "face", "tangent", "bitangent", "normal", "to_view", "shadow_origin", "base_colour")
+
+
+def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None, covers=False):
+    """The kernels' outputs by name, (height * width, ...) each, by rays or face by face."""
+    scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
+    sampling = Sampling()
+    count = view.width * view.height
+    pixels = pixels_for(count)
+    axes = camera_of(view, surface)
+    pixels.nearest = wp.full(count, primary_hits.UNSEEN, dtype=wp.uint64, device="cpu")
+    sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
+    find = (bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling], [pixels.nearest])
+    if covers:
+        neighbour_extent = primary_hits.MOST_OFFSET if samples > 1 else 0.0
+        find = (
+            primary_hits.rasterize,
+            scene.face_count,
+            [axes, scene.bare, sampling, Cells(), neighbour_extent],
+            [pixels.nearest],
+        )
+    launches = [
+        (primary_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
+        find,
+        (primary_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
+    ]
+    launches.append((primary_hits.make_shading_frames, count, [scene.bare, pixels], []))
+    for kernel, size, arguments, outputs in launches:
+        for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
+            wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
+    return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
+
+
+def pixels_for(count):
+    """Room for what so many rays find."""
+    pixels = Pixels()
+    for name in OUTPUTS:
+        dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
+        setattr(pixels, name, wp.zeros(count, dtype=dtype, device="cpu"))
+    pixels.place = wp.zeros(count, dtype=wp.vec2f, device="cpu")
+    return pixels
+
+
+def camera_of(view, surface):
+    return camera(view, surface, axes=wp.empty(5, dtype=wp.vec3d, device="cpu"))
+
+
+def world(surface):
+    return surface.vertices.astype(np.float64) * surface.radius + surface.centre
+
+
+def torn(surface):
+    """The same surface with three vertices a face, coloured so that the base colour is the barycentrics."""
+    corner = surface.faces.ravel()
+    arrays = {
+        name: np.ascontiguousarray(getattr(surface, name)[corner])
+        for name in ("vertices", "normals", "tangents", "handedness", "uvs")
+    }
+    faces = np.arange(len(corner), dtype=np.int32).reshape(-1, 3)
+    colours = np.tile(np.eye(3, dtype=np.float32), (len(faces), 1))
+    return dataclasses.replace(surface, faces=faces, vertex_colours=colours, **arrays)
+
+
+def a_tube(_request):
+    mesh = meshes.tube(segments_along=40, segments_around=24)
+    return mesh, View((0.5, 1.9, 1.2), (0.1, 0, 0), width=70, height=48)
+
+
+def a_disc(_request):
+    # Seen from behind.
+    return meshes.disc(segments=48, rings=3), View((0.4, 0.3, -2.2), (0, 0, 0), width=60, height=56)
+
+
+def a_sphere(_request):
+    return trimesh.creation.icosphere(subdivisions=2), View(
+        (1.5, 2.5, 1.0), (0, 0, 0), fov_y_deg=36, width=60, height=56
+    )
+
+
+def the_bottle(request):
+    path = request.getfixturevalue("fuze_path")
+    return path, View.orthographic((0.3, 0.3, 0.3), (0, 0, 0.11), up=(0, 0, 1), extent_y=0.25, width=52, height=64)
+
+
+@pytest.mark.parametrize("make", [a_tube, a_disc, a_sphere, the_bottle])
+@pytest.mark.parametrize("smooth", [True, False])
+@pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
+def test_rays_and_frames_equal_brute_force(make, covers, smooth, request):
+    mesh, view = make(request)
+    tangents = [[0.2, 1.0, 0.3]] * len(mesh.vertices) if make is a_sphere else None
+    surface = torn(prepare_surface(mesh, tangents=tangents))
+    got = cast(surface, view, smooth=smooth, covers=covers)
+
+    fov = None if view.extent_y else view.fov_y_deg
+    size = {"width": view.width, "height": view.height, "fov_y_deg": fov, "extent_y": view.extent_y}
+    origins, directions = pixel_rays(view.eye, view.target, view.up, **size)
+    vertices = world(surface)
+    t, face, bary, margin = intersect(origins, directions, vertices, surface.faces)
+
+    # Rays through an edge, to float32, may take either face: the place must be the same all the same.
+    edge = margin < 1e-5
+    assert np.count_nonzero(edge) < 0.005 * len(edge)
+    sure = ~edge
+    np.testing.assert_array_equal(got["hit"][sure], (face >= 0)[sure])
+    np.testing.assert_array_equal(got["face"][sure], face[sure])
+    hit = (got["hit"] == 1) & (face >= 0)
+    assert np.count_nonzero(hit) > 0.1 * len(hit)
+    place = np.einsum("kc,kcd->kd", got["base_colour"][hit], vertices[surface.faces[got["face"][hit]]])
+    np.testing.assert_allclose(np.sum((place - origins[hit]) * directions[hit], axis=1) / t[hit], 1.0, atol=2e-5)
+    hit &= sure
+    # Grazed faces magnify a rounding of the position by 1 / cos.
+    corners = vertices[surface.faces[face]]
+    geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    grazing = np.abs(np.sum(geometric * directions, axis=1)) / np.linalg.norm(geometric, axis=1)
+    hit &= grazing > 0.02
+    np.testing.assert_allclose(got["base_colour"][hit], bary[hit], atol=2e-4)
+    frame = shading_frame(
+        face[hit],
+        bary[hit],
+        directions[hit],
+        vertices,
+        surface.faces,
+        **{name: getattr(surface, name).astype(np.float64) for name in ("normals", "tangents", "handedness")},
+        smooth=smooth,
+    )
+    for name, expected in zip(("tangent", "bitangent", "normal"), frame, strict=True):
+        error = np.linalg.norm(got[name][hit] - expected, axis=1)
+        assert np.median(error) < 1e-6, name
+        assert np.max(error) < 1e-3, name
+        assert np.mean(error > 2e-5) < 0.01, name
+    np.testing.assert_allclose(got["to_view"][hit], -directions[hit], atol=3e-7)
+    for name in OUTPUTS[2:]:
+        np.testing.assert_array_equal(got[name][got["hit"] == 0], 0.0)
+    np.testing.assert_array_equal(got["face"] == -1, got["hit"] == 0)
+
+
+def wall(corner_colours=None, size=100.0):
+    """A square in the plane z = 0 with u along x and v along y, one texture in all."""
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    material = None if corner_colours is None else SimpleMaterial(image=corner_colours)
+    visual = TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+
+
+def test_perspective_pixel_centres():
+    surface = prepare_surface(wall())
+    width, height = 8, 6
+    got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
+    away = got["to_view"].reshape(height, width, 3).astype(np.float64)
+    # The place on the plane z = 1 behind the eye, in half heights: row 0 on top, column 0 on the left.
+    place = -away[..., :2] / away[..., 2:]
+    np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) / 3.0)[:, None], (6, 8)), atol=1e-6)
+    np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
+
+
+def test_orthographic_pixel_centres():
+    surface = prepare_surface(wall(size=4.0))
+    got = cast(surface, View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=3.0, width=8, height=6), smooth=False)
+    np.testing.assert_allclose(got["to_view"], np.tile([[0, 0, 1.0]], (48, 1)), atol=1e-7)
+    place = (got["shadow_origin"] * surface.radius + surface.centre).reshape(6, 8, 3)
+    np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) * 0.5, (6, 8)), atol=1e-6)
+    np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) * 0.5)[:, None], (6, 8)), atol=1e-6)
+
+
+@pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
+def test_a_distant_eye_loses_nothing(covers):
+    mesh = meshes.disc(segments=24, rings=2)
+    surface = prepare_surface(mesh)
+    frames = []
+    for distance in (1e3, 1e7):
+        fov = np.degrees(2.0 * np.arctan(1.2 / distance))
+        view = View((0, 0, distance), (0, 0, 0), fov_y_deg=float(fov), width=64, height=64)
+        frames.append(cast(surface, view, covers=covers))
+    assert np.mean(frames[0]["hit"] != frames[1]["hit"]) < 0.002
+    both = (frames[0]["hit"] == 1) & (frames[1]["hit"] == 1)
+    np.testing.assert_allclose(frames[0]["tangent"][both], frames[1]["tangent"][both], atol=3e-3)
+
+
+def test_faces_leave_no_gap_where_they_meet():
+    # A vertex and four edges right in pixels' centres, seen head on, and turned so that no two products are alike.
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.0]])
+    mesh = trimesh.Trimesh(vertices, [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], process=False)
+    surface = prepare_surface(mesh, tangents=[[1.0, 0.0, 0.0]] * 5)
+    for eye in ((0, 0, 3.0), (0.3, -0.2, 2.0), (1.1, 0.9, 1.7)):
+        got = cast(surface, View(eye, (0, 0, 0), fov_y_deg=10, width=65, height=65), covers=True)
+        assert np.all(got["hit"] == 1)
+
+
+def within_a_tube(_request):
+    return meshes.tube(segments_along=24, segments_around=12), View(
+        (0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50
+    )
+
+
+def above_a_plane(_request):
+    # Two faces, which both reach far behind the eye.
+    return wall(size=40.0), View((0.3, -0.2, 0.5), (0.9, 4.0, 0.1), up=(0, 0, 1), width=64, height=48)
+
+
+def through_a_sphere(_request):
+    view = View.orthographic((0.2, 0.1, 0.3), (0, 0, 0), extent_y=1.6, width=60, height=44)
+    return trimesh.creation.icosphere(subdivisions=3), view
+
+
+@pytest.mark.parametrize("make", [within_a_tube, above_a_plane, through_a_sphere])
+@pytest.mark.parametrize("samples", [1, 8])
+def test_what_is_behind_the_eye_is_cut_off(make, samples, request):
+    mesh, view = make(request)
+    surface = prepare_surface(mesh, tangents=np.tile([0.3, 1.0, 0.2], (len(mesh.vertices), 1)))
+    scene = SceneArrays(surface, device="cpu")
+    given = {"scene": scene, "sample": samples // 2, "samples": samples}
+    found, by_rays = (cast(surface, view, covers=covers, **given) for covers in (True, False))
+    assert by_rays["hit"].mean() > 0.2
+    # Rays through an edge may take either face, but something is met.
+    np.testing.assert_array_equal(found["hit"], by_rays["hit"])
+    same = found["face"] == by_rays["face"]
+    assert same.mean() > 0.998
+    for name in ("normal", "to_view"):
+        np.testing.assert_allclose(found[name][same], by_rays[name][same], atol=1e-5)
+
+
+def test_eyes_close_to_a_face_see_no_gap():
+    """From within a body that is closed something is met everywhere."""
+    surface = prepare_surface(trimesh.creation.icosphere(subdivisions=2), tangents=np.tile([0.3, 1.0, 0.2], (162, 1)))
+    scene = SceneArrays(surface, device="cpu")
+    rng = np.random.default_rng(5)
+    for depth in np.geomspace(3e-6, 0.1, 24):
+        face = surface.vertices[surface.faces[rng.integers(len(surface.faces))]].astype(np.float64)
+        eye = (1.0 - depth) * rng.dirichlet((1.0, 1.0, 1.0)) @ face * surface.radius + surface.centre
+        camera_view = View(tuple(eye), tuple(eye + rng.normal(size=3)), fov_y_deg=100.0, width=40, height=30)
+        assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
+
+
+def plates(_request):
+    # Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not.
+    scene = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])])
+    return scene, View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)
+
+
+def far_away(_request):
+    # Faces are a fraction of a pixel.
+    return meshes.tube(segments_along=64, segments_around=48), View((1.0, 4.0, 9.0), (0, 0, 0), width=130, height=96)
+
+
+def head_on(_request):
+    view = View.orthographic((0.3, 0.2, 3.0), (0, 0, 0), extent_y=1.5, width=64, height=40)
+    return meshes.disc(segments=24, rings=4), view
+
+
+@pytest.mark.parametrize("make", [plates, far_away, head_on])
+@pytest.mark.parametrize("level", refinement_levels.LEVELS)
+@pytest.mark.parametrize("slices", [1, 7])
+def test_cells_are_found_face_by_face(make, level, slices, request):
+    mesh, view = make(request)
+    surface = prepare_surface(mesh)
+    scene = SceneArrays(surface, device="cpu")
+    # Pixels anywhere, at the picture's border and beside the mesh, too, in any order.
+    rng = np.random.default_rng(3)
+    chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
+    cells = pixel_filter.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))
+    count = len(chosen) * refinement_levels.rays_at(level)
+    nearest = wp.full(count, primary_hits.UNSEEN, dtype=wp.uint64, device="cpu")
+    camera = camera_of(view, surface)
+    for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
+        inputs = [camera, scene.bare, Sampling(), cells, 0.0, int(begin), int(end - begin)]
+        wp.launch(primary_hits.rasterize, 1, inputs, [nearest], device="cpu")
+    sampling = Sampling()
+    sampling.tiles = wp.array(chosen, dtype=wp.int32, device="cpu")
+    sampling.places = pixel_filter.places_at(level, "cpu")
+    found = []
+    by_rays = wp.empty_like(nearest)
+    wp.launch(bvh.trace_bvh, 1, [camera, scene.with_hierarchy(), sampling, 0, count], [by_rays], device="cpu")
+    for faces in (nearest, by_rays):
+        pixels = pixels_for(count)
+        pixels.nearest = faces
+        # Some slices begin within a pixel.
+        for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
+            inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
+            wp.launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
+        found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
+    (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
+    np.testing.assert_array_equal(hit, face >= 0)
+    # Rays through an edge may take either face.
+    assert np.mean(face != face_by_rays) < 2e-3
+    same = (face == face_by_rays) & (face >= 0)
+    assert np.count_nonzero(same) > 200
+    np.testing.assert_allclose(place[same], place_by_rays[same], atol=1e-3)
+    np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
+
+
+def test_pixels_beside_those_that_are_split_are_left_alone():
+    surface = prepare_surface(wall(size=400.0))
+    scene = SceneArrays(surface, device="cpu")
+    view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
+    # At the ends of words and rows.
+    pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
+    cells = pixel_filter.grid_of(pixels, 2, view.width, view.height, wp.get_device("cpu"))
+    count = 16 * len(pixels)
+    nearest = wp.full(count + 500, primary_hits.UNSEEN, dtype=wp.uint64, device="cpu")
+    inputs = [camera_of(view, surface), scene.bare, Sampling(), cells, 0.0, 0, scene.face_count]
+    wp.launch(primary_hits.rasterize, 1, inputs, [nearest], device="cpu")
+    met = nearest.numpy() != int(primary_hits.UNSEEN)
+    assert np.all(met[:count])
+    assert not np.any(met[count:])
+
+
+@pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
+def test_slices_make_the_same_picture(covers):
+    surface = prepare_surface(meshes.tube(segments_along=24, segments_around=12))
+    view = View((0.5, 2, 2), (0, 0, 0), width=33, height=21)
+    scene = SceneArrays(surface, device="cpu")
+    sampling = {} if covers else {"samples": 4, "sample": 1}
+    whole, parts = (cast(surface, view, scene=scene, slices=n, covers=covers, **sampling) for n in (1, 7))
+    for name in OUTPUTS:
+        np.testing.assert_array_equal(whole[name], parts[name])
+
+
+def offsets(sample, samples, seed=0, width=64, height=48):
+    """Offsets (right, down) in pixels, found from where orthographic rays meet a wall one unit a pixel."""
+    surface = prepare_surface(wall(size=200.0))
+    view = View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=float(height), width=width, height=height)
+    got = cast(surface, view, smooth=False, sample=sample, samples=samples, seed=seed)
+    place = got["shadow_origin"] * surface.radius + surface.centre
+    rows, columns = np.divmod(np.arange(width * height), width)
+    return np.stack([place[:, 0] - (columns + 0.5 - width / 2), height / 2 - rows - 0.5 - place[:, 1]], axis=1)
+
+
+def test_gaussian_offsets():
+    np.testing.assert_allclose(offsets(0, 1), 0.0, atol=3e-5)
+    np.testing.assert_array_equal(offsets(3, 8), offsets(3, 8))
+    all_of_them = np.stack([offsets(k, 16) for k in range(16)])
+    assert np.linalg.norm(all_of_them, axis=2).max() < 1.5 + 3e-5
+    flat = all_of_them.reshape(-1, 2)
+    np.testing.assert_allclose(flat.mean(axis=0), 0.0, atol=0.005)
+    # E[r²] of the Gaussian cut at c = 1.5: 2σ² − c² e / (1 − e), e = exp(−c² / 2σ²).
+    e = np.exp(-4.5)
+    std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
+    np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
+    assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
+    # Low discrepancy: a pixel's mean of 16 is far nearer to 0 than that of 16 independent samples, σ / 4.
+    assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
+    # Neighbouring pixels, and other seeds, are rotated otherwise.
+    assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
+    assert np.mean(offsets(0, 16, seed=1) == all_of_them[0]) < 0.01
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_both_sides_have_a_frame(mirrored):
+    mesh = wall(size=2.0)
+    if mirrored:
+        mesh.visual.uv = mesh.visual.uv * [1.0, -1.0]
+    surface = prepare_surface(mesh)
+    sign = -1.0 if mirrored else 1.0
+    for z in (2.0, -2.0):
+        got = cast(surface, View((0, 0, z), (0, 0, 0), fov_y_deg=20, width=4, height=4))
+        assert np.all(got["hit"] == 1)
+        np.testing.assert_allclose(got["normal"], np.tile([[0, 0, np.sign(z)]], (16, 1)), atol=1e-6)
+        np.testing.assert_allclose(got["tangent"], np.tile([[1, 0, 0]], (16, 1)), atol=1e-6)
+        # n × t with the turned normal, times the handedness.
+        np.testing.assert_allclose(got["bitangent"], np.tile([[0, sign * np.sign(z), 0]], (16, 1)), atol=1e-6)
+        assert np.all(got["shadow_origin"][:, 2] * np.sign(z) > 0.0)
+
+
+def test_shading_normals_are_tilted_to_a_hundredth():
+    mesh = wall(size=2.0)
+    # Normals that lean away from a viewer far to the right, and straight away from one above.
+    for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
+        surface = dataclasses.replace(
+            prepare_surface(mesh), normals=np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
+        )
+        got = cast(surface, View(eye, (0, 0, 0), up=(0, 0, 1), fov_y_deg=5, width=16, height=4))
+        hit = got["hit"] == 1
+        cosine = np.sum(got["normal"] * got["to_view"], axis=1, dtype=np.float64)[hit]
+        np.testing.assert_allclose(cosine, 0.01, atol=2e-7)
+        np.testing.assert_allclose(np.linalg.norm(got["normal"][hit], axis=1), 1.0, atol=1e-6)
+        # In the plane of the normal and the view.
+        aside = np.cross(got["normal"][hit], got["to_view"][hit])
+        np.testing.assert_allclose(np.sum(aside * surface.normals[0], axis=1), 0.0, atol=1e-6)
+
+
+def test_a_normal_straight_away_from_the_viewer_has_a_defined_answer():
+    surface = dataclasses.replace(prepare_surface(wall(size=2.0)), normals=np.tile(np.float32([[0, 0, -1]]), (4, 1)))
+    got = cast(surface, View.orthographic((0, 0, 2), (0, 0, 0), extent_y=1.0, width=3, height=3))
+    assert np.all(got["hit"] == 1)
+    for name in ("tangent", "bitangent", "normal"):
+        np.testing.assert_allclose(np.linalg.norm(got[name], axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(got["normal"][:, 2], 0.01, atol=1e-7)
+
+
+@pytest.mark.parametrize("tangent", [(0, 0, 1), (0, 0, 0), (1e-30, 0, 1)])
+def test_a_tangent_along_the_normal_has_a_defined_answer(tangent):
+    surface = dataclasses.replace(prepare_surface(wall(size=2.0)), tangents=np.tile(np.float32([tangent]), (4, 1)))
+    got = cast(surface, View((0, 0, 2), (0, 0, 0), fov_y_deg=20, width=3, height=3))
+    frame = np.stack([got["tangent"], got["bitangent"], got["normal"]], axis=1)
+    np.testing.assert_allclose(frame @ np.swapaxes(frame, 1, 2), np.tile(np.eye(3), (9, 1, 1)), atol=1e-6)
+
+
+def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
+    pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    mesh = wall(Image.fromarray(pixels), size=2.0)
+    view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
+    # Pixel centres fall on texel centres.
+    got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
+    np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
+    # Half a texel on, each is the mean of all four, across the border as well.
+    mesh.visual.uv = mesh.visual.uv + np.array([0.25, 0.25])
+    got = cast(prepare_surface(mesh), view)["base_colour"]
+    np.testing.assert_allclose(got, 0.5, atol=1e-5)
+    mesh.visual.uv = mesh.visual.uv + np.array([-3.25, 6.75])
+    got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
+    np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
+
+
+# As the package's, whose options Warp's headers are compiled for already.
+wp.set_module_options(compile_options.options())
+
+
+@wp.kernel
+def shadow_rays(
+    mesh_id: wp.uint64,
+    origins: wp.array(dtype=wp.vec3f),
+    direction: wp.vec3f,
+    # Out:
+    occluded_out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    occluded_out[i] = wp.where(bvh.occluded(mesh_id, origins[i], direction, bvh.FAR), 1, 0)
+
+
+def shadowed(scene, origins, direction):
+    result = wp.zeros(len(origins), dtype=wp.int32, device="cpu")
+    start = wp.array(origins, dtype=wp.vec3f, device="cpu")
+    inputs = [scene.with_hierarchy().mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
+    wp.launch(shadow_rays, dim=len(origins), inputs=inputs, outputs=[result], device="cpu")
+    return result.numpy() == 1
+
+
+def test_smooth_shading_has_no_jagged_terminator():
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    surface = prepare_surface(sphere, tangents=[[0.2, 1.0, 0.3]] * len(sphere.vertices))
+    scene = SceneArrays(surface, device="cpu")
+    got = cast(surface, View((3, 0, 0), (0, 0, 0), width=96, height=96), scene=scene)
+    hit = got["hit"] == 1
+    direction = np.array([0.1, 0.3, 1.0]) / np.linalg.norm([0.1, 0.3, 1.0])
+    illuminated = np.sum(got["normal"][hit] * direction, axis=1) > 0.0
+    origins = got["shadow_origin"][hit]
+    assert np.mean(shadowed(scene, origins[illuminated], direction)) < 0.005
+    # The other half is in the body's own shadow.
+    dark = np.sum(got["normal"][hit] * direction, axis=1) < -0.3
+    assert np.all(shadowed(scene, origins[dark], direction))
+
+
+def test_shadows_are_cast():
+    plates = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0, 0, 1.0])])
+    surface = prepare_surface(plates)
+    scene = SceneArrays(surface, smooth=False, device="cpu")
+    view = View((0, -6, 0.3), (0, 0, 0), fov_y_deg=25, width=80, height=60)
+    got = cast(surface, view, scene=scene)
+    place = got["shadow_origin"] * surface.radius + surface.centre
+    lower = (got["hit"] == 1) & (place[:, 2] < 0.5)
+    below = np.max(np.abs(place[:, :2]), axis=1) < 0.5
+    clear = np.abs(np.max(np.abs(place[:, :2]), axis=1) - 0.5) > 1e-3
+    assert np.count_nonzero(lower & below) > 10
+    dark = shadowed(scene, got["shadow_origin"], (0, 0, 1))
+    np.testing.assert_array_equal(dark[lower & clear], below[lower & clear])
+
+
+def test_convex_bodies_need_no_shadow_rays_from_outside():
+    box = trimesh.creation.box()
+    surface = prepare_surface(box, tangents=[[0.3, 0.5, 0.7]] * len(box.vertices))
+    outside, inside = View((2, 1, 1), (0, 0, 0)), View((0.1, 0, 0), (1, 0, 0))
+    assert not needs_shadow_rays(surface, outside)
+    assert needs_shadow_rays(surface, inside)
+    assert not needs_shadow_rays(surface, View.orthographic((2, 0, 0), (0, 0, 0), extent_y=1))
+    assert needs_shadow_rays(surface, View.orthographic((0.4, 0, 0), (0, 0, 0), extent_y=1))
+    assert needs_shadow_rays(prepare_surface(meshes.tube(segments_along=24, segments_around=12)), outside)

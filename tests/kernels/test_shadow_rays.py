@@ -1,0 +1,256 @@
+"""Shadow rays: by grids in the light's view and by the hierarchy against brute force in float64."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+
+import warpdiff as wd
+from bench.truth.brute_force import intersect
+from warpdiff import meshes
+from warpdiff.device.kernel_calls import launch
+from warpdiff.kernels.shading_frames import LIFT
+from warpdiff.kernels.shadow_rays import trace_shadow_rays
+from warpdiff.kernels.structs import Pixels
+from warpdiff.render import camera_rays
+from warpdiff.scene import occluder_grid
+from warpdiff.scene.device_mesh import SceneArrays
+from warpdiff.scene.mesh_import import prepare_surface
+
+
+def unit(vector):
+    return np.array(vector) / np.linalg.norm(vector)
+
+
+def given(mesh):
+    """A surface whose tangents are of no account."""
+    return prepare_surface(mesh, tangents=[[0.3, 0.5, 0.7]] * len(mesh.vertices))
+
+
+def box_on_floor():
+    """A floor of two faces with a body of 5,000 tiny ones on it, under a lid."""
+    floor = trimesh.creation.box((20.0, 20.0, 0.1))
+    body = trimesh.creation.icosphere(subdivisions=4).apply_translation((1.0, 2.0, 1.2))
+    return trimesh.util.concatenate([floor, body, lid(4.0).apply_translation((0.0, 0.0, 5.0))])
+
+
+def lid(size=1.0):
+    """A square in the plane z = 0."""
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
+    return trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def plates():
+    """A finely cut plane with a lid that floats above it."""
+    plane = lid(2.0)
+    for _ in range(4):
+        plane = plane.subdivide()
+    return trimesh.util.concatenate([plane, lid().apply_translation((0.1, 0.2, 0.5))])
+
+
+def bodies():
+    """Bodies that cut through each other, and one that floats above them."""
+    one, other = (trimesh.creation.icosphere(subdivisions=3).apply_translation((x, 0.0, 0.0)) for x in (-0.4, 0.6))
+    above = trimesh.creation.box((0.8, 0.8, 0.2)).apply_translation((0.2, 0.1, 1.5))
+    return trimesh.util.concatenate([one, other, above])
+
+
+MESHES = {
+    "tube": lambda: meshes.tube(segments_along=40, segments_around=24),
+    "snake": lambda: meshes.snake(scale_rows=9, ventrals=20, segments=2),
+    "sphere": lambda: trimesh.creation.icosphere(subdivisions=3),
+    "large and tiny faces": box_on_floor,
+    "plates": plates,
+    "bodies": bodies,
+}
+
+
+def points_on(surface, light, count, rng):
+    """Points on a surface's faces, equally many on each, where shadow rays start on the side of the light."""
+    face = rng.integers(0, len(surface.faces), count)
+    shares = rng.dirichlet((1.0, 1.0, 1.0), count)
+    corners = surface.vertices[surface.faces[face]].astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal *= np.where(normal @ light < 0.0, -1.0, 1.0)[:, None] / np.linalg.norm(normal, axis=1, keepdims=True)
+    return (np.einsum("kc,kcd->kd", shares, corners) + float(LIFT) * normal).astype(np.float32)
+
+
+def occluded(grid, light, origins, threads=1):
+    """What the kernel finds of rays from origins that face the light."""
+    places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
+    pixels = Pixels()
+    pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
+    pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
+    pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
+    found = wp.empty(len(origins), dtype=wp.bool, device="cpu")
+    device = wp.get_device("cpu")
+    launch(
+        trace_shadow_rays,
+        len(origins),
+        [grid, places, 0, pixels],
+        [found],
+        device=device,
+        threads=threads,
+        in_runs=True,
+    )
+    return found.numpy()
+
+
+def scene_of(surface):
+    return SceneArrays(surface, device="cpu")
+
+
+def grid_of(surface, scene, light, threads=1):
+    return occluder_grid.grid_for(surface, scene, light, device=wp.get_device("cpu"), threads=threads)
+
+
+@pytest.mark.parametrize("light", [(0.3, 0.5, 0.8), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.05, -1.0, 0.0)], ids=str)
+@pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
+def test_shadows_equal_brute_force(make, light, rng):
+    light = unit(light)
+    surface = given(make())
+    scene = scene_of(surface)
+    origins = points_on(surface, light, 600, rng)
+    rays = np.tile(light, (len(origins), 1))
+    t, _, _, margin = intersect(origins.astype(float), rays, surface.vertices.astype(float), surface.faces, 64)
+    # Rays that graze an edge may be rounded to either side of it.
+    sure = margin > 1e-4
+    assert np.count_nonzero(sure) > 0.99 * len(sure)
+    for grid in (grid_of(surface, scene, light), occluder_grid.no_grid(scene)):
+        np.testing.assert_array_equal(occluded(grid, light, origins)[sure], np.isfinite(t)[sure])
+
+
+def test_faces_leave_no_gap_where_they_meet(rng):
+    # A crumpled sheet in the way of rays to its vertices and to the middles of its edges, rounded to either side.
+    sheet = lid(2.0)
+    for _ in range(5):
+        sheet = sheet.subdivide()
+    inside = np.max(np.abs(sheet.vertices[:, :2]), axis=1) < 0.99
+    sheet.vertices[inside] += rng.uniform(-0.01, 0.01, (np.count_nonzero(inside), 3))
+    surface = given(sheet)
+    scene = scene_of(surface)
+    edges = sheet.edges_unique[inside[sheet.edges_unique].any(axis=1)]
+    for light in (unit((0.1, 0.2, 0.9)), unit((0.0, 0.0, 1.0))):
+        grid = grid_of(surface, scene, light)
+        assert grid.starts.shape[0] > 0
+        for places in (surface.vertices[inside], surface.vertices[edges].mean(axis=1)):
+            assert np.all(occluded(grid, light, places - 0.3 * light))
+            assert not np.any(occluded(grid, light, places + 0.3 * light))
+
+
+def test_pixels_do_not_hide_those_beside_them(rng):
+    # Points in the plane of a sheet are not hidden by it, whatever lies below them in the same cell.
+    sheet = lid(2.0)
+    for _ in range(4):
+        sheet = sheet.subdivide()
+    height = np.float32(0.1234567)
+    flat = given(sheet)
+    vertices = flat.vertices.copy()
+    vertices[:, 2] = height
+    surface = dataclasses.replace(flat, vertices=vertices)
+    light = unit((0.0, 0.0, 1.0))
+    grid = grid_of(surface, scene_of(surface), light)
+    assert grid.starts.shape[0] > 0
+    above = np.column_stack([rng.uniform(-0.5, 0.5, (4000, 2)), np.full(4000, height)]).astype(np.float32)
+    both = np.repeat(above, 2, axis=0)
+    both[1::2, 2] -= 0.1
+    assert not np.any(occluded(grid, light, above))
+    found = occluded(grid, light, both)
+    assert not np.any(found[::2])
+    assert np.all(found[1::2])
+
+
+def test_lists_of_many_faces_hide_what_is_below(rng):
+    # Sheets one above the other: more faces in a cell than are looked at together, and several pixels in it.
+    sheets = [lid(2.0).subdivide().subdivide().apply_translation((0.0, 0.0, 0.01 * k)) for k in range(5)]
+    surface = given(trimesh.util.concatenate(sheets))
+    light = unit((0.0, 0.0, 1.0))
+    scene = scene_of(surface)
+    grid = grid_of(surface, scene, light)
+    assert np.diff(grid.starts.numpy()).max() > 32
+    places = rng.uniform(-0.3, 0.3, (500, 3)).astype(np.float32)
+    found = occluded(grid, light, places)
+    assert 0 < np.count_nonzero(found) < len(found)
+    np.testing.assert_array_equal(found, occluded(occluder_grid.no_grid(scene), light, places))
+
+
+def test_threads_make_the_same_grid(rng):
+    surface = given(meshes.tube(segments_along=96, segments_around=64))
+    light = unit((0.3, 0.5, 0.8))
+    origins = points_on(surface, light, 20_000, rng)
+    alone, others = (grid_of(surface, scene_of(surface), light, threads) for threads in (1, 3))
+    np.testing.assert_array_equal(alone.starts.numpy(), others.starts.numpy())
+    cells = np.repeat(np.arange(alone.columns * alone.rows), np.diff(alone.starts.numpy()))
+    listed = [set(zip(cells, grid.faces.numpy(), grid.tops.numpy(), strict=True)) for grid in (alone, others)]
+    assert listed[0] == listed[1]
+    np.testing.assert_array_equal(occluded(alone, light, origins), occluded(others, light, origins, threads=3))
+
+
+def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
+    light = unit((0.1, 0.2, 0.9))
+    body = trimesh.creation.icosphere(subdivisions=4)
+    assert grid_of(given(body), scene_of(given(body)), light).starts is not None
+    stadium = given(trimesh.util.concatenate([body, lid(300.0).apply_translation((0.0, 0.0, -2.0))]))
+    assert grid_of(stadium, scene_of(stadium), light).starts is None
+    needles = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, 3, 3))
+    needles[:, 1] = needles[:, 0] + 1e-3
+    bundle = given(trimesh.Trimesh(needles.reshape(-1, 3), np.arange(9000).reshape(-1, 3), process=False))
+    assert grid_of(bundle, scene_of(bundle), light).starts is None
+
+
+def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        occluder_grid, "_made", lambda *a, make=occluder_grid._made, **k: made.append(a[2]) or make(*a, **k)
+    )
+    mesh = meshes.tube(segments_along=24, segments_around=16)
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
+    light, other = wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))
+    plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
+    views = [wd.View((x, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72) for x in (0.0, 0.2)]
+    renderer = wd.Renderer(mesh, heightfield, light, views[0], plan=plan)
+    renderer.draw(light, views[1])
+    renderer.draw(other)
+    assert made == [light.to_light, other.to_light]
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
+    mesh = meshes.tube(segments_along=24, segments_around=16)
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
+    lights = [wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))]
+    view = wd.View((0.0, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72)
+    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 3e-2, "samples_per_pixel": samples}
+    made = []
+    monkeypatch.setattr(
+        camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]
+    )
+    found = wd.shade(mesh, heightfield, lights, view, **options)
+    # One for each light, whatever the samples and tiles.
+    assert all(grid.starts.shape[0] for grid in made)
+    asked = len(made)
+    assert len({grid.starts.ptr for grid in made}) == len(lights)
+    monkeypatch.setattr(camera_rays.RasterizedRays, "occluder_grid", camera_rays.PixelRays.occluder_grid)
+    expected = wd.shade(mesh, heightfield, lights, view, **options)
+    assert len(made) == asked
+    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    np.testing.assert_array_equal(found.illuminated, expected.illuminated)
+    unhidden = wd.shade(mesh, heightfield, lights, view, shadows=False, **options)
+    assert np.any(unhidden.xyz != found.xyz)
+
+
+def test_what_faces_away_may_have_a_part_from_which_the_light_is_hidden():
+    # Below a snake, lit from behind: no first cell faces the light, and those of the next level that do are in shadow.
+    heightfield, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.5, 0.75, -0.8))
+    eye, along = np.array([0.0, 3.4, 4.0]), unit((0.08311891, -0.69686178, -0.71237273))
+    view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)
+    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 0.1, "pigment": 0.0, "strict": False}
+    many = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=96, height=96)
+    points = wd.shade(meshes.snake(), heightfield, light, many, footprint=False, **options)
+    assert points.mask.sum() > 1000
+    assert not points.illuminated.any()
+    assert not wd.shade(meshes.snake(), heightfield, light, view, refine=False, **options).illuminated.any()

@@ -1,0 +1,367 @@
+"""Environments: blurred skies, mirrors and gratings under them, their pigment and shadows, skies behind pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import slow
+
+import warpdiff as wd
+from bench.truth.sky_sums import SkySums
+from warpdiff.lights.sky_maps import blurred_grids, extract_suns, maps_of
+from warpdiff.optics import colorimetry
+from warpdiff.optics.spectra import colour_science
+from warpdiff.tables.sky_cells import cells, tree
+
+WINDOW = wd.Coherence(sigma_um=8.0)
+UNDER = {"coherence": WINDOW, "tolerance": 1e-1, "ior": math.inf, "refine": False, "pigment": 0.0}
+
+
+def middles(height):
+    """Directions to a picture's pixels, (height, 2 height, 3), and their solid angles."""
+    polar = (np.arange(height) + 0.5) / height * math.pi
+    azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
+    level = np.sin(polar)[:, None]
+    along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
+    edges = np.cos(np.arange(height + 1) / height * math.pi)
+    return np.stack(along, axis=-1), (edges[:-1] - edges[1:])[:, None] * math.pi / height
+
+
+def seen_at(degrees):
+    """A view of a few pixels from an angle to z, towards no axis."""
+    angle = math.radians(degrees)
+    eye = (4 * math.sin(angle) * 0.6, 4 * math.sin(angle) * 0.8, 4 * math.cos(angle))
+    return wd.View.orthographic(eye, (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3)
+
+
+def test_blurred_maps_keep_power_and_have_the_variance_that_they_tell():
+    radiance = np.zeros((256, 512, 3), dtype=np.float32)
+    # One near a pole, one at a seam.
+    radiance[3, 40, 0] = radiance[100, 511, 1] = 1.0
+    radiance[..., 2] = 1.0
+    along, solid = middles(256)
+    grid, suns = extract_suns(radiance)
+    assert not suns
+    texels, sides, blur = maps_of(blurred_grids(grid))
+    begin = 0
+    for level, side in enumerate(sides):
+        values = texels[begin : begin + (side + 2) ** 2].reshape(side + 2, side + 2, 4)
+        begin += (side + 2) ** 2
+        # Beyond its sides a map goes on at the same side, the other way round.
+        assert values[0, 1:-1] == pytest.approx(values[1, -2:0:-1], abs=1e-6)
+        assert values[1:-1, -1] == pytest.approx(values[-2:0:-1, -2], abs=1e-6)
+        place = (2.0 * np.arange(side) + 1.0) / side - 1.0
+        q, p = np.meshgrid(place, place, indexing="ij")
+        up = 1.0 - np.abs(p) - np.abs(q)
+        x = np.where(up < 0.0, (1.0 - np.abs(q)) * np.sign(p), p)
+        z = np.where(up < 0.0, (1.0 - np.abs(p)) * np.sign(q), q)
+        size = np.sqrt(x**2 + up**2 + z**2)
+        # Of |x| + |y| + |z| = 1 a texel is seen from the middle under so much.
+        seen = values[1:-1, 1:-1] * ((2.0 / side) ** 2 / size**3)[..., None]
+        assert seen[..., 2].sum() == pytest.approx(4.0 * math.pi, rel=0.02)
+        if blur * 2**level > 0.3:
+            continue
+        for channel, (row, column) in enumerate(((3, 40), (100, 511))):
+            assert seen[..., channel].sum() == pytest.approx(solid[row, 0], rel=0.05)
+            cosine = np.stack([x, up, z], axis=-1) / size[..., None] @ along[row, column]
+            spread = np.average(np.arccos(np.clip(cosine, -1.0, 1.0)) ** 2, weights=seen[..., channel])
+            texel = 4.0 * math.pi / side**2 / 6.0
+            own = (math.pi / 256.0) ** 2 / 3.0
+            assert spread == pytest.approx(2.0 * (blur * 2**level) ** 2 + own, rel=0.15, abs=3.0 * texel)
+
+
+def test_cells_are_even_and_more_where_more_are_asked_for():
+    for most in (16, 640, 4096):
+        places, footprints = cells(most)
+        assert 0.8 * most <= len(places) <= most
+        at = np.array([[0.003, 0.0], [0.05, 0.02], [0.3, -0.2], [-0.9, 0.8], [1.5, 0.5]])
+        away = at[:, None] - places[:, :2]
+        variance = places[:, 2] ** 2
+        even = np.sum(
+            places[:, 3] / (2 * math.pi * variance) * np.exp(-0.5 * np.sum(away**2, axis=2) / variance), axis=1
+        )
+        assert even == pytest.approx(np.ones(5), abs=0.05 if most > 100 else 0.3)
+        assert np.sum(footprints**2, axis=1) == pytest.approx(2.0 * variance, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "tolerance", "within"), [slow(40.0, 3e-2, 0.01), slow(40.0, 1e-1, 0.02), (80.0, 1e-1, 0.03)]
+)
+def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(degrees, tolerance, within, square):
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08)
+    along = middles(64)[0]
+    grey = 1.0 + 0.8 * along[..., 1] + 0.5 * np.sin(3.0 * along[..., 0] + 1.0)
+    window = wd.Coherence(sigma_um=4.0)
+    view = seen_at(degrees)
+    sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
+    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz[1, 1]
+    # dω cos θ is du dv; of grey light the spectrum is D65's, and what directions send is ρ L dω 4πσ²/λ².
+    step = 0.0125
+    x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
+    inside = x**2 + y**2 < 1.0
+    lights = np.stack([x[inside], y[inside], np.sqrt(1.0 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
+    nm = np.arange(380.0, 781.0)
+    products = colorimetry.colour_products("D65")
+    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
+    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
+    per_luminance = (products[:, 1] / (nm * 1e-3) ** 2).sum() / products[:, 1].sum()
+    rho = wd.reflectance(
+        heightfield,
+        lights,
+        np.array(view.eye) / np.linalg.norm(view.eye),
+        illuminant=spectrum,
+        coherence=window,
+        ior=math.inf,
+    )
+    radiance = 1.0 + 0.8 * lights[:, 1] + 0.5 * np.sin(3.0 * lights[:, 0] + 1.0)
+    exact = step**2 * 4.0 * math.pi * 4.0**2 * per_luminance * (radiance / lights[:, 2]) @ rho
+    assert found == pytest.approx(exact, rel=within)
+
+
+def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
+    # Of 1.4° a pixel, linear between them, so that the sun reaches as far to all sides.
+    heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
+    nm = np.arange(380.0, 781.0)
+    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
+    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
+    products = colorimetry.colour_products("D65")[:, 1]
+    per_luminance = 4.0 * math.pi * 4.0**2 * (products / (nm * 1e-3) ** 2).sum() / products.sum()
+    row, column, view = 50, 130, seen_at(20.0)
+    radiance = np.zeros((128, 256, 3))
+    radiance[row, column] = 1e3
+    offset = np.linspace(-1.0, 1.0, 26)[1:-1]
+    down, right = np.meshgrid(offset, offset, indexing="ij")
+    weight = (1.0 - np.abs(down)) * (1.0 - np.abs(right)) * (2.0 / 25.0) ** 2 * (math.pi / 128.0) ** 2
+    polar, azimuth = (row + 0.5 + down) / 128.0 * math.pi, ((column + 0.5 + right) / 128.0 - 1.0) * math.pi
+    azimuth = azimuth - math.radians(150.0)
+    along = np.stack(
+        [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=-1
+    ).reshape(-1, 3)
+    rho = wd.reflectance(
+        heightfield,
+        along,
+        np.array(view.eye) / 4.0,
+        illuminant=spectrum,
+        coherence=window,
+        ior=math.inf,
+        tolerance=3e-2,
+    )
+    exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
+    sky = wd.Environment(radiance, rotation_deg=150.0, directions=256)
+    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
+    assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("degrees", [50.0])
+def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(degrees, square):
+    flat = wd.HeightField(np.zeros((32, 32)), 0.09)
+    colours = {}
+    for name, rgb in {"white": (1.0, 1.0, 1.0), "red": (0.8, 0.3, 0.1)}.items():
+        sky = wd.Environment(np.tile(rgb, (4, 8, 1)), directions=256 if name == "white" else 16)
+        colours[name] = wd.shade(square, flat, sky, seen_at(degrees), masking=False, **UNDER).rgb[1, 1]
+    assert colours["white"][1] == pytest.approx(1.0, abs=2e-3)
+    gold = wd.Material.metal("Au")
+    even = wd.Environment(np.ones((4, 8, 3)), directions=16)
+    options = UNDER | {"masking": False, "ior": None}
+    shown = [
+        wd.shade(square, flat, even, seen_at(degrees), **options, material=material).xyz[1, 1]
+        for material in (gold, wd.Material([500.0], 1e-3, 100.0))
+    ]
+    nm = np.arange(380.0, 781.0)
+    exact = gold.reflectance(nm, degrees) @ colorimetry.colour_products("D65")
+    white = colorimetry.colour_products("D65").sum(axis=0)
+    assert shown[0] / shown[1] == pytest.approx(exact / white, abs=2e-3)
+    assert colours["red"] == pytest.approx([0.8, 0.3, 0.1], abs=3e-3)
+
+
+def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square):
+    flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
+    sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
+    found = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
+    # Its lobe is a Gaussian in (u, v); dω cos θ is du dv, and towards the horizon u is evenly walked by its angle.
+    nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
+    deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
+    step = math.pi / 2.0 / 4000.0
+    angle = (np.arange(4000) + 0.5) * step
+    u, w = np.sin(angle) - radius, np.cos(angle) + math.cos(math.radians(85.0))
+    gain = (0.5 * (u**2 + w**2) / w) ** 2 / math.cos(math.radians(85.0))
+    shares = (gain * np.exp(-0.5 * (u / deviation) ** 2)).sum(axis=1) * step / math.sqrt(2.0 * math.pi)
+    products = colorimetry.colour_products("D65")[:, 1]
+    exact = (shares / deviation[:, 0]) @ products / products.sum()
+    assert exact < 0.8
+    assert found == pytest.approx(exact, rel=0.02)
+
+
+def test_turning_the_sky_turns_what_a_mirror_sees(square):
+    flat = wd.HeightField(np.zeros((32, 32)), 0.09)
+    view, along = seen_at(40.0), middles(32)[0]
+    mirrored = np.array([-view.eye[0], -view.eye[1], view.eye[2]]) / 4.0
+    turn = math.radians(70.0)
+    before = [
+        mirrored[0] * math.cos(turn) - mirrored[2] * math.sin(turn), mirrored[1],
+        mirrored[0] * math.sin(turn) + mirrored[2] * math.cos(turn),
+    ]  # fmt: skip
+    patch = np.repeat((along @ before > math.cos(math.radians(25.0)))[..., None].astype(float), 3, axis=2) + 1e-3
+    shown = [
+        wd.shade(square, flat, wd.Environment(patch, rotation_deg=degrees, directions=32), view, **UNDER).xyz[1, 1, 1]
+        for degrees in (0.0, 70.0, -70.0)
+    ]
+    assert shown[1] > 0.5
+    assert max(shown[0], shown[2]) < 0.05
+
+
+def test_a_sky_is_seen_behind_a_picture(square):
+    along = middles(32)[0]
+    sky = wd.Environment(0.5 + 0.5 * along, scale=2.0)
+    view = wd.View((0.3, 0.2, 5.0), (0, 0, 0), fov_y_deg=70, width=12, height=8)
+    behind = sky.seen(view)
+    frame = view.frame()
+    for row, column in ((0, 0), (3, 7), (7, 11)):
+        x = frame.half_width * (2.0 * (column + 0.5) / 12 - 1.0)
+        y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / 8)
+        towards = x * frame.right + y * frame.up - frame.back
+        assert behind[row, column] == pytest.approx(1.0 + towards / np.linalg.norm(towards), abs=0.01)
+    picture = wd.shade(square, wd.HeightField(np.zeros((8, 8)), 0.09), wd.DirectionalLight((0, 0, 1)), view, **UNDER)
+    shown = picture.display(display="clip", exposure=0.5, background=behind)
+    empty = ~picture.mask
+    linear = 0.5 * behind[empty]
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    assert np.abs(shown[empty] - np.clip(encoded, 0.0, 1.0)).max() < 2e-3
+    with pytest.raises(ValueError, match=r"background must be a colour .* or radiances of 12 × 8 pixels, got shape"):
+        picture.display(background=np.ones((4, 4, 3)))
+
+
+def test_files_are_read_and_refused(tmp_path, square):
+    import OpenImageIO as oiio  # noqa: N813
+
+    given = np.random.default_rng(7).random((8, 16, 3)).astype(np.float32)
+    spec = oiio.ImageSpec(16, 8, 3, "float")
+    for name, pixels in {"sky.exr": given, "dark.exr": 0.0 * given, "nan.exr": given * math.nan}.items():
+        output = oiio.ImageOutput.create(str(tmp_path / name))
+        output.open(str(tmp_path / name), spec)
+        output.write_image(pixels)
+        output.close()
+    assert np.array_equal(wd.Environment.load(tmp_path / "sky.exr").radiance_rgb, given)
+    with pytest.raises(ValueError, match=r"dark\.exr' must hold light somewhere"):
+        wd.Environment.load(tmp_path / "dark.exr")
+    with pytest.raises(ValueError, match=r"nan\.exr' must be finite"):
+        wd.Environment.load(tmp_path / "nan.exr")
+    (tmp_path / "text.exr").write_text("no picture")
+    with pytest.raises(ValueError, match="cannot be read as an image"):
+        wd.Environment.load(tmp_path / "text.exr")
+    with pytest.raises(FileNotFoundError, match="path: there is no file"):
+        wd.Environment.load(tmp_path / "none.exr")
+    sky, flat = wd.Environment(given), wd.HeightField(np.zeros((8, 8)), 0.09)
+    for coherence in (wd.Coherence("source"), wd.Coherence("centred")):
+        with pytest.raises(ValueError, match=r"light\[0\]: an Environment takes coherence of kind='averaged'"):
+            wd.shade(square, flat, sky, seen_at(20.0), coherence=coherence)
+    with pytest.raises(ValueError, match="an Environment, takes footprints"):
+        wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
+
+
+def test_the_tolerance_says_how_many_directions_stand_for_a_sky(square):
+    sky, flat = wd.Environment(0.5 + 0.5 * middles(16)[0]), wd.HeightField(np.zeros((8, 8)), 0.09)
+    options = UNDER | {"refine": False}
+    counts = [
+        wd.shade(square, flat, sky, seen_at(20.0), **options | {"tolerance": each}).plan.light_sample_count
+        for each in (0.5, 0.25)
+    ]
+    assert counts == [1640, 3280]
+    picture = wd.shade(square, flat, wd.Environment(sky.radiance_rgb, directions=20), seen_at(20.0), **UNDER)
+    assert picture.plan.light_sample_count == 20
+    assert "20 directions stand for the lights" in str(picture.plan)
+
+
+def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
+    # Two leaves of a book, of which each hides a part of the sky from the other.
+    corners = [[0, 0, -1], [0, 0, 1], [1, 1, 1], [1, 1, -1], [-1, 1, 1], [-1, 1, -1]]
+    texture = trimesh.visual.TextureVisuals(
+        uv=[[0, 0], [0, 1], [1, 1], [1, 0], [1, 1], [1, 0]],
+        material=trimesh.visual.material.PBRMaterial(baseColorFactor=[200, 120, 60, 255]),
+    )
+    book = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3], [0, 4, 1], [0, 5, 4]], visual=texture, process=False)
+    flat, view = (
+        wd.HeightField(np.zeros((8, 8)), 0.09),
+        wd.View((0.3, 4, 0.5), (0, 0.5, 0), fov_y_deg=22, width=16, height=8),
+    )
+    along, solid = middles(16)
+    grey = 1.2 + along[..., 0]
+    sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=640)
+    options = UNDER | {"ior": 1.5, "smooth": False}
+    found = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
+    nm = np.arange(380.0, 781.0)
+    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
+    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
+    products = colorimetry.colour_products("D65")[:, 1]
+    per_luminance = 4.0 * math.pi * 8.0**2 * (products / (nm * 1e-3) ** 2).sum() / products.sum()
+    lamps = [
+        wd.DirectionalLight(tuple(towards), illuminant=spectrum, power=radiance * share * per_luminance)
+        for towards, radiance, share in zip(
+            along.reshape(-1, 3), grey.ravel(), np.broadcast_to(solid, grey.shape).ravel(), strict=True
+        )
+        if towards[1] > -0.8
+    ]
+    exact = [
+        wd.shade(book, flat, lamps, view, **options | {"pigment": each, "footprint": False}).xyz for each in (0.0, 1.0)
+    ]
+    below, wanted = found[1] - found[0], exact[1] - exact[0]
+    seen = wanted[..., 1] > 0.0
+    assert seen.sum() > 60
+    away = np.linalg.norm(below[seen] - wanted[seen], axis=1) / np.linalg.norm(wanted[seen], axis=1)
+    # Lamps are hidden or not, and 11° apart; what hides the sky is known in steps of as much.
+    assert np.median(away) < 0.05
+    assert np.percentile(away, 90.0) < 0.09
+
+
+def test_a_tree_of_cells_holds_their_areas_and_middles():
+    places = cells(640)[0].astype(np.float64)
+    nodes, spans, order = tree(640)
+    assert sorted(order) == list(range(len(places)))
+    assert (spans[0] == [0, len(places)]).all()
+    ends = np.searchsorted(spans[:, 0], spans[:, 1])
+    for node in (0, 1, 5, 77, len(nodes) - 1):
+        own = places[order[spans[node, 0] : spans[node, 1]]]
+        assert nodes[node, 3] == pytest.approx(own[:, 3].sum(), rel=1e-4)
+        middle = own[:, 3] @ own[:, :2] / own[:, 3].sum()
+        assert nodes[node, :2] == pytest.approx(middle, abs=1e-5)
+        # What is below it lies between it and where it ends.
+        below = spans[node + 1 : ends[node]]
+        assert (below[:, 0] >= spans[node, 0]).all()
+        assert (below[:, 1] <= spans[node, 1]).all()
+
+
+def test_a_window_on_a_tube_is_that_of_sums_over_directions():
+    # Footprints are streaks here, and the horizon cuts orders.
+    view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
+    heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
+    along = middles(64)[0]
+    grey = np.where((np.abs(along[..., 1] - 0.3) < 0.25) & (along[..., 0] > 0.4), 2.5, 0.03)
+    sums = SkySums(wd.meshes.tube(), heightfield, view, window)
+    pixels = sums.interior()[::3]
+    assert len(pixels) > 15
+    exact = sums.under_sky(pixels, grey, 9, 1)
+    sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
+    options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
+    for refine, median, most in ((False, 0.03, 1.0), (True, 0.025, 0.15)):
+        found = wd.shade(wd.meshes.tube(), heightfield, sky, view, **options | {"refine": refine})
+        at = pixels[:, 0], pixels[:, 1]
+        away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
+        assert np.median(away) < median
+        assert away.max() < most
+        # What is wrong is told, to a factor of two.
+        assert (found.error[at] > 0.5 * away)[away > 0.1].all()
+    assert np.percentile(away, 90.0) < 0.06
+
+
+def test_a_bright_even_sky_has_no_sun_beside_its_own():
+    # Means over what is even round to either side of it.
+    sky = np.full((64, 128, 3), 0.7, dtype=np.float32)
+    sky[:20] = 1.19
+    assert not extract_suns(sky)[1]
+    sky[40, 60] = 1e5
+    grid, suns = extract_suns(sky)
+    assert len(suns) == 1
+    assert grid.max() == pytest.approx(1.19, rel=1e-5)

@@ -1,0 +1,110 @@
+"""Lights at a place: directions and falloff by pixel, footprints, and what stands beyond the light."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+import warpdiff as wd
+
+WINDOW = wd.Coherence(sigma_um=8.0)
+VIEW = wd.View.orthographic((0.5, 0.4, 4.0), (0, 0, 0), extent_y=1.6, width=24, height=18)
+OPTIONS = {"coherence": WINDOW, "tolerance": 3e-2, "pigment": 0.0}
+
+
+def square(height=0.0, size=1.0):
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * size + [0, 0, height]
+    texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
+
+
+@pytest.mark.parametrize("size", [1.0, 1000.0])
+def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
+    body, position = square(size=size), np.array([0.3, -0.2, 0.9]) * size
+    view = wd.View.orthographic(
+        np.array(VIEW.eye) * size, (0, 0, 0), extent_y=1.6 * size, width=VIEW.width, height=VIEW.height
+    )
+    points = OPTIONS | {"footprint": False, "plan": wd.plan(fingers, coherence=WINDOW, tolerance=3e-2)}
+    found = wd.shade(body, fingers, wd.PointLight(tuple(position), power=size**2), view, **points)
+    frame = view.frame()
+    across = frame.half_width * (2.0 * (np.arange(view.width) + 0.5) / view.width - 1.0)
+    upward = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
+    for row, column in ((3, 4), (9, 12), (15, 20)):
+        origin = frame.origin + across[column] * frame.right + upward[row] * frame.up
+        met = origin - origin[2] / frame.back[2] * frame.back
+        away = position - met
+        light = wd.DirectionalLight(tuple(away), power=size**2 / float(away @ away))
+        expected = wd.shade(body, fingers, light, view, **points).xyz[row, column]
+        assert found.xyz[row, column] == pytest.approx(expected, rel=2e-3)
+
+
+def test_footprints_know_how_the_direction_to_the_light_changes(fingers):
+    """On a flat square that is seen from infinitely far away nothing else changes over a pixel."""
+    light = wd.PointLight((1.5, -1.0, 2.0))
+    exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)
+    mean = wd.shade(square(), fingers, light, VIEW, refine=False, **OPTIONS)
+    point = wd.shade(square(), fingers, light, VIEW, footprint=False, **OPTIONS)
+    inside = np.s_[4:-4, 4:-4]
+    truth = np.linalg.norm(exact.xyz[inside], axis=-1)
+    away = [np.linalg.norm((each.xyz - exact.xyz)[inside], axis=-1) / truth for each in (mean, point)]
+    assert np.percentile(away[0], 90.0) < 0.03
+    assert np.percentile(away[1], 90.0) > 0.3
+
+
+def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
+    flat = wd.HeightField(np.zeros((32, 32)), 0.09)
+    view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=0.02, width=3, height=3)
+    for distance, seen in ((1.0, 2.0), (2.0, 0.5)):
+        light = wd.PointLight((0.0, 0.0, distance), power=2.0)
+        image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
+        assert image.xyz[1, 1, 1] == pytest.approx(seen, rel=1e-2)
+    # Pigment falls off alike.
+    coloured = square()
+    coloured.visual = trimesh.visual.TextureVisuals(
+        uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
+    )
+    shown = [
+        wd.shade(coloured, fingers, wd.PointLight((0.0, 0.0, d)), view, **(OPTIONS | {"pigment": 100.0})).xyz[1, 1]
+        - wd.shade(coloured, fingers, wd.PointLight((0.0, 0.0, d)), view, **OPTIONS).xyz[1, 1]
+        for d in (1.0, 2.0)
+    ]
+    assert shown[0] == pytest.approx(4.0 * shown[1], rel=1e-2)
+
+
+def test_too_much_light_is_refused(fingers):
+    with pytest.raises(ValueError, match=r"power of a PointLight must be at most 1e\+09 times the square"):
+        wd.shade(square(size=1e-3), fingers, wd.PointLight((0.0, 0.0, 1.0), power=1e6), VIEW, **OPTIONS)
+    bright = wd.Environment(np.full((2, 4, 3), 1e9), scale=1e6, directions=16)
+    with pytest.raises(ValueError, match="times scale of an Environment is too bright"):
+        wd.shade(square(), fingers, bright, VIEW, **OPTIONS)
+
+
+def test_what_stands_beyond_the_light_hides_nothing(fingers):
+    scene = trimesh.Scene([square(), square(height=2.0, size=0.4)])
+    view = wd.View.orthographic((3.0, 0.4, 4.0), (0, 0, 0), extent_y=0.3, width=4, height=3)
+    below, above = (
+        wd.shade(scene, fingers, wd.PointLight((0.02, 0.0, height)), view, **OPTIONS) for height in (1.5, 3.0)
+    )
+    assert below.mask.all()
+    assert below.illuminated.all()
+    assert not above.illuminated.any()
+
+
+def test_a_renderer_moves_a_light_from_afar_to_a_place(fingers):
+    light = wd.PointLight((0.3, -0.2, 0.9))
+    options = OPTIONS | {"refine": False}
+    renderer = wd.Renderer(square(), fingers, wd.DirectionalLight((0.1, 0.2, 1.0)), VIEW, **options)
+    renderer.draw(light)
+    found = renderer.image()
+    expected = wd.shade(square(), fingers, light, VIEW, plan=renderer.plan, **options)
+    assert np.array_equal(found.xyz, expected.xyz)
+    on_the_surface = wd.shade(square(), fingers, wd.PointLight((0.1, 0.1, 0.0)), VIEW, plan=renderer.plan, **options)
+    assert np.isfinite(on_the_surface.xyz).all()

@@ -1,0 +1,208 @@
+"""Materials: Fresnel's equations and films against characteristic matrices, files, and flat surfaces as seen."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from conftest import at_angle
+
+import warpdiff as wd
+from bench.truth import flat_materials, reference
+from warpdiff.optics import colorimetry
+
+UP = (0.0, 0.0, 1.0)
+GOLD = wd.Material.metal("Au")
+FILM = wd.Material.metal("Al").coated(wd.Material.dielectric(1.46), 180.0)
+MATERIALS = {
+    "glass": wd.Material.dielectric(1.5),
+    **{symbol: wd.Material.metal(symbol) for symbol in ("Al", "Ag", "Au", "Cr", "Cu", "Ni")},
+    "a film on aluminium": FILM,
+    "an absorbing film on glass": wd.Material.dielectric(1.52).coated(wd.Material.metal("Cr"), 8.0),
+    "less than air": wd.Material([500.0], 0.4),
+}
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("polarisation", [None, "s", "p"])
+def test_reflectance_is_that_of_characteristic_matrices(name, polarisation):
+    material, angles = MATERIALS[name], np.array([0.0, 20.0, 45.0, 60.0, 75.0, 89.0])
+    wavelengths = np.linspace(380.0, 780.0, 41)
+    found = material.reflectance(wavelengths, angles[:, None], polarisation=polarisation)
+    expected = flat_materials.reflectance(
+        material, 1e-3 * wavelengths, np.cos(np.radians(angles))[:, None], polarisation or "sp"
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_glass_reflects_no_p_light_at_brewsters_angle_and_all_at_the_horizon():
+    glass = wd.Material.dielectric(1.5)
+    assert glass.reflectance(500.0, math.degrees(math.atan(1.5)), polarisation="p") == pytest.approx(0.0, abs=1e-12)
+    assert glass.reflectance(500.0, 0.0) == pytest.approx(0.04)
+    assert glass.reflectance(500.0, 90.0) == pytest.approx(1.0)
+
+
+def test_a_quarter_wave_of_the_root_of_an_index_reflects_nothing():
+    coated = wd.Material.dielectric(2.25).coated(wd.Material.dielectric(1.5), 550.0 / 4.0 / 1.5)
+    assert coated.reflectance(550.0, 0.0) == pytest.approx(0.0, abs=1e-12)
+    assert coated.reflectance(400.0, 0.0) > 0.02
+
+
+def test_metals_have_their_colours():
+    """Johnson and Christy's gold reflects red and absorbs blue; McPeak's aluminium reflects 91 to 92 % of green."""
+    assert GOLD.reflectance([450.0, 650.0], 0.0).tolist() == pytest.approx([0.408, 0.955], abs=0.01)
+    assert wd.Material.metal("Al").reflectance(550.0, 0.0) == pytest.approx(0.916, abs=2e-3)
+    assert "Johnson" in GOLD.source
+    assert "CC0" in GOLD.source
+
+
+def test_materials_are_equal_by_their_numbers():
+    assert wd.Material.dielectric(1.5) == wd.Material.dielectric(1.5)
+    assert hash(FILM) == hash(wd.Material.metal("Al").coated(wd.Material.dielectric(1.46), 180.0))
+    assert wd.Material.dielectric(1.5) != wd.Material.dielectric(1.6)
+    assert wd.Material.metal("Al") != FILM
+    assert str(FILM) == "aluminium under 180 nm of n = 1.46"
+
+
+SITE_YAML = """# this file is part of refractiveindex.info database
+REFERENCES: |
+    A. Body. <i>Of metals</i>
+COMMENTS: "none"
+DATA:
+  - type: tabulated nk
+    data: |
+        0.3 1.2 3.0
+        0.8 2.2 5.0
+"""
+FORMULA = """REFERENCES: "A. Glassmaker"
+DATA:
+  - type: formula 2
+    wavelength_range: 0.3 2.5
+    coefficients: 0 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653
+  - type: tabulated k
+    data: |
+        0.300 2.8607E-06
+        2.500 1.2E-06
+"""
+FILES = {
+    "metal.yml": (SITE_YAML, 1.7, 4.0),
+    "bk7.yaml": (FORMULA, 1.51852, 0.0),
+    "blocks.csv": ("wl,n\n0.3,1.2\n0.8,2.2\n\nwl,k\n0.3,3\n0.8,5\n", 1.7, 4.0),
+    "columns.csv": ("wavelength [nm],n,k\n300,1.2,3\n800,2.2,5\n", 1.7, 4.0),
+    "cauchy.yml": (
+        "DATA:\n  - type: formula 5\n    wavelength_range: 0.3 1\n    coefficients: 1.4 0.0121 -2\n", 1.44, 0.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_of_the_database_are_read(name, tmp_path):
+    text, n, k = FILES[name]
+    (tmp_path / name).write_text(text)
+    found = wd.Material.from_file(tmp_path / name)
+    expected = wd.Material([550.0], n, k)
+    assert found.name == name.partition(".")[0]
+    np.testing.assert_allclose(found.reflectance(550.0, 30.0), expected.reflectance(550.0, 30.0), rtol=1e-3)
+
+
+def test_a_file_says_where_it_is_from(tmp_path):
+    (tmp_path / "metal.yml").write_text(SITE_YAML)
+    assert wd.Material.from_file(tmp_path / "metal.yml").source == "A. Body. Of metals"
+
+
+BAD_FILES = {
+    "": "there is no index of refraction n in it",
+    "wl,n\n": "there is no index of refraction n in it",
+    "wl,q\n1,2\n": "columns must be a wavelength, n and k",
+    "wl,k\n0.3,1\n": "there is no index of refraction n",
+    "0.3,nan\n": "must be finite",
+    "0.3,-1\n0.8,-1\n": "n must lie within",
+    "3e-5,1\n": "wavelengths_nm must lie within 100",
+}
+
+
+@pytest.mark.parametrize("text", BAD_FILES)
+def test_other_files_are_refused(text, tmp_path):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(ValueError, match=BAD_FILES[text]):
+        wd.Material.from_file(tmp_path / "a.csv")
+    (tmp_path / "a.yml").write_text(text)
+    with pytest.raises(ValueError, match="no '- type: tabulated nk'"):
+        wd.Material.from_file(tmp_path / "a.yml")
+
+
+BAD = {
+    "give ior or material, not both": lambda: wd.reflectance(flat(), UP, UP, ior=1.5, material=GOLD),
+    "n must be a finite number > 1": lambda: wd.Material.dielectric(1.0),
+    "symbol must be one of 'Al', 'Ag'": lambda: wd.Material.metal("Fe"),
+    "k must lie within 0 to 100": lambda: wd.Material([500.0], 1.5, -0.1),
+    "k must have one number": lambda: wd.Material([500.0, 600.0], 1.5, [0.1, 0.2, 0.3]),
+    "strictly increasing": lambda: wd.Material([600.0, 500.0], 1.5),
+    "a film already": lambda: FILM.coated(GOLD, 10.0),
+    "thickness_nm must be a finite number > 0 <= 1000": lambda: GOLD.coated(GOLD, 2000.0),
+    "film must be a material without": lambda: wd.Material([500.0], 1.5, film=FILM, film_nm=10.0),
+    "is tabulated from 400 to 600 nm": lambda: wd.reflectance(
+        flat(), UP, UP, material=wd.Material([400.0, 600.0], [1.5, 1.5])
+    ),
+    "angle_deg must lie within 0 to 90": lambda: GOLD.reflectance(500.0, 91.0),
+    "must broadcast": lambda: GOLD.reflectance([500.0, 600.0], [0.0, 1.0, 2.0]),
+    "material must cover 150 to 150 nm": lambda: GOLD.reflectance(150.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_bad_materials_are_refused(message):
+    with pytest.raises(ValueError, match=message):
+        BAD[message]()
+
+
+def flat():
+    return wd.HeightField(np.zeros((64, 64)), 0.09)
+
+
+def mirrored(material, angle):
+    """XYZ of a flat material in the mirror direction, with C of a perfect mirror."""
+    wavelengths = np.arange(380, 781)
+    reflected = flat_materials.reflectance(material, 1e-3 * wavelengths, math.cos(math.radians(angle)))
+    to_light, to_view = at_angle(angle)[None], at_angle(-angle)[None]
+    gain = reference.gain(to_light, to_view, ior=math.inf)[0]
+    return gain * reflected @ colorimetry.colour_products()
+
+
+@pytest.mark.parametrize("name", ["Au", "Cr", "glass", "a film on aluminium"])
+@pytest.mark.parametrize("nodes", [0, 32], ids=["sampled", "table"])
+def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
+    """What a mirror direction shows is R(θ, λ), from sampled wavelengths and from a table alike."""
+    heightfield, angles = flat(), (0.0, 30.0, 60.0, 75.0)
+    plan = dataclasses.replace(
+        wd.plan(heightfield, method="low-rank"), rings_per_octave=nodes, azimuths_per_width=1.3 * (nodes > 0)
+    )
+    lights, views = at_angle(np.array(angles)), at_angle(-np.array(angles))
+    found = wd.reflectance(heightfield, lights, views, plan=plan, material=MATERIALS[name])
+    expected = np.array([mirrored(MATERIALS[name], angle) for angle in angles])
+    np.testing.assert_allclose(found, expected, rtol=3e-3)
+
+
+def test_all_evaluations_agree_on_gold():
+    heightfield, wavelengths = wd.gratings.blazed(2.5, 0.25), np.array([450.0, 550.0, 650.0])
+    to_light, to_view = at_angle(20.0), at_angle(-7.0)
+    half = (to_light + to_view) / np.linalg.norm(to_light + to_view)
+    reflected = flat_materials.reflectance(GOLD, 1e-3 * wavelengths, half @ to_view)
+    given = {"coherence": wd.Coherence(sigma_um=5.0)}
+    mirror = wd.spectral_reflectance(heightfield, to_light, to_view, wavelengths, ior=math.inf, **given)
+    for method in ("auto", "direct"):
+        found = wd.spectral_reflectance(
+            heightfield, to_light, to_view, wavelengths, material=GOLD, method=method, **given
+        )
+        np.testing.assert_allclose(found, reflected * mirror, rtol=1e-4)
+    absolute = wd.brdf(heightfield, to_light, to_view, wavelengths, ior=math.inf, **given)
+    found = wd.brdf(heightfield, to_light, to_view, wavelengths, material=GOLD, **given)
+    np.testing.assert_allclose(found, reflected * absolute, rtol=1e-4)
+    orders = wd.order_efficiencies(heightfield, to_light, wavelengths, material=GOLD, energy="stam")
+    mirrors = wd.order_efficiencies(heightfield, to_light, wavelengths, ior=math.inf, energy="stam")
+    halves = to_light + orders.to_view
+    cosines = np.linalg.norm(halves, axis=-1) / 2.0
+    expected = flat_materials.reflectance(GOLD, 1e-3 * wavelengths[:, None], cosines) * mirrors.efficiencies
+    np.testing.assert_allclose(orders.efficiencies, np.where(np.isfinite(cosines), expected, 0.0), rtol=1e-9)

@@ -1,0 +1,90 @@
+"""Spectra of lights: temperatures, files, names that colour-science knows, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.optics.colorimetry import colour_products
+
+
+def white(illuminant):
+    return colour_products(illuminant).sum(axis=0)
+
+
+def test_a_black_body_of_2855_kelvin_is_illuminant_a():
+    """CIE defines A by Planck's law with another second constant, which is a temperature of 2855.5 K with today's."""
+    np.testing.assert_allclose(white(wd.Spectrum.blackbody(2855.5)), white("A"), rtol=2e-4)
+
+
+def test_daylight_of_6504_kelvin_is_d65():
+    np.testing.assert_allclose(white(wd.Spectrum.daylight(6504.0)), white("D65"), rtol=2e-3)
+
+
+def test_hot_and_cold_bodies_have_their_colours():
+    cold, hot = white(wd.Spectrum.blackbody(500.0)), white(wd.Spectrum.blackbody(1e5))
+    assert cold[2] < 1e-3
+    assert hot[2] > 1.5
+    assert np.isfinite([cold, hot]).all()
+
+
+def test_a_file_is_read_by_its_columns(tmp_path):
+    nm = np.arange(360, 831, 5)
+    body = wd.Spectrum.blackbody(4000.0)
+    values = np.interp(nm, body.wavelengths_nm, body.values)
+    for sign in (",", ";", "\t", "  "):
+        text = f"# a lamp\nwavelength{sign}power\n" + "".join(
+            f"{n}{sign}{v:.6g}\n" for n, v in zip(nm, values, strict=True)
+        )
+        (tmp_path / "lamp.csv").write_text(text)
+        found = wd.Spectrum.from_csv(tmp_path / "lamp.csv")
+        assert found.name == "lamp"
+        np.testing.assert_allclose(white(found), white(body), rtol=1e-3)
+
+
+def test_spectra_are_equal_by_their_numbers():
+    assert wd.Spectrum.blackbody(3000.0) == wd.Spectrum.blackbody(3000.0)
+    assert hash(wd.Spectrum.blackbody(3000.0)) == hash(wd.Spectrum.blackbody(3000.0))
+    assert wd.Spectrum.blackbody(3000.0) != wd.Spectrum.blackbody(3001.0)
+
+
+def test_an_even_spectrum_is_illuminant_e_in_calls_and_pictures():
+    even, heightfield = wd.Spectrum([300.0, 900.0], [2.0, 2.0]), wd.gratings.sinusoidal(1.2, 0.1)
+    given = (0.1, 0.2, 1.0), [(0.3, 0.0, 1.0), (0.0, -0.1, 1.0)]
+    found = wd.reflectance(heightfield, *given, illuminant=even, tolerance=1e-3)
+    np.testing.assert_allclose(found, wd.reflectance(heightfield, *given, illuminant="E", tolerance=1e-3), rtol=1e-4)
+    view = wd.View((0, 0, 4), (0, 0, 0), width=12, height=9)
+    lights = [wd.DirectionalLight((0.2, 0.3, 1.0), illuminant=each) for each in (even, "E")]
+    one, other = (wd.shade(wd.meshes.disc(), heightfield, each, view, refine=False, tolerance=0.1) for each in lights)
+    np.testing.assert_allclose(one.xyz, other.xyz, rtol=1e-3, atol=1e-6)
+
+
+def test_leds_and_lamps_go_by_their_names():
+    assert white("LED-B1")[1] == pytest.approx(1.0)
+    assert white("Kinoton 75P")[1] == pytest.approx(1.0)
+
+
+BAD = {
+    "must have the same shape": lambda: wd.Spectrum([380.0, 780.0], [1.0]),
+    "strictly increasing": lambda: wd.Spectrum([380.0, 780.0, 700.0], [1.0, 1.0, 1.0]),
+    "must cover 380 to 780 nm, got 400 to 800": lambda: wd.Spectrum([400.0, 800.0], [1.0, 1.0]),
+    "must not be negative": lambda: wd.Spectrum([380.0, 780.0], [1.0, -1.0]),
+    "there must be light between 400 and 700": lambda: wd.Spectrum([380.0, 780.0], [0.0, 0.0]),
+    "temperature_k must be a finite number >= 4000": lambda: wd.Spectrum.daylight(3000.0),
+    "temperature_k must be a finite number >= 500": lambda: wd.Spectrum.blackbody(0.0),
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_bad_spectra_are_refused(message):
+    with pytest.raises(ValueError, match=message):
+        BAD[message]()
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("nothing")
+    with pytest.raises(ValueError, match=r"a\.csv: there are no two columns of numbers"):
+        wd.Spectrum.from_csv(tmp_path / "a.csv")
+    with pytest.raises(FileNotFoundError, match="path: there is no file"):
+        wd.Spectrum.from_csv(tmp_path / "b.csv")

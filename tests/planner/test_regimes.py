@@ -1,0 +1,309 @@
+"""Regime by regime: the automatic choice keeps its tolerance where another computation breaks, or says why not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import slow
+
+import warpdiff as wd
+from bench.truth import numpy_methods as methods
+from bench.truth import reference
+from warpdiff.diffraction import direct_sum
+
+TOLERANCE = 1e-2
+WINDOW = wd.Coherence()
+
+
+class Case:
+    """A surface, directions and a coherence with their true colours."""
+
+    def __init__(self, heightfield, directions, coherence=WINDOW):
+        self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence
+        self.exact = reference.reference_reflectance(heightfield, self.lights, self.views, coherence)
+
+    def error_of(self, xyz):
+        return methods.colour_error(xyz, self.exact)
+
+    @property
+    def automatic(self):
+        """The error of the automatic choice; a warning or a refusal fails the test."""
+        xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
+        return self.error_of(xyz)
+
+    def fixed_steps(self, step_nm):
+        return self.error_of(
+            methods.fixed_step_colour(self.heightfield, self.lights, self.views, step_nm, self.coherence)
+        )
+
+    def neighbours(self, **keywords):
+        wavelengths, weights = methods.fixed_steps(1.0)
+        rho = methods.series_reflectance(
+            self.heightfield,
+            self.lights,
+            self.views,
+            1e-3 * wavelengths,
+            sigma=self.coherence.sigma_um,
+            neighbour_extent=1,
+            **keywords,
+        )
+        return self.error_of(rho @ weights)
+
+
+# Windows: too few neighbours of short ones, orders of long ones that pass between wavelengths.
+
+
+@pytest.fixture(scope="module")
+def line():
+    return methods.finger_rows(25.6)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 20.0, 400.0])
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+def test_automatic_choice_over_windows(line, kind, sigma):
+    assert Case(line, methods.in_plane(32, 1.8), wd.Coherence(kind, sigma)).automatic <= TOLERANCE
+
+
+def test_other_choices_break_over_windows(line):
+    directions = methods.in_plane(48, 1.8)
+    short, middle, long = (Case(line, directions, wd.Coherence(sigma_um=sigma)) for sigma in (3.0, 10.0, 100.0))
+    assert short.neighbours() > 0.1
+    assert short.neighbours(floor=True) > 0.1
+    assert middle.neighbours() < TOLERANCE < middle.neighbours(floor=True)
+    assert middle.fixed_steps(1.0) < TOLERANCE < middle.fixed_steps(5.0)
+    assert long.fixed_steps(1.0) > 0.1
+
+
+def test_windows_out_of_reach_are_refused_with_the_remedy(line):
+    up = [0.0, 0.0, 1.0]
+    with pytest.raises(ValueError, match=r"sigma_um=0\.01 is too short.* crop the height field"):
+        wd.reflectance(wd.gratings.fingers(), up, [0.5, 0.0, 0.8], coherence=wd.Coherence(sigma_um=0.01))
+    lights, views = methods.in_plane(4, 1.8)
+    with pytest.raises(ValueError, match=r"sigma_um=50000 .*wavelengths.*smaller sigma_um"):
+        wd.reflectance(line, lights, views, coherence=wd.Coherence(sigma_um=5e4))
+
+
+# Patches: large ones have orders closer than nine neighbours reach, and all have more than 81 wavelengths see.
+
+
+@pytest.mark.parametrize("size", [2.0, 12.8, 32.0])
+def test_automatic_choice_over_patches(size):
+    heightfield = wd.gratings.fingers(size_um=size, pitch_um=0.09, length_um=min(3.0, size), seed=4)
+    assert Case(heightfield, methods.hemisphere_pairs(32, 0.4)).automatic <= TOLERANCE
+
+
+def test_other_choices_break_over_patches():
+    usual = Case(wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), methods.hemisphere_pairs(24))
+    assert usual.fixed_steps(5.0) > 0.1
+    assert usual.fixed_steps(1.0) < TOLERANCE
+    assert usual.automatic <= TOLERANCE
+    for step, limit in ((10.0, 0.3), (25.0, 1.0), (50.0, 1.0)):
+        assert usual.fixed_steps(step) > limit
+    line = Case(methods.finger_rows(100.0), methods.in_plane(32, 1.8))
+    assert line.neighbours() > 0.03
+    assert line.neighbours(floor=True) > 0.1
+    assert line.automatic <= TOLERANCE
+
+
+# |(u, v)|: wavelengths are too few far from the mirror direction, one point an order is too few close to it.
+
+
+@pytest.mark.parametrize("order_rate", [0.003, 0.1, 0.7, 1.98])
+def test_automatic_choice_over_deflections(order_rate):
+    heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=4)
+    case = Case(heightfield, methods.with_lateral(64, order_rate, seed=1))
+    assert case.automatic <= TOLERANCE
+    order_wise = case.error_of(methods.order_wise_colour(heightfield, case.lights, case.views, sigma=16.25))
+    if order_rate <= 0.1:
+        assert order_wise > 0.3
+    if order_rate >= 1.4:
+        assert order_wise < 3.0 * TOLERANCE
+        assert case.fixed_steps(5.0) > 0.1
+
+
+# Grazing: 1 + ωi·ωr cancels, sources are foreshortened.
+
+
+@pytest.mark.parametrize("elevation", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("spread", [0.1, None])
+def test_automatic_choice_towards_the_horizon(elevation, spread):
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=4)
+    case = Case(heightfield, methods.at_elevation(48, elevation, spread))
+    assert case.automatic <= TOLERANCE
+    if (elevation, spread) == (0.1, 0.1):
+        wavelengths, weights = methods.fixed_steps(1.0)
+        single = methods.single_precision(heightfield, case.lights, case.views, 1e-3 * wavelengths, sigma=16.25)
+        assert case.error_of(single @ weights) > TOLERANCE
+
+
+@pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
+def test_a_mirror_far_brighter_than_what_is_seen(count, seed):
+    """All that is seen at the horizon is a millionth of the mirror, whose Gaussian's tail must not show.
+
+    Powers cancel there, too: few directions, which are else not searched for, must not keep their series.
+    """
+    heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
+    assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
+
+
+@pytest.mark.parametrize("elevation", [0.1, 0.5, 3.0, 30.0])
+@pytest.mark.parametrize("spread", [0.1, None])
+def test_sources_towards_the_horizon(elevation, spread):
+    heightfield, source = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=4), wd.Coherence("source")
+    lights, views = methods.at_elevation(48, elevation, spread)
+    wavelengths = np.linspace(0.38, 0.78, 41)
+    exact = reference.reference_spectral(heightfield, lights, views, wavelengths, source)
+    rho = wd.spectral_reflectance(heightfield, lights, views, 1e3 * wavelengths, coherence=source, tolerance=TOLERANCE)
+    assert methods.spectral_error(rho, exact) <= TOLERANCE
+    if elevation >= 3.0 and spread is None:
+        assert Case(heightfield, (lights, views), source).automatic <= TOLERANCE
+
+
+@pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
+def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
+    """Foreshortened some hundred times: bounds that are cut short are widened, and judged by what is finer still."""
+    heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
+    assert (
+        Case(heightfield, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic
+        <= TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("count", [2, slow(8), slow(12)])
+def test_a_source_that_grazes_beyond_reach_is_refused(count):
+    """Foreshortened a thousand times, its colours take more wavelengths than there are: right, or refused."""
+    heightfield, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")
+    lights, views = methods.at_elevation(count, 0.2)
+    xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, coherence=source)
+    if message:
+        assert xyz is None
+        assert "larger angular_diameter_deg" in message
+    else:
+        exact = reference.reference_reflectance(heightfield, lights, views, source)
+        assert methods.colour_error(xyz, exact) <= TOLERANCE
+
+
+# The pitch: what aliases, no reference on the same samples can tell.
+
+
+PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
+
+
+def sine_colour(lights, views):
+    """XYZ of the sine itself: |H_m|² = J_m(πκ·depth)²."""
+    tau, weights = reference.quadrature(64, "D65")
+    scattering_vectors = -(lights + views)
+    theta = 2.0 * math.pi * np.arange(64) / 64
+    phase = math.pi * DEPTH * scattering_vectors[:, 2][:, None, None] * tau[:, None] * np.sin(theta)
+    orders = np.abs(np.fft.fft(np.exp(1j * phase), axis=-1) / 64) ** 2
+    away = (scattering_vectors[:, :1] * tau)[..., None] - np.fft.fftfreq(64, 1.0 / 64) / PERIOD
+    rho = np.sum(orders * np.exp(-4.0 * (math.pi * SINE_WINDOW.sigma_um * away) ** 2), axis=-1)
+    return reference.gain(lights, views)[:, None] * rho @ weights
+
+
+def test_pitches_around_their_limit():
+    lights, views = methods.in_plane(64, 1.9)
+    exact = sine_colour(lights, views)
+    arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
+    # The limit is 0.1 µm.
+    for samples in (80, 20, 16):
+        xyz = wd.reflectance(wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples), **arguments)
+        assert methods.colour_error(xyz, exact) <= TOLERANCE
+    for samples in (12, 6):
+        coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
+        # The reference on the same samples finds nothing wrong.
+        on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
+        with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
+            xyz = wd.reflectance(coarse, **arguments)
+        assert len(caught) == 1
+        assert methods.colour_error(xyz, on_samples) <= TOLERANCE
+        assert methods.colour_error(xyz, exact) > TOLERANCE
+        # And this is what the warning recommends.
+        xyz = wd.reflectance(coarse.resampled(0.04), **arguments)
+        assert methods.colour_error(xyz, exact) <= TOLERANCE
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_a_window_between_samples_close_to_the_limit(seed, side):
+    """Neighbours beyond the limit are those within, but for the phase that a window between samples gives them."""
+    heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
+    window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
+    arguments = heightfield, [0.0, 0.0, 1.0], [side * 0.345, 0.0, 0.9386], 102.0
+    exact = wd.spectral_reflectance(*arguments, coherence=window, method="direct")
+    rho, message = methods.outcome(wd.spectral_reflectance, *arguments, coherence=window, tolerance=1e-3)
+    assert message or rho[0] == pytest.approx(exact[0], rel=1e-3)
+
+
+# Copies: the published form loses all digits near a resonance, and so does a sine of an argument that is not reduced.
+
+
+@pytest.mark.parametrize("periods", [10, 1000, 5000])
+@pytest.mark.parametrize("away", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 0.0])
+def test_copies_near_resonance(periods, away):
+    heightfield, wavelength = methods.finger_rows(6.4, pitch_um=0.08), np.array([0.5])
+    coherence = wd.Coherence("replicas", periods=(1, periods))
+    lights, views = methods.near_resonance(heightfield, away, 0.5)
+    power = direct_sum.window_power(heightfield, coherence, -(lights + views), wavelength)
+    patch = direct_sum.window_power(
+        heightfield, wd.Coherence("replicas", periods=(1, 1)), -(lights + views), wavelength
+    )
+    rho = wd.spectral_reflectance(heightfield, lights, views, 500.0, coherence=coherence, tolerance=1e-5)
+    exact = reference.gain(lights, views)[:, None] * power
+    assert methods.spectral_error(rho, exact) <= 1e-5
+    turns = -(lights + views)[:, :1] / 0.5 * heightfield.size_um[1]
+    single, double, plain = (
+        methods.spectral_error(form(turns, periods, dtype) * patch, power)
+        for form, dtype in (
+            (methods.published_copies, np.float32),
+            (methods.published_copies, np.float64),
+            (methods.plain_copies, np.float32),
+        )
+    )
+    if away <= 1e-4:
+        assert single > 1.0
+    if away <= 1e-9:
+        assert not double < 0.1
+    if periods >= 1000 and away <= 1e-6:
+        assert plain > 0.1
+
+
+def test_the_published_form_of_copies():
+    """The design's figures, of angles wT: 5 % off at 1e-3, nothing at 1e-4."""
+    for periods in (10, 100, 1000):
+        exact, single = (
+            methods.published_copies(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)
+            for dtype in (np.float64, np.float32)
+        )
+        angle = np.array([1e-3, 1e-4]) / 2.0
+        closed = (np.sin(periods * angle) / (periods * np.sin(angle))) ** 2
+        np.testing.assert_allclose(exact, closed, rtol=1e-4)
+        assert abs(single[0] / closed[0] - 1.0) > 0.02
+        assert not math.isfinite(single[1])
+
+
+def test_few_orders_do_not_make_a_patch():
+    """Between its orders a patch's spectrum converges so slowly that seven of them are off by more than 5 %."""
+    heightfield, one_copy = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, 1))
+    scattering_vectors = np.array(
+        [[turns * 0.5 / heightfield.size_um[1], 0.0, -1.6] for turns in (1.5, 2.4, 3.5, 5.45, 7.5)]
+    )
+    exact = direct_sum.window_power(heightfield, one_copy, scattering_vectors, np.array([0.5]))[:, 0]
+    every, seven = (
+        np.array(
+            [methods.nearest_orders_power(heightfield, each, 0.5, neighbour_extent) for each in scattering_vectors]
+        )
+        for neighbour_extent in (heightfield.shape[1] // 2 - 1, 3)
+    )
+    assert np.abs(seven / exact - 1.0).max() > 0.05
+    assert np.abs(seven / exact - 1.0).max() > 10.0 * np.abs(every / exact - 1.0).max()
+
+
+def test_too_many_copies_are_refused_with_the_remedy():
+    lights, views = methods.in_plane(4, 1.8)
+    with pytest.raises(ValueError, match=r"periods=\(1, 100000\) of .*wavelengths.*fewer copies"):
+        wd.reflectance(
+            methods.finger_rows(25.6), lights, views, coherence=wd.Coherence("replicas", periods=(1, 100_000))
+        )

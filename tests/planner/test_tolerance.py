@@ -1,0 +1,145 @@
+"""A tolerance is kept on directions that no plan has read: calls of ``tolerance_sweep``, and what failed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import at_angle, slow
+
+import warpdiff as wd
+from bench import inputs
+from bench.truth import judge
+from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
+
+# Calls whose truth is cheap; the sweep has large ones.
+SEED = 11
+LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def scan_or_none() -> wd.HeightField | None:
+    """Fingers stand in for a scan that is not there."""
+    return inputs.levelled_scan()
+
+
+def check(case: Configuration, count: int = 400) -> None:
+    """A call against the reference on some of its directions, of large ones on such as the plan has not read."""
+    result = judge.evaluate(case)
+    chosen, weights = judge.drawn(result, np.random.default_rng(SEED))
+    # Bright ones come first.
+    some = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
+    chosen, weights = chosen[some], weights[some]
+    found = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
+    assert found.value <= case.tolerance, f"{case}: {found.whole:.2e} of all, {found.bright:.2e} of bright directions"
+    assert not result.warned
+
+
+def call(heightfield: wd.HeightField, tolerance: float = 1e-2, **others: object) -> Configuration:
+    empty = Configuration(0, 0, heightfield, wd.Coherence(), tolerance, "D65", "", "", "")
+    return empty._replace(**others)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("index", LISTS)
+def test_tolerance_is_kept(index, scan_or_none):
+    check(configuration(index, SEED, scan_or_none, ("few", "some")), count=100)
+
+
+# Either diagonal, and either tolerance.
+@pytest.mark.parametrize(("mirrored", "tolerance"), [slow(False, 1e-3), (True, 1e-2)])
+def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
+    rng = np.random.default_rng(5)
+    heightfield = diagonal(rng, wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4))
+    if mirrored:
+        heightfield = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
+    a = (np.arange(512) + 0.5) / 256.0 - 1.0
+    x, y = np.meshgrid(0.7 * a, -0.7 * a)
+    views = np.stack([x.ravel(), y.ravel(), np.sqrt(1.0 - x.ravel() ** 2 - y.ravel() ** 2)], axis=1)
+    check(call(heightfield, tolerance, to_light=np.broadcast_to(UP, views.shape), to_view=views), count=200)
+
+
+@pytest.mark.parametrize(
+    ("heightfield", "size", "tolerance"),
+    [
+        (wd.gratings.blazed(2.5, 0.25), 256, 1e-3),
+        slow(wd.gratings.blazed(2.5, 0.25), 512, 1e-2),
+        (wd.gratings.lamellar(1.5, 0.1375), 70, 1e-2),
+        (wd.gratings.blazed(0.562, 0.339), 70, 1e-3),
+    ],
+    ids=["blazed, tight", "blazed, default", "lamellar, small", "blazed, short"],
+)
+def test_maps_of_one_dimensional_gratings(heightfield, size, tolerance):
+    check(call(heightfield, tolerance, to_light=UP, size=size))
+
+
+def test_grazing_directions():
+    rng = np.random.default_rng(6)
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=1)
+    z, phi = rng.uniform(0.02, 0.2, (2, 160)), rng.uniform(0.0, 2.0 * np.pi, (2, 160))
+    s = np.sqrt(1.0 - z * z)
+    lights, views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
+    check(call(heightfield, 1e-4, to_light=lights, to_view=views))
+
+
+@pytest.mark.parametrize("bright", [2, 40])
+def test_a_call_with_hardly_any_light_is_not_dark(bright, rng):
+    """Between its orders a sine reflects nothing; what few directions see of it counts."""
+    heightfield = wd.gratings.sinusoidal(2.0, 0.1)
+    angles = rng.uniform(35.0, 60.0, 8000)
+    # Across the grating, but for some that look along its first order.
+    views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
+    views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
+    views /= np.linalg.norm(views, axis=1)[:, None]
+    case = call(heightfield, 1e-2, to_light=np.broadcast_to(UP, views.shape), to_view=views)
+    result = judge.evaluate(case)
+    seen = np.flatnonzero(result.xyz[:, 1] > 1e-6)
+    assert len(seen) == bright
+    found = judge.figure(result.xyz[seen], judge.truth(case, result, seen))
+    assert found.bright <= case.tolerance
+
+
+@pytest.mark.parametrize("count", [slow(None), 100, slow(20_000)])
+def test_looser_tolerances_never_cost_more(count, rng):
+    heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=3)
+    given = ()
+    if count:
+        z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
+        s = np.sqrt(1.0 - z * z)
+        given = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
+    # The tight ones take seconds each where all of the hemisphere is asked for.
+    tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
+    plans = [wd.plan(heightfield, *given, tolerance=t) for t in tolerances]
+    costs = [each.multiply_adds for each in plans]
+    assert costs == sorted(costs)
+    nodes = [each.nodes for each in plans if each.nodes]
+    assert nodes == sorted(nodes)
+
+
+def test_a_configuration_follows_from_its_index_and_seed():
+    assert str(configuration(33)) == str(configuration(33))
+    assert str(configuration(33)) != str(configuration(33, seed=1))
+
+
+def test_the_judge_sees_an_error_in_a_hundredth_of_the_directions_and_in_the_bright_ones(rng):
+    exact = rng.uniform(0.5, 1.0, (5000, 3)) * np.where(np.arange(5000) < 500, 1.0, 1e-5)[:, None]
+    wrong = np.array(exact)
+    wrong[4900:] += 1e-4
+    found = judge.figure(wrong, exact)
+    assert (found.whole > 0.05, found.bright) == (True, 0.0)
+    wrong = np.array(exact)
+    wrong[:10] *= 1.1
+    found = judge.figure(wrong, exact)
+    assert (found.whole, found.bright > 0.05) == (0.0, True)
+
+
+def test_directions_that_a_plan_read_are_not_judged(rng):
+    z, phi = rng.uniform(0.1, 1.0, 40_000), rng.uniform(0.0, 2.0 * np.pi, 40_000)
+    s = np.sqrt(1.0 - z * z)
+    views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+    case = call(wd.gratings.fingers(size_um=6.4), to_light=np.broadcast_to(UP, views.shape), to_view=views)
+    result = judge.evaluate(case)
+    chosen, weights = judge.drawn(result, rng)
+    assert 100 < np.count_nonzero(result.read) <= 9000
+    assert len(chosen) == len(np.unique(chosen)) == judge.COUNT
+    assert not result.read[chosen].any()
+    assert weights.sum() == pytest.approx(40_000)

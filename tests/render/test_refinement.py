@@ -1,0 +1,411 @@
+"""Refinement: pixels whose parts differ are split, until a picture is that of many rays a pixel."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from trimesh.visual import TextureVisuals
+
+import warpdiff as wd
+from bench.truth.pictures import finer
+from warpdiff import meshes
+from warpdiff.kernels import refinement_levels
+from warpdiff.kernels import subdivision as kernels
+from warpdiff.render import pixel_filter, threaded_tiles
+from warpdiff.render.shade import warn_unconverged
+
+SHORT = wd.Coherence(sigma_um=3.25)
+LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
+SIZE = 24, 18
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+@pytest.fixture(scope="module")
+def table(fingers):
+    """So fine a table that what is left are means."""
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=3e-3)
+    return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
+
+
+# Parts of the bodies with a silhouette: what is looked at.
+TARGETS = {"tube": (0.2, 0.2, 0.1), "lumpy": (0.75, 0.1, 0.75)}
+
+
+def view(body="tube", size=SIZE):
+    """A part of a picture."""
+    return wd.View((0.4, 1.6, 3.1), TARGETS[body], fov_y_deg=5.0, width=size[0], height=size[1])
+
+
+def lumpy(subdivisions=3):
+    """A ball with lumps and a seam, of few faces."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    x, y, z = mesh.vertices.T
+    mesh.vertices *= (1.0 + 0.12 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y))[:, None]
+    uv = np.column_stack([np.arctan2(y, x) / (2.0 * np.pi), z])
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, visual=TextureVisuals(uv=uv), process=False)
+
+
+BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "lumpy": lumpy}
+
+
+def by_points(mesh, heightfield, light, camera, plan, points=36):
+    """A picture of points as many times as fine, under the filter, and which pixels are inside the lit surface.
+
+    The filter of the outermost pixels reaches beyond the picture.
+    """
+    margin = 2
+    fine = finer(camera, points, margin)
+    image = wd.shade(mesh, heightfield, light, fine, plan=dataclasses.replace(plan, footprint=False))
+
+    def filtered(size):
+        places = (np.arange((size + 2 * margin) * points) + 0.5) / points - margin
+        away = places - (np.arange(size)[:, None] + 0.5)
+        weights = np.where(np.abs(away) <= 1.5, np.exp(-2.0 * away**2), 0.0)
+        return weights / weights.sum(axis=1, keepdims=True)
+
+    rows, columns = filtered(camera.height), filtered(camera.width)
+    xyz = np.stack([rows @ image.xyz[..., c] @ columns.T for c in range(3)], axis=-1)
+    coverage = rows @ image.mask.astype(float) @ columns.T
+    illuminated = image.illuminated[margin * points : -margin * points, margin * points : -margin * points]
+    inside = illuminated.reshape(camera.height, points, camera.width, points).all(axis=(1, 3))
+    return xyz, coverage, inside
+
+
+@pytest.fixture(scope="module", params=BODIES)
+def truth(request, fingers, table):
+    mesh, camera = BODIES[request.param](), view(request.param)
+    return mesh, camera, by_points(mesh, fingers, LIGHT, camera, table)
+
+
+def errors(image, exact):
+    """Those of pixels inside, relative as the tolerance is."""
+    xyz, _, inside = exact
+    size = np.maximum(np.linalg.norm(xyz, axis=2), 1e-3 * np.percentile(xyz[inside][:, 1], 99.0))
+    return (np.linalg.norm(image.xyz - xyz, axis=2) / size)[inside]
+
+
+def test_pictures_keep_their_tolerance(truth, fingers, table):
+    mesh, camera, exact = truth
+    for tolerance in (1e-1, 3e-2):
+        image = wd.shade(mesh, fingers, LIGHT, camera, plan=dataclasses.replace(table, tolerance=tolerance))
+        found = errors(image, exact)
+        assert len(found) > 100
+        assert np.percentile(found, 99.0) < tolerance
+        assert np.median(found) < 0.25 * tolerance
+        assert 0.0 < image.plan.refined_share <= 1.5
+        assert "were split into cells" in str(image.plan)
+
+
+def test_errors_are_told(truth, fingers, table):
+    """Those of pixels of one ray and of pixels that are split until they are alike, together."""
+    mesh, camera, exact = truth
+    found, told = [], []
+    for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
+        plan = dataclasses.replace(table, tolerance=tolerance)
+        image = wd.shade(mesh, fingers, LIGHT, camera, plan=plan, refine=refine)
+        assert not image.error[~image.illuminated].any()
+        assert image.plan.errors[0] < image.plan.errors[1]
+        found.append(errors(image, exact))
+        told.append(image.error[exact[2]])
+    found, told = np.concatenate(found), np.concatenate(told)
+    assert np.mean(found <= told) > 0.95
+    ranks = [np.argsort(np.argsort(each)) for each in (found, told)]
+    assert np.corrcoef(*ranks)[0, 1] > 0.5
+
+
+def test_more_cells_are_never_worse(truth, fingers, table):
+    """And a pixel of points, of which no table takes means, comes as close."""
+    mesh, camera, exact = truth
+    for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
+        found = [
+            errors(wd.shade(mesh, fingers, LIGHT, camera, plan=plan, samples_per_pixel=n, refine=False), exact)
+            for n in ((1, 4, 16, 64) if plan.uses_footprints else (16, 64))
+        ]
+        for one, more in itertools.pairwise(found):
+            for quantile in (50.0, 90.0, 99.0):
+                # Down to what the table errs by.
+                assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
+
+
+def test_silhouettes_are_covered_in_part(truth, fingers, table):
+    mesh, camera, (xyz, coverage, _) = truth
+    image = wd.shade(mesh, fingers, LIGHT, camera, plan=table)
+    rim = (coverage > 0.1) & (coverage < 0.9)
+    assert np.count_nonzero(rim) > 15
+    # By a quarter of a pixel at least.
+    away = np.abs(image.coverage - coverage)[rim]
+    assert np.median(away) < 0.03
+    assert away.max() < 0.1
+    # Colours are multiplied by it.
+    size = np.linalg.norm(xyz, axis=2)
+    bright = rim & (size > 0.05 * np.percentile(size[coverage > 0.99], 90.0))
+    relative = np.linalg.norm(image.xyz - xyz, axis=2)[bright] / size[bright]
+    assert np.all(np.isfinite(relative))
+    assert np.median(np.append(relative, 0.0)) < 5e-2
+    alone = wd.shade(mesh, fingers, LIGHT, camera, plan=table, refine=False)
+    assert set(np.unique(alone.coverage)) == {0.0, 1.0}
+
+
+def test_unrefined_pixels_have_the_cells_that_were_asked_for(fingers, table):
+    """At silhouettes as elsewhere."""
+    mesh, camera = BODIES["tube"](), view()
+    image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
+    hit = wd.shade(mesh, fingers, LIGHT, finer(camera, 2, 1), plan=dataclasses.replace(table, footprint=False)).mask
+
+    def filtered(size):
+        weights, result = pixel_filter.weights_of(1, means=True), np.zeros((size, 2 * size + 4))
+        for pixel in range(size):
+            result[pixel, 2 * pixel : 2 * pixel + 6] = weights
+        return result
+
+    expected = filtered(camera.height) @ hit.astype(float) @ filtered(camera.width).T
+    assert np.count_nonzero((expected > 0.01) & (expected < 0.99)) > 15
+    # What cells meet in the corner of a pixel that is beside none whose centre meets the mesh is left out.
+    np.testing.assert_allclose(image.coverage, expected, atol=1e-3)
+
+
+def test_where_no_table_takes_means_points_do(fingers):
+    """By whatever method, under any coherence: a mean is never left out without a word."""
+    mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
+    plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
+    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
+    found = wd.shade(
+        mesh, fingers, LIGHT, view("lumpy"), plan=dataclasses.replace(plan, tolerance=5e-2), footprint=True
+    )
+    assert found.plan.footprint
+    assert not found.plan.uses_footprints
+    assert np.percentile(errors(found, exact), 95.0) < 5e-2
+
+
+@pytest.mark.parametrize("method", ["auto", "low-rank", "jacobi-anger"])
+def test_means_are_on_at_any_tolerance(method):
+    heightfield = wd.gratings.blazed(2.5, 0.25)
+    small = view("lumpy", (16, 12))
+    for tolerance in (1e-1, 1e-3):
+        image = wd.shade(
+            BODIES["lumpy"](), heightfield, LIGHT, small, coherence=SHORT, tolerance=tolerance, method=method
+        )
+        assert image.plan.footprint
+    assert not wd.shade(BODIES["lumpy"](), heightfield, LIGHT, small, coherence=SHORT, footprint=False).plan.footprint
+    with pytest.raises(ValueError, match="not for method='direct'"):
+        wd.shade(BODIES["lumpy"](), heightfield, LIGHT, small, method="direct", footprint=True)
+
+
+def test_what_cells_do_not_settle_is_warned_of(fingers, table):
+    """A body far away, of which a pixel sees thousands of lumps."""
+    far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
+    mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
+    with pytest.warns(wd.WarpdiffWarning, match=r"of the lit pixels are expected to err .* see image.error"):
+        image = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
+    assert image.plan.unconverged_share > 0.01
+    assert "are expected to err by more" in str(image.plan)
+
+
+def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
+    """A pixel is inside if all points of its own square meet the mesh and are lit."""
+    mesh, camera, (_, _, inside) = truth
+    renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
+    illuminated = renderer.image().illuminated
+    edges = renderer._mine.frame._seen_of(renderer._mine.frame._edges)
+    assert not edges[inside].any()
+    assert np.count_nonzero(illuminated & ~inside) > 20
+    # Some are crossed by so little that none of 16 cells tells.
+    assert np.mean(edges[illuminated & ~inside]) > 0.8
+
+
+@pytest.mark.parametrize("told", ["unconverged_share", "unconverged_edge_share"])
+def test_more_errors_are_let_pass_at_edges(table, told):
+    warn_unconverged(dataclasses.replace(table, **{told: 0.009 if told == "unconverged_share" else 0.049}))
+    with pytest.warns(wd.WarpdiffWarning, match="5.1 %|1.1 %"):
+        warn_unconverged(dataclasses.replace(table, **{told: 0.011 if told == "unconverged_share" else 0.051}))
+
+
+def test_neither_threads_nor_parts_matter(fingers, table, monkeypatch):
+    mesh = BODIES["lumpy"]()
+    expected = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    for threads in (1, 3):
+        found = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
+        np.testing.assert_array_equal(found.xyz, expected.xyz)
+        np.testing.assert_array_equal(found.error, expected.error)
+    # As if memory were short: of the faces that cells see.
+    monkeypatch.setattr(pixel_filter, "_MOST_RASTERIZED", 1024)
+    found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    monkeypatch.setattr(threaded_tiles, "_MOST_PIXELS", 300)
+    found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    assert np.percentile(np.linalg.norm(found.xyz - expected.xyz, axis=2), 99.0) < 1e-3 * expected.xyz.max()
+
+
+def test_lights_and_pigments_add_up(fingers, table):
+    mesh = BODIES["tube"]()
+    mesh.visual = TextureVisuals(
+        uv=mesh.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 120, 60, 255))
+    )
+    other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
+    alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
+    both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
+    np.testing.assert_allclose(both.xyz, alone[0].xyz + alone[1].xyz, rtol=1e-5, atol=1e-12)
+    bare = wd.shade(mesh, fingers, LIGHT, view(), plan=table, pigment=0.0)
+    assert np.all(alone[0].xyz[bare.illuminated][:, 1] > bare.xyz[bare.illuminated][:, 1])
+
+
+@pytest.mark.parametrize("means", [True, False])
+@pytest.mark.parametrize("level", refinement_levels.LEVELS)
+def test_cells_stand_for_the_filter(level, means):
+    """Along an axis, the sum of their Gaussians is one of half a pixel; points have its weights."""
+    weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
+    assert weights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(weights, weights[::-1])
+    places = (np.arange(3 * 2**level) + 0.5) / 2**level - 1.5
+    assert weights @ places**2 + deviation**2 == pytest.approx(refinement_levels.FILTER_SIGMA**2, rel=0.05)
+    if means:
+        x = np.linspace(-1.0, 1.0, 41)
+        ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
+        exact = np.exp(-0.5 * (x / refinement_levels.FILTER_SIGMA) ** 2) / refinement_levels.FILTER_SIGMA
+        np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
+
+
+# Of the filter, what a pixel that is aslant has over what one beside has.
+ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
+
+
+def estimate_by_hand(colours, uv, hit, floor, bound):
+    """What ``estimate`` finds of a picture, pixel by pixel."""
+    height, width = hit.shape
+    found, wanted, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
+    for row, column in np.ndindex(height, width):
+        near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
+        near = [(y, x) for y, x in near if 0 <= y < height and 0 <= x < width]
+        hits = [hit[place] for place in near]
+        rim = any(hits) and not all(hits)
+        if hit[row, column]:
+            steps = [(abs(y - row) + abs(x - column), size(colours[y, x] - colours[row, column])) for y, x in near
+                     if hit[y, x]]  # fmt: skip
+            contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
+            if all(away != 1 for away, _ in steps):
+                # Nothing tells of a pixel by itself.
+                contrast = size(colours[row, column])
+            share = 1.0
+            if len(near) == 9 and all(hits):
+                d = uv[row - 1 : row + 2, column - 1 : column + 2] - uv[row, column]
+                along, down = max(size(d[1, 0]), size(d[1, 2])), max(size(d[0, 1]), size(d[2, 1]))
+                corners = [size(d[i, j] - d[i, 1] - d[1, j]) for i in (0, 2) for j in (0, 2)]
+                uneven = max(
+                    size(d[1, 0] + d[1, 2]) / along, size(d[0, 1] + d[2, 1]) / down, max(corners) / max(along, down)
+                )
+                wide = max(along, down) / max(size(uv[row, column]), 1e-3)
+                share = (
+                    refinement_levels.CONTRAST_BASE
+                    + refinement_levels.CONTRAST_PER_UNEVENNESS * uneven
+                    + refinement_levels.CONTRAST_PER_CHANGE * wide
+                )
+            found[row, column] = min(share, 1.0) * contrast
+        limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
+        wanted[row, column] = any(hits) and (rim or found[row, column] > limit)
+    return found, wanted
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
+@pytest.mark.parametrize("slices", [1, 6])
+def test_errors_are_estimated_by_those_beside(size, slices, rng):
+    colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
+    # Some rows see nothing at all, and here and there (u, v) goes on as it did.
+    hit = (rng.uniform(size=size) < 0.9) & (np.arange(size[0]) % 6 != 3)[:, None]
+    y, x = np.mgrid[: size[0], : size[1]]
+    uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)
+    uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
+    scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
+    seen = kernels.Seen()
+    seen.scattering_vectors = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
+    given = [
+        wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
+        seen,
+        wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
+        size[1],
+        wp.array([0.8], dtype=wp.float32, device="cpu"),
+        0.3,
+        False,
+        True,
+    ]
+    found = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
+    wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
+    for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
+        inputs = [*given, int(begin), int(end - begin)]
+        wp.launch(kernels.estimate_errors, (1, 1), inputs, [found, wanted], device="cpu")
+    expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3)
+    np.testing.assert_allclose(found.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
+    near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
+    np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])
+
+
+def test_lights_that_add_nothing_dilute_nothing(fingers, table):
+    far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
+    mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
+    below = wd.DirectionalLight((-12.0, -48.0, -93.0))
+    with pytest.warns(wd.WarpdiffWarning, match="see image.error"):
+        one = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
+    with pytest.warns(wd.WarpdiffWarning, match="see image.error"):
+        several = wd.shade(mesh, fingers, [LIGHT, below, below], far, plan=fine)
+    assert several.plan.unconverged_share == one.plan.unconverged_share
+    assert several.plan.refined_share == one.plan.refined_share
+
+
+def test_progress_ends_when_pixels_are_split(fingers, table):
+    told = []
+    fine = dataclasses.replace(table, tolerance=1e-2)
+    image = wd.shade(BODIES["lumpy"](), fingers, LIGHT, view("lumpy"), plan=fine, progress=told.append)
+    assert image.plan.refined_share > 0.0
+    assert told == sorted(told)
+    assert sum(0.3 < each < 1.0 for each in told) >= 2
+    assert told[-1] == 1.0
+
+
+def test_more_cells_than_there_are_are_refused(fingers):
+    with pytest.raises(ValueError, match="samples_per_pixel must be at most 4096 where pixels show means, got 4097"):
+        wd.shade(BODIES["tube"](), fingers, LIGHT, view(), coherence=SHORT, samples_per_pixel=4097)
+
+
+def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table):
+    """Bars of a third of a pixel's width, one in 5.3 pixels."""
+    bars = [
+        trimesh.Trimesh(
+            [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)],
+            [(0, 1, 2), (0, 2, 3)],
+            visual=TextureVisuals(uv=[(0, 0), (1, 0), (1, 1), (0, 1)]),
+            process=False,
+        )
+        for x in np.arange(-9.0, 9.0, 5.3) + 0.05
+    ]
+    camera = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=18.0, width=24, height=18)
+    mesh = trimesh.util.concatenate(bars)
+    options = {"plan": table, "refine": False}
+    images = [wd.shade(mesh, fingers, LIGHT, camera, **options, samples_per_pixel=n) for n in (16, 256)]
+    expected = 0.3 * len(bars) / 24.0
+    for image, away in zip(images, (0.25, 0.05), strict=True):
+        assert abs(image.coverage.mean() - expected) < away * expected
+
+
+def test_shadows_between_the_centres_of_pixels_are_seen_by_cells(fingers, table):
+    """A strip that is not in the picture, and whose shadow no centre of a pixel meets."""
+    floor = trimesh.creation.box((4.0, 4.0, 0.1))
+    strip = trimesh.creation.box((2.4, 0.04, 0.01))
+    strip.apply_translation((3.0, 0.08, 3.0))
+    light = wd.DirectionalLight((1.0, 0.0, 1.0))
+    camera = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), extent_y=1.6, width=16, height=16)
+    options = {"plan": table, "samples_per_pixel": 16, "refine": False, "smooth": False}
+    illuminated, beside = (
+        wd.shade(mesh, fingers, light, camera, tangents=np.tile((1.0, 0.0, 0.0), (len(mesh.vertices), 1)), **options)
+        for mesh in (floor, trimesh.util.concatenate([floor, strip]))
+    )
+    shares = beside.xyz[..., 1] / illuminated.xyz[..., 1]
+    assert shares.min() < 0.8
+    assert shares.mean() == pytest.approx(1.0 - 0.04 / 1.6, abs=0.01)

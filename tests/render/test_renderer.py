@@ -1,0 +1,439 @@
+"""Pictures one after the other are those of ``shade``, and what is recorded for a GPU draws them when it is replayed.
+
+Warp records and replays launches on the CPU, too, so that this needs no GPU.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import endurance
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from conftest import slow
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
+
+import warpdiff as wd
+from warpdiff import meshes
+from warpdiff.device.kernel_calls import KernelCall
+from warpdiff.kernels import tile_lists
+from warpdiff.render import device_tiles, renderer
+
+SHORT = wd.Coherence(sigma_um=3.25)
+LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
+WIDTH, HEIGHT = 40, 30
+# Pictures that each of two threads draws at once.
+TURNS = endurance.count(40, 150)
+
+
+def view(angle=0.0, size=(WIDTH, HEIGHT)):
+    eye = (3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle))
+    return wd.View(eye, (0.0, 0.0, 0.0), fov_y_deg=27.0, width=size[0], height=size[1])
+
+
+def rotated(angle):
+    return [wd.DirectionalLight((0.1 + angle, 0.9, 1.2)), dataclasses.replace(LIGHTS[1], power=0.5 + angle)]
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+@pytest.fixture(scope="module")
+def tube():
+    return meshes.tube(segments_along=48, segments_around=32)
+
+
+@pytest.fixture(scope="module")
+def painted(tube):
+    result = tube.copy()
+    result.visual = TextureVisuals(uv=tube.visual.uv, material=SimpleMaterial(diffuse=(200, 120, 60, 255)))
+    return result
+
+
+@pytest.fixture(scope="module")
+def plans(fingers):
+    """Made once: any renderer and ``shade`` take the same."""
+    table = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=5e-2)
+    source = wd.Coherence("source", angular_diameter_deg=4.0)
+    return {
+        "footprints": dataclasses.replace(table, footprint=True),
+        "points": table,
+        "sampled": wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=5e-2),
+        "source": dataclasses.replace(
+            wd.plan(fingers, coherence=source, method="low-rank/table", tolerance=0.1, strict=False), footprint=True
+        ),
+    }
+
+
+CASES = {
+    "footprints": ("footprints", 1, {}),
+    "footprints and two lights": ("footprints", 2, {}),
+    "four rays with footprints": ("footprints", 1, {"samples_per_pixel": 4}),
+    "points": ("points", 2, {}),
+    "four rays": ("points", 1, {"samples_per_pixel": 4}),
+    "sampled": ("sampled", 1, {}),
+    "source": ("source", 1, {}),
+    "no shadows": ("footprints", 1, {"shadows": False}),
+}
+
+
+@pytest.fixture
+def recorded(monkeypatch):
+    """Renderers record on the CPU; says how often they did."""
+    begun = []
+    capture = wp.ScopedCapture
+    monkeypatch.setattr(renderer, "records", lambda _: True)
+    # Launches are as large as what may be found at most: a GPU's threads that find nothing end at once, in parallel.
+    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
+    monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
+    return begun
+
+
+def same(found, expected):
+    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    np.testing.assert_array_equal(found.illuminated, expected.illuminated)
+    np.testing.assert_array_equal(found.coverage, expected.coverage)
+
+
+@pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
+def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[name], **options)
+    for angle in (0.0, 0.4):
+        lights, camera = rotated(angle)[:count], view(angle)
+        xyz = drawn.draw(lights, camera)
+        expected = wd.shade(tube, fingers, lights, camera, plan=plans[name], **options)
+        same(drawn.image(), expected)
+        assert drawn.image().plan.refined_share == expected.plan.refined_share
+        assert xyz.shape == (HEIGHT, WIDTH)
+        np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
+
+
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "four rays with footprints"])
+def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_same(tube, fingers, plans, name):
+    of, count, options = CASES[name]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[of], **options)
+    for angle in (0.0, 0.4):
+        lights, camera = rotated(angle)[:count], view(angle)
+        found = {}
+
+        def keep(found=found):
+            image = drawn.image()
+            found[image.plan.tolerance] = image
+
+        drawn.draw(lights, camera, previews={0.2: keep, 0.4: keep})
+        assert list(found) == [0.4, 0.2]
+        found[plans[of].tolerance] = drawn.image()
+        for tolerance, image in found.items():
+            plan = dataclasses.replace(plans[of], tolerance=tolerance)
+            expected = wd.shade(tube, fingers, lights, camera, plan=plan, **options)
+            same(image, expected)
+            np.testing.assert_array_equal(image.error, expected.error)
+            assert image.plan == expected.plan
+
+
+DISC = wd.DirectionalLight((0.3, 0.8, 0.9), angular_diameter_deg=9.0)
+BEHIND = wd.DirectionalLight((0.0, -0.62, -1.0), power=3.0)
+
+
+@pytest.mark.parametrize("lights", [[DISC], [DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "two", "behind"])
+def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers, plans, lights):
+    drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"], pigment=0.0)
+    told = []
+    drawn.draw(previews={0.4: lambda: told.append(told[-1])}, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
+    found, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
+                    for each in (lights, lights[::-1]))  # fmt: skip
+    same(drawn.image(), found)
+    np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
+
+
+def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
+    drawn = wd.Renderer(painted, fingers, DISC, view(), plan=plans["footprints"], threads=1)
+    for angle in (0.0, 0.3):
+        light = dataclasses.replace(DISC, to_light=(0.3 + angle, 0.8, 0.9), angular_diameter_deg=9.0 + angle)
+        drawn.draw(light, view(angle))
+        expected = wd.shade(painted, fingers, light, view(angle), plan=plans["footprints"])
+        found = drawn.image()
+        floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
+        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
+        assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance
+        assert np.mean(found.illuminated != expected.illuminated) <= 0.01
+    assert len(recorded) == 1
+
+
+def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plans):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
+    before = drawn.image()
+
+    def fails():
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        drawn.draw(previews={0.4: fails})
+    # No picture is left half drawn.
+    same(drawn.image(), before)
+    with pytest.raises(RuntimeError, match="was called by what it calls itself"):
+        drawn.draw(previews={0.4: drawn.draw})
+    asked = {0.2: print}
+    asked[0.4] = asked.clear
+    drawn.draw(previews=asked)
+    assert not asked
+    same(drawn.image(), before)
+
+
+def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["points"])
+    before = drawn.image()
+    drawn.draw(previews={0.5: lambda: pytest.fail("it is none")})
+    same(drawn.image(), before)
+
+
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
+def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
+    """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
+    plan, count, options = CASES[name]
+    size = {"width": WIDTH, "height": HEIGHT}
+    near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
+    beside = wd.View((0.0, 0.0, 5.0), (0.0, 4.5, 4.0), up=(0, 0, 1), fov_y_deg=20.0, **size)
+    within = wd.View((0.2, 0.0, 0.1), (1.0, 0.0, 0.0), **size)
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], near, plan=plans[plan], **options)
+    seen = []
+    for camera in (far, near, beside, near, within, far, beside):
+        drawn.draw(view=camera)
+        expected = wd.shade(tube, fingers, LIGHTS[:count], camera, plan=plans[plan], **options)
+        same(drawn.image(), expected)
+        np.testing.assert_array_equal(expected.xyz[~expected.mask], 0.0)
+        seen.append(np.count_nonzero(expected.mask))
+    assert 0 == seen[2] == seen[6] < seen[0] == seen[5] < seen[1] == seen[3] < seen[4]
+
+
+def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"], threads=2)
+    recorded = KernelCall.recorded
+
+    def fail(step):
+        if step.kernel.key == "rasterize":
+            raise MemoryError
+        return recorded(step)
+
+    monkeypatch.setattr(KernelCall, "recorded", fail)
+    with pytest.raises(MemoryError):
+        drawn.draw(view=view(0.3))
+    monkeypatch.setattr(KernelCall, "recorded", recorded)
+    drawn.draw(view=view(0.2))
+    same(drawn.image(), wd.shade(tube, fingers, LIGHTS[:1], view(0.2), plan=plans["footprints"]))
+
+
+@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points"])
+def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plans, name):
+    class AbandonedError(Exception):
+        pass
+
+    plan, count, options = CASES[name]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], threads=2, **options)
+    shares = []
+    drawn.draw(view=view(0.1), progress=shares.append)
+    assert shares == sorted(shares)
+    assert len(shares) > 1
+    assert shares[-1] == 1.0
+    for most in (0.0, 0.4, 0.8):
+
+        def tell(share, most=most):
+            if share > most:
+                raise AbandonedError
+
+        with pytest.raises(AbandonedError):
+            drawn.draw(rotated(most)[:count], view(most), progress=tell)
+    # The one that was abandoned is drawn once it is asked for.
+    same(drawn.image(), wd.shade(tube, fingers, rotated(0.8)[:count], view(0.8), plan=plans[plan], **options))
+    drawn.draw(rotated(0.2)[:count])
+    same(drawn.image(), wd.shade(tube, fingers, rotated(0.2)[:count], view(0.8), plan=plans[plan], **options))
+
+
+@pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", slow("source")])
+def test_the_light_may_change_alone(tube, fingers, plans, name):
+    plan, count, options = CASES[name]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options)
+    first = drawn.image()
+    for angle in (0.3, 0.0):
+        drawn.draw(rotated(angle)[:count])
+        same(drawn.image(), wd.shade(tube, fingers, rotated(angle)[:count], view(), plan=plans[plan], **options))
+    # What was handed out stays as it was.
+    same(first, wd.shade(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options))
+    drawn.draw(view=view(0.2))
+    same(drawn.image(), wd.shade(tube, fingers, rotated(0.0)[:count], view(0.2), plan=plans[plan], **options))
+
+
+def test_means_stay_where_no_table_takes_them(tube):
+    heightfield = wd.gratings.blazed(2.5, 0.25)
+    options = {"tolerance": 0.5, "coherence": SHORT}
+    drawn = wd.Renderer(tube, heightfield, LIGHTS[0], view(size=(24, 18)), **options)
+    assert drawn.plan.footprint
+    same(drawn.image(), wd.shade(tube, heightfield, LIGHTS[0], view(size=(24, 18)), plan=drawn.plan))
+    by_itself = wd.shade(tube, heightfield, LIGHTS[0], view(size=(24, 18)), **options)
+    assert by_itself.plan.footprint
+    np.testing.assert_allclose(by_itself.xyz, drawn.image().xyz, rtol=0.5, atol=2e-3 * by_itself.xyz.max())
+
+
+@pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
+def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, count, options, recorded):
+    # Large enough for shares of its pixels.
+    size = 2 * WIDTH, 2 * HEIGHT
+    drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
+    for angle in (0.4, -0.3):
+        lights, camera = rotated(angle)[:count], view(angle, size)
+        drawn.draw(lights, camera)
+        found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
+        # How bright a picture is, by which pixels are told that are to be split, is known to 1 in 128; and rays through
+        # the hierarchy may miss a face at its very edge.
+        few = 0.01 if drawn.plan.footprint else 0.0
+        assert np.mean(found.illuminated != expected.illuminated) <= few
+        assert np.mean(found.coverage != expected.coverage) <= few
+        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
+        # What has settled takes cells of pixels beside it, so that one that is split otherwise changes those around.
+        assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
+        assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
+        assert found.plan.refined_share == pytest.approx(expected.plan.refined_share, rel=0.05)
+    assert len(recorded) == 1
+    if name == "footprints" and "samples_per_pixel" not in options:
+        assert found.plan.refined_share > 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 99, 100, 101, 5000])
+@pytest.mark.parametrize("octaves", [0.0, 0.01, 60.0])
+def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
+    luminance = 2.0 ** rng.uniform(-octaves, octaves, 2 * count + 3)
+    illuminated = np.zeros(len(luminance), dtype=np.bool_)
+    illuminated[rng.permutation(len(illuminated))[:count]] = True
+    colours = wp.array(np.stack([luminance * 1e9, luminance, luminance], axis=1), dtype=wp.vec3f, device="cpu")
+    flags = wp.array(illuminated, dtype=wp.bool, device="cpu")
+    tallies = wp.zeros(tile_lists.GROUPS * (1 + tile_lists.BINS), dtype=wp.int32, device="cpu")
+    floor = wp.empty(1, dtype=wp.float32, device="cpu")
+    wp.launch(
+        tile_lists.luminance_histogram,
+        dim=1,
+        inputs=[colours, flags, 0, len(illuminated)],
+        outputs=[tallies],
+        device="cpu",
+    )
+    wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
+    bright = np.sort(luminance[illuminated])
+    # As many are brighter as a hundredth of them, rounded down.
+    expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
+    assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)
+
+
+@pytest.mark.usefixtures("recorded")
+def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monkeypatch):
+    def picture():
+        drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1)
+        drawn.draw(rotated(0.2)[0])
+        return drawn.image()
+
+    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 20)
+    whole = picture()
+    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 300)
+    parts = picture()
+    same(parts, whole)
+    assert parts.plan.refined_share == whole.plan.refined_share
+
+
+def test_it_records_anew_where_other_launches_are_needed(fingers, plans, recorded):
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    along_x = np.cross([0.0, 0.0, 1.0], ball.vertices) + np.array([1e-3, 0.0, 0.0])
+    drawn = wd.Renderer(ball, fingers, LIGHTS[0], view(), plan=plans["footprints"], tangents=along_x, threads=1)
+    inside = wd.View((0.0, 0.0, 0.3), (0.0, 0.0, -1.0), fov_y_deg=60.0, width=WIDTH, height=HEIGHT)
+    changes = [
+        (LIGHTS[0], view(0.1), 1),
+        # From within, a convex body hides the light.
+        (LIGHTS[0], inside, 2),
+        (LIGHTS, inside, 3),
+        (LIGHTS[1], view(), 4),
+        (LIGHTS[1], view(0.1), 4),
+    ]
+    for light, camera, count in changes:
+        drawn.draw(light, camera)
+        expected = wd.shade(ball, fingers, light, camera, plan=plans["footprints"], tangents=along_x)
+        np.testing.assert_array_equal(drawn.image().illuminated, expected.illuminated)
+        assert len(recorded) == count
+
+
+@pytest.mark.usefixtures("recorded")
+def test_a_dark_picture_is_black(tube, fingers, plans):
+    drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1)
+    drawn.draw(dataclasses.replace(LIGHTS[0], power=0.0))
+    dark = drawn.image()
+    assert not dark.xyz.any()
+    drawn.draw(LIGHTS[0])
+    same(drawn.image(), wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1).image())
+
+
+def test_its_plan_is_for_any_light_and_view(tube):
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
+    drawn = wd.Renderer(tube, heightfield, LIGHTS[0], view(), coherence=wd.Coherence(sigma_um=3.25), tolerance=5e-2)
+    assert drawn.plan.max_uv == 2.0
+    assert drawn.plan.footprint
+    assert drawn.plan.error <= 5e-2
+
+
+def test_a_plan_for_less_is_warned_of(tube, fingers, plans):
+    narrow = dataclasses.replace(plans["points"], max_uv=0.5)
+    with pytest.warns(wd.WarpdiffWarning, match=r"\|\(u, v\)\| up to 2, planned 0\.5"):
+        wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=narrow)
+
+
+def test_bad_input_is_refused(tube, fingers, plans):
+    with pytest.raises(ValueError, match=r"use warpdiff\.shade"):
+        wd.Renderer(tube, fingers, LIGHTS[0], view(), method="direct")
+    with pytest.raises(TypeError, match="light"):
+        wd.Renderer(tube, fingers, [], view(), plan=plans["points"])
+    drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["points"])
+    before = drawn.image()
+    with pytest.raises(ValueError, match="40 × 30 pixels as before, got 80 × 60"):
+        drawn.draw(view=view(size=(80, 60)))
+    with pytest.raises(TypeError, match="view"):
+        drawn.draw(view=(0.0, 0.0, 1.0))
+    with pytest.raises(ValueError, match="illuminant"):
+        drawn.draw(wd.DirectionalLight((0.0, 0.0, 1.0), illuminant="nothing"))
+    with pytest.raises(ValueError, match=r"coarser must be above the plan's 0\.05, got 0\.05"):
+        drawn.draw(previews={0.05: print})
+    with pytest.raises(TypeError, match=r"coarser\[0\.5\] must be callable, got int"):
+        drawn.draw(previews={0.5: 1})
+    with pytest.raises(TypeError, match="coarser must be"):
+        drawn.draw(previews=[0.5])
+    drawn.draw()
+    same(drawn.image(), before)
+
+
+@pytest.mark.permanent("threads that render at once")
+def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries):
+    views = [[view(angle + k / 50.0, size=(24, 18)) for k in range(3)] for angle in (0.0, 1.0)]
+    drawn = wd.Renderer(tube, fingers, LIGHTS[:1], views[0][0], plan=plans["footprints"], threads=2)
+    first = drawn.image()
+    expected = [[drawn.draw(view=each).numpy().copy() for each in one] for one in views]
+    together = threading.Barrier(2)
+
+    def draw(index):
+        same(drawn.image(), first)
+        together.wait(60.0)
+        wrong = 0
+        for k in range(TURNS):
+            xyz = drawn.draw(view=views[index][k % 3])
+            wrong += not np.array_equal(drawn.image().xyz, expected[index][k % 3])
+            wrong += not np.array_equal(xyz.numpy(), expected[index][k % 3])
+        return wrong
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(draw, range(2))) == [0, 0]
+    tries.number = 2 * TURNS
+    # Nor did they change this thread's.
+    np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

@@ -1,0 +1,481 @@
+"""``shade``: pictures against the float64 reference, and what must hold of every picture."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import slow
+from endurance import count
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
+
+import warpdiff as wd
+from bench.truth import reference
+from warpdiff import meshes
+from warpdiff.scene.mesh_import import prepare_surface
+
+PIXELS = 160
+SNAKE_LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
+ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
+FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
+WHITE = np.array([0.950423, 1.0, 1.088610])
+SHORT = wd.Coherence("averaged", 3.0)
+# A window far wider than the patch: sharp orders, and nothing in between but its tails.
+LONG = wd.Coherence("averaged", 16.25)
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
+
+
+@pytest.fixture(scope="module")
+def snake():
+    return meshes.tube(segments_along=64, segments_around=32)
+
+
+def snake_view(width=96, height=72):
+    return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=height)
+
+
+def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
+    """The picture's error at each tolerance, on stratified random pixels."""
+    body = reference.Body.of(prepare_surface(mesh))
+    found, truth, chosen = [], None, None
+    for tolerance in tolerances:
+        image = wd.shade(mesh, heightfield, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
+        if truth is None:
+            chosen = reference.stratified(image.mask, pixels)
+            truth = reference.reference_picture(
+                body, heightfield, [light], view, chosen, coherence.kind, coherence.sigma_um, tolerance=min(tolerances)
+            )
+        sure = ~truth.unsure
+        np.testing.assert_array_equal(truth.hit[sure], image.mask.ravel()[chosen][sure])
+        found.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
+    return found
+
+
+TOLERANCES = (1e-1, 1e-2, 1e-3)
+GRAZING_LIGHT = wd.DirectionalLight((0.9, 0.6, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("kind", "sigma_um"), [("averaged", 16.25), ("centred", 3.0), slow("averaged", 3.0), slow("centred", 16.25)]
+)
+def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
+    errors = judge(snake, fingers, SNAKE_LIGHT, snake_view(), wd.Coherence(kind, sigma_um), TOLERANCES, pixels=PIXELS)
+    for tolerance, error in zip(TOLERANCES, errors, strict=True):
+        print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
+        assert error.illuminated > 0.8 * PIXELS
+        # The tube's highlight is most of its light.
+        assert error.share_below < 0.99
+        assert error.p99 <= tolerance
+        assert error.below <= tolerance
+
+
+def test_dim_pixels_of_sharp_orders_are_within_their_tolerance(snake, fingers):
+    errors = judge(snake, fingers, GRAZING_LIGHT, snake_view(), LONG, TOLERANCES, pixels=PIXELS)
+    assert all(error.below <= tolerance for tolerance, error in zip(TOLERANCES, errors, strict=True))
+
+
+def mirror_view(size=9, extent=0.5):
+    return wd.View.orthographic((0, 0, 2), (0, 0, 0), extent_y=extent, width=size, height=size)
+
+
+def whole_disc(radius=1.0):
+    return meshes.disc(inner_radius=0.0, outer_radius=radius, segments=32, rings=3)
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
+def test_a_flat_mirror_is_white(tolerance):
+    image = wd.shade(whole_disc(), FLAT, ABOVE, mirror_view(), ior=math.inf, tolerance=tolerance)
+    assert image.mask.all()
+    error = np.linalg.norm(image.xyz - WHITE, axis=2) / np.linalg.norm(WHITE)
+    assert error.max() <= tolerance
+
+
+def test_the_illuminant_changes_the_white():
+    for name in ("A", "D50"):
+        light = wd.DirectionalLight((0, 0, 1), illuminant=name)
+        image = wd.shade(whole_disc(), FLAT, light, mirror_view(), footprint=False)
+        np.testing.assert_allclose(
+            image.xyz, np.broadcast_to(reference.products(name).sum(axis=0), image.xyz.shape), rtol=1e-5
+        )
+
+
+def test_lights_add(snake, fingers):
+    lights = [
+        SNAKE_LIGHT,
+        wd.DirectionalLight((-1.0, 0.7, 0.6), illuminant="A", power=0.4),
+        wd.DirectionalLight((1.0, 0.2, 0.3), power=2.5),
+    ]
+    view = snake_view(48, 36)
+    options = {"coherence": SHORT, "tolerance": 0.1}
+    # One plan, for the wavelengths follow from the directions of all lights of a call.
+    together = wd.shade(snake, fingers, lights, view, **options)
+    alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
+    np.testing.assert_allclose(together.xyz, sum(image.xyz for image in alone), rtol=2e-6, atol=1e-12)
+    doubled = wd.shade(snake, fingers, dataclasses.replace(lights[1], power=0.8), view, plan=together.plan)
+    np.testing.assert_allclose(doubled.xyz, 2.0 * alone[1].xyz, rtol=1e-6)
+    dark = wd.shade(snake, fingers, dataclasses.replace(lights[1], power=0.0), view, plan=together.plan)
+    assert not dark.xyz.any()
+
+
+def test_a_light_below_the_horizon_is_none(fingers):
+    view = wd.View((0.3, -1.5, 2.0), (0, 0, 0), width=24, height=18)
+    for to_light in ((0.3, 0.1, -1.0), (1.0, 0.0, 0.0), (0.2, 0.4, -1e-9)):
+        image = wd.shade(whole_disc(), fingers, wd.DirectionalLight(to_light), view, coherence=SHORT)
+        assert image.mask.any()
+        assert not image.xyz.any()
+
+
+def test_both_sides_are_seen(fingers):
+    """From behind, with the light behind as well, the disc is its own mirror image."""
+    light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
+    flip = np.array([1.0, 1.0, -1.0])
+    images = [
+        wd.shade(
+            whole_disc(), fingers, wd.DirectionalLight(light * side), coherence=SHORT, footprint=False,
+            view=wd.View(eye * side, (0, 0, 0), up=(1, 0, 0), width=25, height=25),
+        )
+        for side in (1.0, flip)
+    ]  # fmt: skip
+    assert images[1].xyz[images[1].mask][:, 1].min() > 0.0
+    pixels = np.arange(25 * 25)
+    body = reference.Body.of(prepare_surface(whole_disc()))
+    behind = wd.View(eye * flip, (0, 0, 0), up=(1, 0, 0), width=25, height=25)
+    truth = reference.reference_picture(
+        body, fingers, [wd.DirectionalLight(light * flip)], behind, pixels, "averaged", 3.0, tolerance=1e-2
+    )
+    error = reference.picture_error(images[1].xyz.reshape(-1, 3), truth)
+    assert error.p99 <= 1e-2
+    assert error.below <= 1e-2
+
+
+def two_discs():
+    upper = whole_disc(0.3).apply_translation([0.0, 0.0, 0.6])
+    return trimesh.Scene([whole_disc(), upper])
+
+
+def test_shadows_lie_where_brute_force_says():
+    view = wd.View((0.0, -2.0, 1.6), (0, 0, 0.2), width=60, height=45)
+    light = wd.DirectionalLight((0.3, 0.2, 1.0))
+    # A short window lights everything, so that black is shadow.
+    options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
+    shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
+    open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
+    surface = prepare_surface(two_discs())
+    truth = reference.reference_picture(
+        reference.Body.of(surface), FLAT, [light], view, np.arange(60 * 45), "averaged", 0.3, tolerance=1e-2
+    )
+    sure, illuminated = (a.reshape(45, 60) for a in (~truth.unsure, truth.illuminated))
+    black = shadowed.xyz[..., 1] == 0.0
+    np.testing.assert_array_equal(black[sure & shadowed.mask], ~illuminated[sure & shadowed.mask])
+    assert np.count_nonzero(black & shadowed.mask) > 40
+    assert np.all(open_.xyz[..., 1][open_.mask] > 0.0)
+    np.testing.assert_array_equal(open_.xyz[~black], shadowed.xyz[~black])
+
+
+def spherical(subdivisions=3):
+    """An icosphere with spherical texture coordinates, whose three corners a face are its own: no seam."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
+    corners = ball.vertices[ball.faces.ravel()]
+    u = np.arctan2(corners[:, 1], corners[:, 0]).reshape(-1, 3) / (2.0 * np.pi)
+    u = u - np.round(u - u[:, :1])
+    uv = np.stack([u.ravel(), np.arcsin(np.clip(corners[:, 2], -1, 1)) / np.pi + 0.5], axis=1)
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    return trimesh.Trimesh(corners, faces, visual=TextureVisuals(uv=uv), process=False)
+
+
+def test_a_convex_body_needs_no_shadow_rays(fingers):
+    view = wd.View((2.0, 1.5, 1.0), (0, 0, 0), width=48, height=40)
+    light = wd.DirectionalLight((0.2, 1.0, 0.6))
+    images = [wd.shade(spherical(), fingers, light, view, shadows=on, coherence=SHORT) for on in (True, False)]
+    np.testing.assert_array_equal(images[0].xyz, images[1].xyz)
+    assert prepare_surface(spherical()).is_convex
+
+
+def test_the_background_is_black_and_unmasked(snake, fingers):
+    image = wd.shade(snake, fingers, SNAKE_LIGHT, snake_view(), coherence=SHORT)
+    assert image.xyz.shape == (72, 96, 3)
+    assert image.xyz.dtype == np.float32
+    assert image.mask.dtype == bool
+    assert 0.05 < image.mask.mean() < 0.6
+    np.testing.assert_array_equal(image.coverage > 0.0, image.mask)
+    assert not image.xyz[~image.mask].any()
+    alone = wd.shade(snake, fingers, SNAKE_LIGHT, snake_view(), coherence=SHORT, refine=False)
+    np.testing.assert_array_equal(alone.coverage, alone.mask)
+    away = wd.shade(snake, fingers, SNAKE_LIGHT, wd.View((0, 2, 0), (0, 4, 0), up=(1, 0, 0), width=8, height=6))
+    assert not away.mask.any()
+    assert not away.xyz.any()
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
+    # More pixels than a slice holds.
+    view = snake_view(96, 72)
+    options = {"coherence": SHORT, "samples_per_pixel": samples}
+    first = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=1, **options)
+    for threads in (1, 2, 5, None):
+        again = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=threads, **options)
+        np.testing.assert_array_equal(again.xyz, first.xyz)
+        np.testing.assert_array_equal(again.coverage, first.coverage)
+
+
+def test_many_samples_a_pixel():
+    """Coverage is partial at the rim alone, and a smooth function keeps its mean inside."""
+    disc = whole_disc()
+    view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
+    # A narrow window on a flat surface: one broad lobe.
+    options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
+    light = wd.DirectionalLight((-0.3, 0.6, 1.2))
+    one = wd.shade(disc, FLAT, light, view, **options)
+    many = wd.shade(disc, FLAT, light, view, samples_per_pixel=16, **options)
+    partial = (many.coverage > 0.0) & (many.coverage < 1.0)
+    assert many.coverage.min() == 0.0
+    assert many.coverage.max() == 1.0
+    np.testing.assert_allclose(16.0 * many.coverage, np.round(16.0 * many.coverage), atol=1e-6)
+    # The filter reaches 1.5 pixels: its samples see the rim from at most two pixels away.
+    inside, outside = one.mask.copy(), ~one.mask
+    for shift in np.ndindex(5, 5):
+        moved = np.roll(one.mask, (shift[0] - 2, shift[1] - 2), axis=(0, 1))
+        inside &= moved
+        outside &= ~moved
+    assert partial.any()
+    assert not np.any(partial & (inside | outside))
+    assert np.all(many.coverage[inside] == 1.0)
+    np.testing.assert_array_equal(many.mask, many.coverage > 0.0)
+    assert not many.xyz[many.coverage == 0.0].any()
+    ratio = many.xyz[inside][:, 1] / one.xyz[inside][:, 1]
+    assert abs(ratio.mean() - 1.0) < 5e-3
+    assert np.abs(ratio - 1.0).max() < 0.1
+
+
+TEXTURE = np.array([[[230, 40, 20], [10, 200, 90]], [[30, 60, 250], [255, 255, 255]]], np.uint8)
+
+
+def textured_quad(texture=TEXTURE):
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+    uv = np.array([[0.1, -0.3], [1.3, -0.3], [1.3, 0.9], [0.1, 0.9]])
+    visual = TextureVisuals(uv=uv, material=SimpleMaterial(image=Image.fromarray(texture)))
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+
+
+@pytest.mark.parametrize(("sigma_um", "ior", "illuminant"), [(16.25, 1.5, "D65"), (4.0, 2.2, "A")])
+def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
+    view = wd.View((0.4, -1.6, 2.0), (0, 0, 0), width=16, height=12)
+    light = wd.DirectionalLight((0.5, 0.8, 1.0), illuminant=illuminant, power=1.7)
+    quad = textured_quad()
+    options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3, "footprint": False}
+    bare, half, whole = (wd.shade(quad, fingers, light, view, pigment=p, **options).xyz for p in (0.0, 0.5, 1.0))
+    body = reference.Body.of(prepare_surface(quad), TEXTURE)
+    truth = [
+        reference.reference_picture(
+            body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um, tolerance=1e-3, ior=ior, pigment=p
+        )
+        for p in (0.0, 1.0)
+    ]
+    under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
+    # In units of the pigment: what a sum in float32 with the diffraction colour loses is the latter's rounding.
+    np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
+    np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
+    error = reference.picture_error(whole.reshape(-1, 3), truth[1])
+    assert error.p99 <= 1e-3
+    plain = quad.copy()
+    plain.visual = TextureVisuals(uv=quad.visual.uv)
+    np.testing.assert_array_equal(wd.shade(plain, fingers, light, view, **options).xyz, bare)
+
+
+def test_pigment_is_filtered_with_the_picture():
+    """Its share does not depend on how many samples a pixel has."""
+    quad = textured_quad(np.full((2, 2, 3), 180, np.uint8))
+    view = mirror_view(6, 1.0)
+    light = wd.DirectionalLight((0.5, 0.3, 1.0))
+    one, many = (
+        wd.shade(quad, FLAT, light, view, samples_per_pixel=n, coherence=LONG).xyz.astype(np.float64) for n in (1, 8)
+    )
+    assert one.min() > 0.0
+    np.testing.assert_allclose(many, one, rtol=1e-5)
+
+
+def test_tangents_turn_the_bands(fingers):
+    """Turning t by 90° about n is turning the height field by 90°."""
+    disc = whole_disc()
+    view = wd.View((0.3, -0.8, 2.0), (0, 0, 0), width=40, height=30)
+    count = len(disc.vertices)
+    # With t along y the height field's x runs along +y and its y along −x.
+    rotated = wd.HeightField(np.rot90(fingers.heights_um, -1), fingers.pitch_um)
+    options = {"coherence": SHORT, "tolerance": 3e-4, "refine": False}
+    light = wd.DirectionalLight((0.1, 0.4, 1.0))
+    along_x, along_y = ([[1.0, 0.0, 0.0]] * count, [[0.0, 1.0, 0.0]] * count)
+    first = wd.shade(disc, fingers, light, view, tangents=along_y, **options).xyz
+    second = wd.shade(disc, rotated, light, view, tangents=along_x, **options).xyz
+    np.testing.assert_allclose(first, second, rtol=1e-3, atol=1e-6 * first.max())
+    other = wd.shade(disc, fingers, light, view, tangents=along_x, **options).xyz
+    assert np.abs(other - first).max() > 0.1 * first.max()
+
+
+def test_facets():
+    """Without smoothing every face has one normal: an orthographic view of a flat mirror shows one colour a face."""
+    tube = meshes.tube(bend_deg=0.0, segments_along=12, segments_around=6)
+    view = wd.View.orthographic((0.0, 3.0, 0.6), (0, 0, 0), up=(1, 0, 0), extent_y=2.0, width=40, height=120)
+    options = {"coherence": wd.Coherence("averaged", 0.3), "shadows": False, "refine": False}
+    facets, smooth = (wd.shade(tube, FLAT, SNAKE_LIGHT, view, smooth=s, **options) for s in (False, True))
+    np.testing.assert_array_equal(facets.mask, smooth.mask)
+    colours = {tuple(c) for c in np.round(np.log(facets.xyz[facets.mask][:, :1].astype(np.float64) + 1e-30), 3)}
+    assert len(colours) <= len(tube.faces)
+    assert len({tuple(c) for c in np.round(np.log(smooth.xyz[smooth.mask][:, :1] + 1e-30), 3)}) > 2 * len(colours)
+
+
+@pytest.mark.parametrize("kind", ["averaged", slow("centred")])
+def test_the_direct_method_agrees(kind, snake, fingers):
+    view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=8, height=6)
+    options = {"coherence": wd.Coherence(kind, 3.0), "tolerance": 1e-2, "footprint": False}
+    auto = wd.shade(snake, fingers, SNAKE_LIGHT, view, **options)
+    exact = wd.shade(snake, fingers, SNAKE_LIGHT, view, method="direct", **options)
+    assert exact.plan.method == "direct"
+    assert auto.mask.sum() > 20
+    np.testing.assert_array_equal(auto.mask, exact.mask)
+    norm = np.linalg.norm(exact.xyz[auto.mask], axis=1)
+    floor = 1e-3 * np.percentile(exact.xyz[auto.mask][:, 1], 99.0)
+    error = np.linalg.norm(auto.xyz[auto.mask] - exact.xyz[auto.mask], axis=1) / np.maximum(norm, floor)
+    assert np.percentile(error, 99.0) <= 1e-2
+
+
+def a_tube(_request):
+    return meshes.tube(segments_along=64, segments_around=32), snake_view(48, 36)
+
+
+def a_disc(_request):
+    return meshes.disc(segments=64, rings=4), wd.View((0.0, -1.9, 2.3), (0, 0, 0), width=48, height=36)
+
+
+def a_ball(_request):
+    return spherical(2), wd.View((2.0, 1.5, 1.0), (0, 0, 0), width=48, height=36)
+
+
+def the_bottle(request):
+    path = request.getfixturevalue("fuze_path")
+    return path, wd.View((0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=36, height=48)
+
+
+@pytest.mark.parametrize("make", [a_tube, a_disc, a_ball, the_bottle])
+def test_nothing_is_black_nan_or_negative(make, request):
+    """Where light and eye are above the surface, by the smooth and by the geometric normal, there is a colour."""
+    mesh, view = make(request)
+    heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
+    # A window as short as the fingers leaves no gap between orders that float32 could call zero.
+    coherence = wd.Coherence("averaged", 1.2)
+    light = wd.DirectionalLight((0.4, 0.9, 0.7))
+    # Rays of pixels' centres alone: parts of those beside the light's edge are lit.
+    image = wd.shade(mesh, heightfield, light, view, coherence=coherence, pigment=0.0, tolerance=0.1, refine=False)
+    assert np.all(np.isfinite(image.xyz))
+    assert image.xyz.min() >= 0.0
+    pixels = np.flatnonzero(image.mask)
+    # The same rays and shadows in float64; of a flat field, for the colours do not matter here.
+    truth = reference.reference_picture(
+        reference.Body.of(prepare_surface(mesh)), FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5
+    )
+    luminance = image.xyz[..., 1].ravel()[pixels]
+    above = truth.illuminated & (truth.cos_geometric > 0.0) & ~truth.unsure
+    assert np.count_nonzero(above) > 0.3 * len(pixels)
+    assert np.all(luminance[above] > 0.0)
+    dark = truth.hit & ~truth.illuminated & ~truth.unsure
+    assert not luminance[dark].any()
+
+
+def test_no_seam_along_the_belly(fingers):
+    """Neighbours across the seam of the texture differ no more than others."""
+    tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
+    # From below: the seam runs along the middle column of pixel borders.
+    view = wd.View.orthographic((0, -2, 0), (0, 0, 0), up=(1, 0, 0), extent_y=1.2, width=48, height=64)
+    view = dataclasses.replace(view, extent_y=0.2 * 64 / 48)
+    light = wd.DirectionalLight((0.2, -1.0, 0.3))
+    image = wd.shade(tube, fingers, light, view, coherence=wd.Coherence("averaged", 1.2), tolerance=1e-2)
+    assert image.mask[:, 12:36].all()
+    logarithm = np.log(image.xyz[..., 1].astype(np.float64))[:, 12:36]
+    step = np.abs(np.diff(logarithm, axis=1)).mean(axis=0)
+    seam = 23 - 12
+    assert step[seam] <= 1.2 * step[seam - 4 : seam + 5].max()
+    # The tangent turns smoothly too: second differences show a kink that first ones hide.
+    bend = np.abs(np.diff(logarithm, 2, axis=1)).mean(axis=0)
+    assert bend[seam - 1 : seam + 1].max() <= 1.5 * bend.max(initial=0.0, where=np.arange(bend.size) // 2 != seam // 2)
+
+
+def test_an_explicit_plan_is_honoured(snake, fingers):
+    view = snake_view(32, 24)
+    fine = wd.shade(snake, fingers, SNAKE_LIGHT, view, coherence=SHORT, tolerance=1e-2, refine=False)
+    coarse_plan = dataclasses.replace(fine.plan, terms=3, wavelengths=9)
+    coarse = wd.shade(snake, fingers, SNAKE_LIGHT, view, plan=coarse_plan, refine=False)
+    assert dataclasses.replace(coarse.plan, errors=coarse_plan.errors) == coarse_plan
+    assert np.abs(coarse.xyz - fine.xyz).max() > 0.05 * fine.xyz.max()
+    again = wd.shade(snake, fingers, SNAKE_LIGHT, view, plan=fine.plan, refine=False)
+    np.testing.assert_array_equal(again.xyz, fine.xyz)
+    with pytest.raises(ValueError, match="coherence"):
+        wd.shade(snake, fingers, SNAKE_LIGHT, view, plan=fine.plan, coherence=LONG)
+
+
+@pytest.mark.parametrize("options", [{}, {"threads": 3, "samples_per_pixel": 2}, {"method": "direct"}])
+def test_progress_grows_to_one(options, snake, fingers):
+    size = (4, 3) if "method" in options else (96, 72)
+    view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=size[0], height=size[1])
+    seen = []
+    lights = [SNAKE_LIGHT, wd.DirectionalLight((-0.5, 1.0, 0.4))]
+    wd.shade(snake, fingers, lights, view, coherence=SHORT, tolerance=0.1, progress=seen.append, **options)
+    assert len(seen) > 3
+    assert np.all(np.diff(seen) >= 0.0)
+    assert seen[0] > 0.0
+    assert seen[-1] == 1.0
+
+
+@pytest.mark.permanent("forks, pools, callbacks that render or raise")
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_progress_may_render_or_fail(threads):
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
+    mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))
+    camera = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), width=160, height=120)
+    plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
+    expected = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads).xyz
+    nested = []
+
+    def render(_):
+        nested.append(wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads).xyz)
+
+    def fail(_):
+        raise ZeroDivisionError
+
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=fail)
+        found = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=render).xyz
+        np.testing.assert_array_equal(found, expected)
+    assert len(nested) > 1
+    for each in nested:
+        np.testing.assert_array_equal(each, expected)
+
+
+@pytest.mark.permanent("threads that render at once", shares=2)
+def test_threads_that_render_at_once_draw_the_same(tries):
+    heightfield = wd.gratings.fingers(size_um=6.4, seed=2)
+    mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))
+    together = threading.Barrier(8)
+
+    def render(index, wait=True):
+        camera = wd.View((0.1 * index, 1.6, 3.1), (0.0, 0.0, 0.0), width=40, height=30)
+        if wait:
+            together.wait(60.0)
+        return wd.shade(mesh, heightfield, light, camera, coherence=wd.Coherence(sigma_um=3.25), tolerance=0.2).xyz
+
+    expected = [render(index, wait=False) for index in range(8)]
+    for _ in tries.of(range(count(3, 15))):
+        tries.number += 7
+        with ThreadPoolExecutor(8) as pool:
+            found = list(pool.map(render, range(8)))
+        np.testing.assert_array_equal(found, expected)

@@ -1,0 +1,476 @@
+"""Plans: from a tolerance to numbers, what they say, that they are obeyed; and the tables kept for the next call."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import math
+import warnings
+import weakref
+
+import numpy as np
+import pytest
+from conftest import at_angle, hemisphere, slow
+
+import warpdiff as wd
+from bench.truth import reference
+from bench.truth.errors import FLOOR, reference_luminance
+from warpdiff.diffraction import coefficient_basis, fourier_coefficients
+from warpdiff.diffraction.phase_series import EXPANSIONS
+from warpdiff.optics import reflectance_factors
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.tables import coefficient_table
+
+UP = [0.0, 0.0, 1.0]
+
+
+@pytest.fixture(scope="module")
+def rough() -> wd.HeightField:
+    """A small patch with structure in both directions, fine enough for the whole hemisphere."""
+    return wd.gratings.fingers(size_um=6.4, seed=3)
+
+
+def deep(height_um: float) -> wd.HeightField:
+    """A random surface of a given height range."""
+    heights = np.random.default_rng(8).uniform(size=(16, 16))
+    heights = (heights - heights.min()) / np.ptp(heights) * height_um
+    return wd.HeightField.of_known_scale(heights, 0.05)
+
+
+def test_ranges(rough, rng):
+    # The direct sum's plan has the ranges of any other, and is not searched for.
+    whole = wd.plan(rough, method="direct")
+    assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
+
+    light = at_angle(30.0)
+    for half in (wd.plan(rough, light, method="direct"), wd.plan(rough, None, light, method="direct")):
+        assert half.max_uv == pytest.approx(1.5)
+        assert half.max_w == pytest.approx(1.0 + math.cos(math.radians(30.0)))
+
+    both = wd.plan(rough, light, at_angle(-30.0))
+    assert both.max_uv == pytest.approx(0.0, abs=1e-12)
+    assert both.max_w == pytest.approx(2.0 * math.cos(math.radians(30.0)))
+
+    lights, views = hemisphere(rng, 50), hemisphere(rng, 50)
+    many = wd.plan(rough, lights, views)
+    total = lights + views
+    assert many.max_uv == pytest.approx(np.hypot(total[:, 0], total[:, 1]).max())
+    assert many.max_w == pytest.approx(total[:, 2].max())
+
+
+@pytest.mark.parametrize("below", [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
+def test_directions_below_the_horizon_ask_for_nothing(rough, below):
+    assert wd.plan(rough, [UP, below], UP) == wd.plan(rough, UP, UP)
+    nothing = wd.plan(rough, below, UP)
+    assert (nothing.max_uv, nothing.max_w) == (0.0, 0.0)
+
+
+def test_the_whole_hemisphere_holds_for_any_direction(rough, rng):
+    whole = wd.plan(rough, method="direct")
+    for light, view in zip(hemisphere(rng, 20), hemisphere(rng, 20), strict=True):
+        one, half = wd.plan(rough, light, view), wd.plan(rough, light, method="direct")
+        for name in ("max_uv", "max_order_rate", "max_w"):
+            assert getattr(one, name) <= getattr(half, name) <= getattr(whole, name)
+        assert one.min_w >= half.min_w >= whole.min_w
+        assert one.direction_range.joined(half.direction_range) == half.direction_range
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
+    coherence = wd.Coherence(kind, 6.5)
+    tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
+    for plans in (
+        [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
+        # With many directions a table is taken for the larger tolerances; it has numbers of its own.
+        [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
+    ):
+        for name in ("terms", "wavelengths", "multiply_adds"):
+            values = [getattr(plan, name) for plan in plans]
+            assert values == sorted(values)
+            assert values[0] < values[-1]
+        # What was measured may be smaller for the larger tolerance, where neither plan could be smaller.
+        names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
+        for name in names:
+            values = [getattr(plan, name) for plan in plans]
+            assert values == sorted(values, reverse=True)
+        for plan in plans:
+            assert plan.is_measured == (len(set(plan.direction_range.kappas)) > 1 and plan.min_w == 0.0)
+            assert plan.error <= plan.tolerance
+
+
+@pytest.mark.parametrize(
+    "coherence",
+    [
+        wd.Coherence(sigma_um=6.5),
+        wd.Coherence("centred", 6.5),
+        slow(wd.Coherence("source", angular_diameter_deg=0.53)),
+        slow(wd.Coherence("replicas", periods=(2, 3))),
+    ],
+    ids=lambda each: each.kind,
+)
+def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
+    """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
+    lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
+    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
+    plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
+    assert plan.is_measured
+    assert not few.is_measured
+    samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
+    assert plan.multiply_adds < samples.multiply_adds
+    # The sum over copies that is the truth takes a tenth of a second for each direction.
+    apart = 650 if coherence.kind == "replicas" else 160
+    for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
+        exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = wd.reflectance(rough, lights[part], views[part], plan=plan)
+        floor = FLOOR * reference_luminance(exact[:, 1])
+        error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        assert np.percentile(error, 99.0) <= plan.tolerance
+        bright = exact[:, 1] >= floor
+        measured = max(np.percentile(error[some], 99.0) for some in (bright, ~bright))
+        assert plan.error <= 10.0 * max(measured, 0.01 * plan.tolerance)
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
+def test_the_plan_does_not_depend_on_threads(rough, kind):
+    coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
+    one, two = (
+        wd.plan(rough, at_angle(40.0), tolerance=0.1, coherence=coherence, threads=threads) for threads in (1, 2)
+    )
+    assert one == two
+
+
+def test_a_plan_reads_as_a_paragraph(rough):
+    plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
+    text = str(plan)
+    assert "\n" not in text
+    assert text.startswith("Low-rank basis")
+    assert text.rstrip(".").split("Scalar theory itself: ")[1].startswith("where orders lie is right")
+    for part in (
+        "averaged window with σ = 3 µm",
+        "tolerance 0.003",
+        f"|(u, v)| up to {plan.max_uv:.3g}",
+        f"|w| {plan.min_w:.3g} to {plan.max_w:.3g}",
+        f"Predicted error {plan.error:.1e}, measured on {plan.validation_size} of the directions",
+        f"{plan.terms} terms",
+        f"weight below {plan.least_weight:.1e}",
+        f"{plan.wavelengths} wavelengths equally spaced in 1/λ (fewer where",
+        f"The pitch folds back {plan.aliasing:.1e}",
+        f"Some {plan.multiply_adds:.2g} multiply-adds a direction, {plan.microseconds:.2g} µs of a core",
+    ):
+        assert part in text
+    table = wd.plan(rough, at_angle(20.0), tolerance=1e-1, coherence=wd.Coherence(sigma_um=3.0))
+    assert f"{table.nodes} nodes an octave" in str(table)
+    assert f"after {table.table_seconds:.2g} s for the table" in str(table)
+    assert "what bounds leave as a rule" in str(wd.plan(rough, UP, UP))
+    assert "Direct sum" in str(wd.plan(rough, method="direct"))
+    assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
+    source = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("source")))
+    assert "source of 0.53° in diameter" in source
+    assert "equally spaced in log λ" in source
+    periods = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("replicas", periods=(1, 200))))
+    assert "1 × 200 copies in step" in periods
+    assert "for the copies' factor" in periods
+    assert "neighbours" not in periods
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred"])
+def test_the_number_of_terms_is_obeyed(rough, kind):
+    light, view, wavelength_um = at_angle(25.0), at_angle(-5.0), 0.5
+    coherence = wd.Coherence(kind, 3.25)
+    full = wd.plan(rough, light, view, coherence=coherence, method="jacobi-anger")
+    plan = dataclasses.replace(full, terms=5)
+    u, v, w = -(light + view)
+
+    # The same sum in float64, over all coefficients of the patch.
+    block = fourier_coefficients.Block(rough.shape, (0, 0), rough.shape)
+    expansion = EXPANSIONS[plan.method]
+    series = fourier_coefficients.series_coefficients(rough, expansion, plan.terms, block)
+    half_range = expansion.offset_and_scale(rough)[1]
+    basis = expansion.basis(2.0 * math.pi * w / wavelength_um * half_range, plan.terms)
+    s, r = block.orders()
+    (length_y, length_x), a = rough.size_um, coefficient_table.falloff_um2(coherence)
+    gaussian = np.exp(-a * (v / wavelength_um - s / length_y) ** 2)[:, None]
+    gaussian = gaussian * np.exp(-a * (u / wavelength_um - r / length_x) ** 2)
+    if kind == "averaged":
+        power = np.sum(np.abs(series @ basis) ** 2 * gaussian)
+    else:
+        centre_y, centre_x = (n // 2 * pitch for n, pitch in zip(rough.shape, rough.pitch_um, strict=True))
+        phase = np.exp(-2j * math.pi * (s[:, None] * centre_y / length_y + r * centre_x / length_x))
+        power = np.abs(np.sum((series @ basis) * gaussian * phase)) ** 2
+    gain = reflectance_factors.gain(
+        light[None], view[None], normal=reflectance_factors.normal_reflectance(1.5), masking=True
+    )[0]
+
+    found = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
+    assert found == pytest.approx(gain * power, rel=1e-4)
+    assert found != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["averaged", "source", "replicas"])
+def test_numbers_are_obeyed(rough, kind):
+    light, view = at_angle(25.0), at_angle(-5.0)
+    coherence = {
+        "averaged": wd.Coherence(sigma_um=3.25),
+        "source": wd.Coherence("source", angular_diameter_deg=2.0),
+        "replicas": wd.Coherence("replicas", periods=(1, 40)),
+    }[kind]
+    full = wd.plan(rough, light, view, coherence=coherence)
+    expected = wd.reflectance(rough, light, view, plan=full)
+    changes = [{"wavelengths": 3}, {"terms": 1}]
+    changes.append({"subdivisions": 1, "wavelengths": 64} if kind == "replicas" else {"least_weight": 0.5})
+    for changed in changes:
+        found = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
+        assert np.linalg.norm(found - expected) > 1e-2 * np.linalg.norm(expected)
+    more = dataclasses.replace(full, terms=full.terms + 8, least_weight=1e-13, wavelengths=4 * full.wavelengths)
+    found = wd.reflectance(rough, light, view, plan=more)
+    assert np.linalg.norm(found - expected) < full.tolerance * np.linalg.norm(expected)
+
+
+def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
+    light, view = at_angle(25.0), hemisphere(np.random.default_rng(1), 9)
+    plan = wd.plan(rough, light, view, tolerance=3e-2)
+    np.testing.assert_array_equal(
+        wd.reflectance(rough, light, view, tolerance=3e-2), wd.reflectance(rough, light, view, plan=plan)
+    )
+    image = wd.reflectance_map(rough, light, size=8, tolerance=3e-2)
+    again = wd.reflectance_map(rough, light, size=8, plan=image.plan)
+    assert again.plan is image.plan
+    np.testing.assert_array_equal(image.xyz, again.xyz)
+
+
+def test_plans_are_values(rough):
+    one, two = (wd.plan(rough, tolerance=0.3) for _ in range(2))
+    assert one == two
+    assert hash(one) == hash(two)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        one.terms = 3
+
+
+# Taken with strict=False, so deep a surface has scalar theory warned of as well, by the plan alone.
+@pytest.mark.filterwarnings("ignore:scalar diffraction")
+@pytest.mark.parametrize(
+    ("directions", "how"),
+    # For the whole hemisphere a plan is searched for, with kernels of every number of terms.
+    [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
+    ids=["few", "all"],
+)
+def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_the_same(directions, how):
+    views = hemisphere(np.random.default_rng(2), 20)
+    for height, method in ((3.0, "taylor"), (8.0, "auto")):
+        heightfield = deep(height)
+        for call, given in ((wd.plan, directions), (wd.reflectance, (UP, views))):
+            with pytest.raises(
+                ValueError, match=rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"
+            ) as refused:
+                call(heightfield, *given, method=method)
+            assert call is wd.reflectance or how in str(refused.value)
+            with pytest.warns(wd.WarpdiffWarning, match="cannot reach tolerance=0.01"):
+                result = call(heightfield, *given, method=method, strict=False)
+        assert np.all(np.isfinite(result))
+        assert result.min() >= 0.0
+    # The direct sum has no series.
+    assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
+
+
+def test_the_automatic_series_serves_what_taylor_cannot(rng):
+    heightfield = deep(3.0)
+    lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
+    options = {"coherence": wd.Coherence(sigma_um=0.5), "tolerance": 1e-4}
+    exact = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], method="direct", **options)
+    found = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], **options)
+    np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
+
+
+def test_heights_in_another_unit_are_refused(rough):
+    plan = wd.plan(rough, UP, UP)
+    for height_um in (375.0, 1e9):
+        for method in ("auto", "taylor", "direct"):
+            with pytest.raises(ValueError, match="heights are in µm"):
+                wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
+        with pytest.raises(ValueError, match="heights are in µm"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
+            wd.reflectance(deep(height_um), UP, UP, plan=plan)
+
+
+def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
+    narrow, whole = wd.plan(rough, UP, at_angle(5.0)), wd.plan(rough, coherence=wd.Coherence(sigma_um=3.0))
+    calls = {
+        "height range": lambda: wd.reflectance(deep(3.0), UP, UP, plan=narrow, strict=True),
+        "up to 0.643, planned 0.0872": lambda: wd.reflectance(rough, UP, at_angle(40.0), plan=narrow),
+        "1/λ": lambda: wd.spectral_reflectance(rough, UP, UP, 200.0, plan=narrow),
+    }
+    for what, call in calls.items():
+        with pytest.warns(wd.WarpdiffWarning, match=f"beyond what it holds for: .*{what}"):
+            found = call()
+        assert np.all(np.isfinite(found))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
+        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=whole)
+
+
+def test_windows_too_long_for_a_colour_are_refused(rough):
+    with pytest.raises(ValueError, match=r"sigma_um=20000 .* wavelengths"):
+        wd.plan(rough, coherence=wd.Coherence(sigma_um=2e4))
+
+
+def test_one_row_is_constant_along_y():
+    """However coarse its pitch: no order leaves the plane, and none is said to alias."""
+    row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
+    coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
+    views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
+    for method in ("auto", "direct"):
+        thin, thick = (
+            wd.spectral_reflectance(heightfield, UP, views, [400.0], method=method) for heightfield in (row, coarse)
+        )
+        np.testing.assert_allclose(thick, thin, rtol=1e-4, atol=1e-30)
+        assert thick[0] < 1e-30
+
+
+def test_a_coarse_pitch_is_said_to_alias(rough):
+    coarse = wd.gratings.sinusoidal(6.4, 0.1).resampled(0.2)
+    with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
+        wd.plan(coarse, method="direct")
+    with pytest.warns(
+        wd.WarpdiffWarning, match="directions up to 1.5 are asked for: orders beyond repeat those within"
+    ):
+        wd.plan(coarse, at_angle(30.0), method="direct")
+    with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
+        wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
+    # What the pitch supports is not warned of, and longer wavelengths are supported further.
+    wd.plan(coarse, at_angle(20.0), at_angle(20.0))
+    wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
+    wd.plan(rough, method="direct")
+
+
+@pytest.fixture
+def builds(monkeypatch):
+    """The height fields whose coefficients were fitted."""
+    built = []
+    fitted = coefficient_basis.fitted
+
+    def counted(heightfield, *args, **options):
+        built.append(weakref.ref(heightfield))
+        return fitted(heightfield, *args, **options)
+
+    monkeypatch.setattr(coefficient_basis, "fitted", counted)
+    return built
+
+
+def test_tables_are_kept_for_the_next_call(rough, builds):
+    heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
+    plan = wd.plan(heightfield, tolerance=0.3)
+    assert len(builds) == 1
+    first = wd.reflectance(heightfield, UP, UP, plan=plan)
+    np.testing.assert_array_equal(wd.reflectance(heightfield, UP, UP, plan=plan), first)
+    # A light that moves, another index, other wavelengths, terms and windows need no new coefficients.
+    wd.reflectance(heightfield, at_angle(10.0), UP, plan=plan, ior=2.0)
+    wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
+    wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
+    assert len(builds) == 1
+    # Equal heights in another object are another height field.
+    wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
+    assert len(builds) == 2
+
+
+def test_few_tables_are_kept(rough, builds):
+    heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
+    plan = wd.plan(heightfield, tolerance=0.3)
+    scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
+    for each in scopes:
+        wd.reflectance(heightfield, UP, UP, plan=each)
+    assert len(coefficient_table._cache[heightfield].coefficients) == coefficient_table._MOST_KEPT
+    assert len(builds) == 1 + len(scopes)
+    # The oldest went.
+    wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
+    assert len(builds) == 1 + len(scopes)
+    wd.reflectance(heightfield, UP, UP, plan=scopes[0])
+    assert len(builds) == 2 + len(scopes)
+
+
+def test_tables_die_with_their_height_field(rough, builds):
+    heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
+    wd.reflectance(heightfield, UP, UP, method="low-rank")
+    gc.collect()
+    before = len(coefficient_table._cache)
+    del heightfield
+    gc.collect()
+    assert builds[0]() is None
+    assert len(coefficient_table._cache) == before - 1
+
+
+def test_a_pinned_plan_computes_the_same_in_any_company(rough, rng):
+    """A fitted basis depends on the range of its plan, not on the other directions of a call."""
+    lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
+    plan = wd.plan(rough, lights, views)
+    together = wd.reflectance(rough, lights, views, plan=plan)
+    alone = [wd.reflectance(rough, light, view, plan=plan) for light, view in zip(lights[:9], views[:9], strict=True)]
+    np.testing.assert_array_equal(together[:9], alone)
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
+def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
+    """Directions of small |(u, v)| take fewer wavelengths, and lose nothing by it."""
+    lights = hemisphere(rng, 200)
+    views = lights * [-1.0, -1.0, 1.0] + rng.normal(scale=0.3, size=(200, 3)) * rng.uniform(size=(200, 1))
+    views[:, 2] = np.abs(views[:, 2])
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    total = lights + views
+    ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
+    # Too few for a search: the bounds themselves.
+    plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
+    assert not plan.is_measured
+    assert plan.adaptive
+    finest = dataclasses.replace(plan, adaptive=False, wavelengths=8 * plan.wavelengths)
+    found, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+    assert np.percentile(error, 99.0) <= tolerance
+    quadrature = coefficient_table.quadrature_for(rough, plan, IlluminatedMaterial("D65"), device="cpu")
+    sizes = np.diff(quadrature.firsts.numpy())
+    assert sizes[0] == plan.wavelengths
+    assert len(sizes) >= 3
+    assert np.all(np.diff(sizes) < 0)
+    fixed = coefficient_table.quadrature_for(
+        rough, dataclasses.replace(plan, adaptive=False), IlluminatedMaterial("D65"), device="cpu"
+    )
+    assert fixed.firsts.numpy().tolist() == [0, plan.wavelengths]
+
+
+def test_a_maps_pixels_may_be_means(rough):
+    """Of a grid of directions each, with their share of the disc as coverage."""
+    light = [0.2, 0.1, 1.0]
+    fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
+    means = wd.reflectance_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)
+    np.testing.assert_allclose(means.xyz, fine.xyz.reshape(12, 3, 12, 3, 3).mean(axis=(1, 3)), rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(means.coverage, fine.mask.reshape(12, 3, 12, 3).mean(axis=(1, 3)), rtol=1e-6)
+    assert np.any((means.coverage > 0.0) & (means.coverage < 1.0))
+
+
+@pytest.mark.parametrize("height_um", [0.3, 0.31])
+def test_no_series_is_made_twice(height_um, monkeypatch):
+    made = []
+    of_series = coefficient_basis.of_series
+
+    def counted(heightfield, method, grid, block, kappas, *, terms, threads):
+        made.append((method, block, kappas, terms))
+        return of_series(heightfield, method, grid, block, kappas, terms=terms, threads=threads)
+
+    monkeypatch.setattr(coefficient_basis, "of_series", counted)
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
+    surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
+    heightfield = wd.HeightField.of_known_scale(
+        surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um
+    )
+    wd.plan(heightfield, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
+    assert len(made) == len(set(made))
+    assert len(coefficient_table.kept(heightfield).fitted_to) == 0
+
+
+def test_views_of_a_plan_are_all_of_its_fields(rough):
+    plan = wd.plan(rough, UP, UP)
+    views = [plan.request, plan.kernel_numbers, plan.valid_range, plan.predicted_errors, plan.findings]
+    assert sum(map(len, views)) == len(dataclasses.fields(plan))
+    assert {name: value for view in views for name, value in view.items()} == dataclasses.asdict(plan) | plan.request
+    assert plan.error == sum(plan.predicted_errors.values())

@@ -1,0 +1,37 @@
+"""Files of scans and of meshes, damaged at random: read, or refused with their path, and nothing else is opened."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from endurance import SEED, count, seconds_left
+
+if os.name != "posix":
+    pytest.skip("limits of memory are POSIX", allow_module_level=True)
+HERE = Path(__file__).parent
+
+
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        pytest.param("scans", count(1500, 50_000), marks=pytest.mark.permanent("damaged scans", shares=20)),
+        pytest.param(
+            "meshes", count(1500, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20)
+        ),
+    ],
+)
+def test_damaged_files_are_read_or_refused_by_their_path(kind, number, tries, tmp_path):
+    seed = SEED or 24
+    arguments = [kind, str(seed), str(number), str(min(seconds_left(), 1e6))]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", HERE.parent / "mutants.py", *arguments], cwd=tmp_path,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{done.stderr}; see the last file in {tmp_path}; seed {seed}"
+    tries.number, wrong = json.loads(done.stdout.splitlines()[-1])
+    assert not wrong, f"seed {seed}"

@@ -1,0 +1,68 @@
+"""Mesh files of every format that are whole and hostile: rendered, or refused by one error with their path."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzz import HF, LIGHT, VIEW, hostile_meshes, plan
+
+import warpdiff as wd
+from warpdiff.scene import mesh_import
+
+FORMATS = ("obj", "ply", "stl", "glb", "off", "gltf")
+MESHES = list(hostile_meshes())
+# A folder with others' files, such as a mesh library's own; none of them is part of this repository.
+MODELS = os.environ.get("WARPDIFF_MODELS")
+
+
+def render(path, **options):
+    """A small picture, or a clear error, which is returned."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Such as of a lost texture.
+        warnings.simplefilter("ignore", wd.WarpdiffWarning)
+        try:
+            image = wd.shade(path, HF, LIGHT, VIEW, plan=plan(), threads=1, **options)
+        except ValueError as error:
+            said = str(error)
+        else:
+            said = ""
+            assert np.isfinite(image.xyz).all()
+    assert not said or (str(path) in said and re.search(r"\bmesh\b", said) and "\n" not in said), said
+    return said
+
+
+def tangents_for(path, rng):
+    """Any, for a file without texture coordinates."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return rng.normal(size=(sum(len(each.mesh.vertices) for each in mesh_import._geometries(path)), 3))
+
+
+@pytest.mark.permanent("hostile mesh files of every format")
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_hostile_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
+    for index, mesh in enumerate(tries.of(MESHES)):
+        path = tmp_path / f"mesh{index}.{suffix}"
+        try:
+            with np.errstate(all="ignore"):
+                mesh.export(path)
+        except Exception:
+            tries.number -= 1
+            continue
+        render(path)
+    assert tries.number > len(MESHES) // 2
+
+
+@pytest.mark.permanent("hostile mesh files of every format")
+@pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS names no folder of meshes")
+def test_models_of_others_are_rendered_or_refused(tries, rng):
+    # What is no mesh is refused as well.
+    for path in tries.of(path for path in sorted(Path(MODELS).rglob("*")) if path.is_file()):
+        if "texture coordinates" in render(path):
+            render(path, tangents=tangents_for(path, rng))

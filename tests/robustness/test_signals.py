@@ -1,0 +1,160 @@
+"""Signals end the command line soon, with the right exit code and with nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from endurance import IS_SOAK
+
+if os.name != "posix":
+    pytest.skip("signals are POSIX", allow_module_level=True)
+
+ROW = "SIGINT, SIGTERM and SIGHUP, at many delays"
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+@pytest.fixture(autouse=True)
+def _heard():
+    """What runs tests in the background may ignore signals, as nohup does, and processes inherit that."""
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGHUP)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    for each, handler in before.items():
+        signal.signal(each, handler)
+
+
+def begun(arguments, folder):
+    """A process whose caches and temporary files lie in a folder of their own."""
+    names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "kept", "TMPDIR": "temporary"}
+    (folder / "temporary").mkdir()
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {name: str(folder / value) for name, value in names.items()},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def left_behind(folder):
+    """What is not whole: temporary files, and folders in which kernels are built."""
+    found = [*folder.rglob(".warpdiff-*"), *folder.rglob("*_p*_t*"), *(folder / "temporary").iterdir()]
+    return [path for path in found if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
+
+
+# While packages are imported, and while kernels are compiled.
+GRID = [
+    *((0.15, "SIGINT"), (0.25, "SIGTERM"), (0.4, "SIGHUP"), (0.6, "SIGINT")),
+    *((0.9, "SIGTERM"), (1.3, "SIGHUP"), (2.5, "SIGTERM")),
+]
+if IS_SOAK:
+    GRID = [(0.15 * 1.16**k, name) for k in range(20) for name in NAMES]
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize(("delay", "name"), GRID)
+def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
+    number = getattr(signal, name)
+    with begun(["-m", "warpdiff", "brdf", "blazed", "-o", "map.png"], tmp_path) as process:
+        time.sleep(delay)
+        process.send_signal(number)
+        begin = time.monotonic()
+        error = process.communicate(timeout=60)[1]
+    assert process.returncode == 128 + number, error
+    # A compilation that has begun goes on to its end.
+    assert time.monotonic() - begin < 30.0
+    assert "Traceback" not in error
+    assert not left_behind(tmp_path)
+    assert not (tmp_path / "map.png").exists()
+
+
+# A command that swallows what is raised in it.
+STUBBORN = """
+import sys, time
+from pathlib import Path
+from warpdiff import __main__; from warpdiff.apps import cli
+from warpdiff.core.file_writing import replacing
+def command():
+    with replacing(Path("picture.png")) as unfinished:
+        unfinished.write_text("half")
+        try:
+            print("begun", flush=True)
+            while True:
+                time.sleep(0.05)
+        except BaseException:
+            print("swallowed", flush=True)
+        while True:
+            time.sleep(0.05)
+cli.main = command
+sys.exit(__main__.main())
+"""
+
+
+@pytest.mark.permanent(ROW)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_second_signal_ends_a_command_that_swallows_the_first(name, tmp_path):
+    number = getattr(signal, name)
+    with begun(["-c", STUBBORN], tmp_path) as process:
+        assert process.stdout.readline() == "begun\n"
+        assert left_behind(tmp_path)
+        process.send_signal(number)
+        assert process.stdout.readline() == "swallowed\n"
+        process.send_signal(number)
+        begin = time.monotonic()
+        process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert time.monotonic() - begin < 1.0
+    assert not left_behind(tmp_path)
+
+
+def ended(code, folder):
+    """The exit code of a process that runs code, and what it said on either stream."""
+    with begun(["-c", code], folder) as process:
+        out, error = process.communicate(timeout=60)
+    return process.returncode, out, error
+
+
+COMMAND = "import signal, sys, time; from warpdiff import __main__; from warpdiff.apps import cli\n"
+RUN = "\nsys.exit(__main__.main())"
+
+
+def test_a_signal_that_was_ignored_stays_so(tmp_path):
+    ignore = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    raises = "cli.main = lambda: signal.raise_signal(signal.SIGHUP) or 3"
+    assert ended(ignore + COMMAND + raises + RUN, tmp_path)[0] == 3
+
+
+def test_an_interruption_that_becomes_another_error_is_one(tmp_path):
+    """As NumPy's own import makes of it."""
+    rotated = "def turned():\n    try: signal.raise_signal(15); time.sleep(60.0)\n"
+    rotated += "    except BaseException: raise ImportError('could not import')\ncli.main = turned"
+    code, _, error = ended(COMMAND + rotated + RUN, tmp_path)
+    assert (code, error) == (143, "")
+
+
+def test_an_interruption_of_a_finalizer_is_one_and_says_nothing(tmp_path):
+    last = "class Last:\n    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
+    assert ended(COMMAND + last + "cli.main = lambda: Last() and time.sleep(60.0)" + RUN, tmp_path) == (143, "", "")
+
+
+def test_a_signal_after_all_is_done_changes_nothing(tmp_path):
+    # Module globals go after what is registered for the end.
+    late = "import signal\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\nlate = Late()\n"
+    code, out, error = ended(late + COMMAND + "sys.argv[1:] = ['cache']" + RUN, tmp_path)
+    assert code == 0, error
+    assert "0 files" in out
+    assert not left_behind(tmp_path)
+
+
+def test_the_library_meets_no_signals(tmp_path):
+    code = "import signal; before = list(map(signal.getsignal, (2, 15, 1))); from warpdiff import *\n"
+    code += "reflectance(HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1], method='direct')\n"
+    code += "assert before == list(map(signal.getsignal, (2, 15, 1)))"
+    assert ended(code, tmp_path)[0] == 0

@@ -1,0 +1,63 @@
+"""The command line where standard streams are closed, full, read no further, or cannot hold every character."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+if os.name != "posix":
+    pytest.skip("these streams are POSIX", allow_module_level=True)
+
+pytestmark = pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+
+
+def in_shell(command, folder, **environment):
+    """Run a shell's command, ``$W`` standing for the command line; its exit code, output and errors."""
+    names = {key: value for key, value in os.environ.items() if key not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
+    ran = subprocess.run(
+        ["/bin/sh", "-c", command.replace("$W", '"$PYTHON" -m warpdiff')],
+        cwd=folder,
+        env=names | {"PYTHON": sys.executable, "WARPDIFF_CACHE_DIR": ""} | environment,
+        capture_output=True,
+        check=False,
+    )
+    assert b"Traceback" not in ran.stderr
+    assert b"Exception ignored" not in ran.stderr
+    return ran.returncode, ran.stdout.decode(), ran.stderr.decode(errors="surrogateescape")
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said"),
+    [
+        ("$W info nothing.png 2>&-", 2, ""),
+        ("$W info nothing.png 2>/dev/full", 2, ""),
+        ("$W info nothing.png >&- 2>&-", 2, ""),
+        ("$W cache >&-", 0, ""),
+        # The shell's exit code is the last command's.
+        ("(sleep 0.05; $W cache; echo $? >&2) | true", 0, "1\n"),
+        ("($W --help; echo $? >&2) | true", 0, "1\n"),
+        ("$W cache >/dev/full", 1, "warpdiff: standard output: No space left on device\n"),
+        ("$W --version >/dev/full", 1, "warpdiff: standard output: No space left on device\n"),
+    ],
+)
+def test_streams_that_take_nothing(command, code, said, tmp_path):
+    if "/dev/full" in command and not Path("/dev/full").exists():
+        pytest.skip("there is no /dev/full")
+    assert in_shell(command, tmp_path) == (code, "", said)
+
+
+def test_no_picture_takes_the_place_of_a_closed_stream(tmp_path):
+    # Its messages go to number 2, whatever that is.
+    look = "import os; from warpdiff.apps import standard_streams; standard_streams.prepare(); "
+    look += "print(os.open('a', os.O_CREAT | os.O_WRONLY))"
+    assert in_shell(f'"$PYTHON" -c "{look}" 2>&- <&-', tmp_path)[1] == "3\n"
+
+
+def test_output_in_ascii_has_question_marks(tmp_path):
+    code, out, _ = in_shell("$W render --help", tmp_path, PYTHONIOENCODING="ascii")
+    assert code == 0
+    assert "? of a window" in out

@@ -1,0 +1,212 @@
+"""The snake: a closed surface of as many scales as asked for, its free edges, its tangent field and its pattern."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from warpdiff import meshes
+from warpdiff.scene.mesh_import import prepare_surface
+
+SMALL = {"scale_rows": 15, "ventrals": 40, "segments": 2}
+
+
+@pytest.fixture(scope="module")
+def snake():
+    return meshes.snake(**SMALL)
+
+
+@pytest.fixture(scope="module")
+def surface(snake):
+    return prepare_surface(snake)
+
+
+def face_normals(corners):
+    """Unit normals of triangles (m, 3, 3)."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return cross / np.linalg.norm(cross, axis=1, keepdims=True)
+
+
+def degrees(cosine):
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def places(mesh):
+    """A number for each vertex, the same for those at one position."""
+    cells = np.round(mesh.vertices / 1e-8).astype(np.int64)
+    return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+
+
+@pytest.mark.parametrize(
+    "given", [SMALL, {"scale_rows": 5, "ventrals": 8, "segments": 3, "bend_deg": 0.0, "tangent": "along"}]
+)
+def test_it_is_closed_and_wound_outwards(given):
+    mesh = meshes.snake(**given)
+    place = places(mesh)
+    edges = place[mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
+    forward, backward = edges @ [len(place), 1], edges @ [1, len(place)]
+    # Each edge belongs to two faces, once in either direction.
+    assert len(np.unique(forward)) == len(forward)
+    np.testing.assert_array_equal(np.sort(forward), np.sort(backward))
+    # Without a handle: Euler's number of a sphere.
+    assert len(np.unique(place)) - len(edges) // 2 + len(mesh.faces) == 2
+    corners = mesh.vertices[mesh.faces]
+    assert np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0.0
+    assert mesh.vertices[:, 1].min() == 0.0
+
+
+def test_the_default_is_light():
+    mesh = meshes.snake()
+    assert 100_000 < len(mesh.faces) < 210_000
+    corners = mesh.vertices[mesh.faces]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    twice_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    # In float32, as kernels take them, heights of 1e-7 are lost.
+    assert np.min(twice_area / sides.max(axis=1)) > 5e-6
+    cosine = np.einsum("ij,ikj->ik", face_normals(corners), mesh.vertex_normals[mesh.faces])
+    assert np.percentile(degrees(cosine), 99.0) < 15.0
+    assert cosine.min() > 0.0
+
+
+def test_faces_have_areas_and_normals_of_their_own(snake, surface):
+    assert len(surface.faces) == len(snake.faces)
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0, atol=1e-6)
+    # Also at free edges, where surfaces that look in different directions meet at a position.
+    cosine = np.einsum("ij,ikj->ik", face_normals(surface.vertices[surface.faces]), surface.normals[surface.faces])
+    assert np.percentile(degrees(cosine), 99.0) < 30.0
+    np.testing.assert_allclose(surface.normals, snake.vertex_normals, atol=1e-6)
+
+
+def test_the_seam_is_invisible(surface):
+    # Under free edges several vertices share a place and each has its twin; at the snout and the tip there are none.
+    left, right = (
+        np.flatnonzero((surface.uvs[:, 0] == end) & (np.abs(surface.uvs[:, 1] - 0.5) < 0.49)) for end in (0, 1)
+    )
+    assert len(left) == len(right) > 200
+    same = np.all(surface.vertices[left, None] == surface.vertices[right], axis=2)
+    cosine = np.where(same, surface.normals[left] @ surface.normals[right].T, -1.0)
+    assert np.all(degrees(cosine.max(axis=1)) < 0.5)
+
+
+@pytest.mark.parametrize("scale_rows", [7, 9])
+def test_scales_are_as_many_as_asked_for(scale_rows):
+    ventrals = 12
+    mesh = meshes.snake(scale_rows=scale_rows, ventrals=ventrals, segments=2)
+    # Corners of scales, on the lattice of half scales: that is where vertices with one place in the texture lie apart.
+    belly, head, tail = 0.15, 16.0, 1.0
+    x = (mesh.visual.uv[:, 0] - belly) / (1.0 - 2.0 * belly) * (scale_rows + 1)
+    tau = mesh.visual.uv[:, 1] * (head + ventrals + tail) - head
+    inside = (tau > 0.1) & (tau < ventrals - 0.1) & (x > 0.1) & (x < scale_rows + 0.9)
+    cells = np.round(np.stack([x, 2.0 * tau], axis=1)[inside] * 1e6).astype(np.int64)
+    found, group = np.unique(cells, axis=0, return_inverse=True)
+    place = places(mesh)[inside]
+    least, most = np.full(len(found), place.max()), np.zeros(len(found), place.dtype)
+    np.minimum.at(least, group.ravel(), place)
+    np.maximum.at(most, group.ravel(), place)
+    apart = found[most > least] / 1e6
+    corners = apart[np.all(np.abs(apart - np.round(apart)) < 1e-4, axis=1)]
+    middle = np.round(corners[:, 1]) // 2 == ventrals // 2
+    assert len(np.unique(np.round(corners[middle, 0]))) == scale_rows
+    on_spine = corners[np.round(corners[:, 0]) == (scale_rows + 1) // 2]
+    assert len(on_spine) in (ventrals - 1, ventrals)
+
+
+@pytest.mark.parametrize("tangent", ["around", "along"])
+def test_tangents_run_around_or_along(tangent):
+    mesh = meshes.snake(**SMALL, bend_deg=0.0, tangent=tangent)
+    surface = prepare_surface(mesh)
+    np.testing.assert_array_equal(surface.handedness, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(surface.tangents, axis=1), 1.0, atol=1e-6)
+    # The back of a straight snake is along x; what looks to the rear lies under free edges.
+    back = (surface.normals[:, 1] > 0.3) & (surface.normals[:, 0] < 0.1) & (np.abs(surface.vertices[:, 0]) < 0.6)
+    along = np.array([1.0, 0.0, 0.0])
+    around = np.cross(along, surface.normals[back])
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    expected = around if tangent == "around" else np.cross(surface.normals[back], around)
+    assert degrees(np.sum(surface.tangents[back] * expected, axis=1)).max() < 4.0
+
+
+def test_tangents_are_smooth_on_scales(surface):
+    corners = surface.tangents[surface.faces]
+    rotated = degrees(np.einsum("ijk,ijk->ij", corners, np.roll(corners, 1, axis=1))).max(axis=1)
+    assert np.median(rotated) < 12.0
+    assert np.percentile(rotated, 95.0) < 40.0
+
+
+def test_it_does_not_meet_itself(snake):
+    corners = snake.vertices[snake.faces]
+    rng = np.random.default_rng(7)
+    # Segments within some faces, against all faces nearby.
+    weights = rng.dirichlet([2.0, 2.0, 2.0], (250, 2))
+    some = rng.choice(len(corners), 250, replace=False)
+    start, end = (np.einsum("ij,ijk->ik", weights[:, k], corners[some]) for k in (0, 1))
+    middles = corners.mean(axis=1)
+    neighbour_extent = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    gap = np.linalg.norm(middles[some, None] - middles[None], axis=2) - neighbour_extent[some, None] - neighbour_extent
+    i, j = np.nonzero((gap < 0.0) & (some[:, None] != np.arange(len(corners))))
+    a, b, c = (corners[j, k] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    before, after = (np.einsum("ij,ij->i", normal, each[i] - a) for each in (start, end))
+    share = before / np.where(before == after, np.inf, before - after)
+    at = start[i] + share[:, None] * (end - start)[i]
+    inside = [np.einsum("ij,ij->i", normal, np.cross(q - p, at - p)) > 0.0 for p, q in ((a, b), (b, c), (c, a))]
+    assert len(i) > 2500
+    assert not np.any((before * after < 0.0) & np.all(inside, axis=0))
+
+
+def test_the_pattern_depends_on_the_seed_alone(snake):
+    again, other = meshes.snake(**SMALL), meshes.snake(**SMALL, seed=1)
+    one, two, three = (np.asarray(mesh.visual.material.image) for mesh in (snake, again, other))
+    np.testing.assert_array_equal(one, two)
+    assert np.mean(one != three) > 0.2
+    for name in ("vertices", "faces", "vertex_normals"):
+        np.testing.assert_array_equal(getattr(snake, name), getattr(again, name))
+        np.testing.assert_array_equal(getattr(snake, name), getattr(other, name))
+
+
+def test_both_orientations_of_the_texture_paint_the_same_snake(surface):
+    along = prepare_surface(meshes.snake(**SMALL, tangent="along"))
+    # Right-handed both: (u, v) becomes (v, 1 - u).
+    np.testing.assert_array_equal(along.vertices, surface.vertices)
+    np.testing.assert_allclose(along.uvs, surface.uvs[:, ::-1] * [1.0, -1.0] + [0.0, 1.0], atol=1e-6)
+    np.testing.assert_array_equal(along.texture, surface.texture[::-1].transpose(1, 0, 2))
+
+
+def test_colours_are_where_they_belong(surface):
+    height, width, _ = surface.texture.shape
+
+    def colour(u, v):
+        return surface.texture[int((1.0 - v) * height), int(u * width)]
+
+    # The eyes stand out sideways, 0.43 of the head's length behind the snout, and their middles are black.
+    for u in (0.335, 0.665):
+        assert colour(u, 0.43 * 16.0 / 57.0).max() < 0.02
+        assert colour(u, 0.43 * 16.0 / 57.0 + 0.03).max() > 0.1
+    # Red or orange on the back, black or white below.
+    back, below = (np.array([colour(u, v) for v in np.linspace(0.35, 0.95, 40)]) for u in (0.5, 0.05))
+    assert np.median(back[:, 0] / back[:, 2]) > 6.0
+    assert np.max(below[:, 0] / below[:, 2]) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"radius": 0.0}, ValueError, "radius must be"),
+        ({"length": 1.0}, ValueError, r"length must be 16 to 1000 radii \(1\.92 to 120\), got 1"),
+        ({"bend_deg": -1.0}, ValueError, "bend_deg must be"),
+        ({"waves": 6.0}, ValueError, "bend_deg and waves must leave the bends wider than the body"),
+        ({"bend_deg": 120.0, "waves": 1.6}, ValueError, "bend_deg must leave the bends apart, got 120"),
+        ({"tangent": "up"}, ValueError, "tangent must be one of 'around', 'along'"),
+        ({"scale_rows": 3}, ValueError, "scale_rows must be an integer >= 5"),
+        ({"scale_rows": 26}, ValueError, "scale_rows must be odd"),
+        ({"ventrals": 7}, ValueError, "ventrals must be an integer >= 8"),
+        ({"segments": 2.5}, TypeError, "segments must be an integer"),
+        ({"seed": -1}, ValueError, "seed must be"),
+        ({"radius": math.inf}, ValueError, "radius must be"),
+    ],
+)
+def test_bad_arguments(given, error, message):
+    with pytest.raises(error, match=message):
+        meshes.snake(**given)

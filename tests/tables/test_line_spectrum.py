@@ -1,0 +1,242 @@
+"""Tables for sources: lines that look-ups blur, against the float64 reference, closed forms and sampling."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere, slow
+
+import warpdiff as wd
+from bench.truth import reference
+from warpdiff import meshes
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.planner import plan_search, trial
+from warpdiff.request.directions import DirectionSample
+from warpdiff.tables import polar_grid
+from warpdiff.tables.lookup import ColourLookup
+
+SOURCE = wd.Coherence("source", angular_diameter_deg=1.5)
+LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
+@pytest.fixture(scope="module")
+def plan(fingers):
+    return wd.plan(fingers, tolerance=1e-1, coherence=SOURCE, method="low-rank/table")
+
+
+def relative(found, exact):
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+
+
+def test_a_table_keeps_its_tolerance(fingers, plan, rng):
+    lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
+    assert plan.rings_per_octave > 0
+    # As measured; the safety in it is no reason to refuse.
+    assert plan.error <= plan_search.SEARCH_SAFETY * 1e-1
+    assert plan.multiply_adds < 1e3
+    found = wd.reflectance(fingers, lights, views, plan=plan)
+    gains = reflectance_factors.gain(
+        lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True, per_light_cosine=True
+    )
+    exact = gains[:, None] * reference.colours(fingers, -lights - views, lights, SOURCE, tolerance=1e-3)
+    errors = relative(found, exact)
+    assert np.median(errors) < 5e-3
+    assert np.percentile(errors, 95.0) <= 1e-1
+    # At a tolerance of 1e-1 nodes are few.
+    assert np.median(found[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
+
+
+def test_more_nodes_err_less(fingers, plan, rng):
+    lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
+    exact = wd.reflectance(fingers, lights, views, coherence=SOURCE, method="low-rank", tolerance=1e-3)
+    errors = [
+        np.median(relative(wd.reflectance(fingers, lights, views, plan=sized), exact))
+        for sized in (
+            dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=2.0) for nodes in (8, 16, 48)
+        )
+    ]
+    assert errors[0] > 1.5 * errors[1] > 2.0 * errors[2]
+
+
+@pytest.mark.parametrize("incidence_deg", [0.0, 50.0])
+def test_a_mirror_shows_the_source(incidence_deg):
+    """On either side of where the table begins: exp(−½ dᵀΣs⁻¹d) at all wavelengths, white."""
+    flat = wd.HeightField(np.zeros((64, 64)), 0.09)
+    plan = wd.plan(flat, coherence=SOURCE, method="low-rank")
+    tabled = dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=2.0, least_weight=1e-8)
+    theta = np.radians(incidence_deg)
+    to_light = np.array([np.sin(theta), 0.0, np.cos(theta)])
+    s = SOURCE.spread
+    for away in ((0.0, 0.0), (0.5 * s * np.cos(theta), 1.5 * s)):
+        x, y = np.array(away) - to_light[:2]
+        to_view = np.array([x, y, np.sqrt(1.0 - x**2 - y**2)])
+        exact = np.exp(-0.5 * ((away[0] / np.cos(theta)) ** 2 + away[1] ** 2) / s**2)
+        gain = reflectance_factors.gain(to_light[None], to_view[None], normal=1.0, masking=True, per_light_cosine=True)
+        found = wd.reflectance(flat, to_light, to_view, plan=tabled, ior=np.inf)
+        np.testing.assert_allclose(found, exact * gain[0] * colorimetry.colour_products().sum(axis=0), rtol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def sine():
+    return wd.gratings.sinusoidal(1.0, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("incidence_deg", "angle_deg"),
+    [
+        *((0.0, 0.0), (60.0, 35.0), (75.0, 55.0)),
+        *(slow(*each) for each in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0))),
+    ],
+)
+def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
+    """The first order of a sine, which disperses along x, across the plane of incidence of any azimuth."""
+    source = wd.Coherence("source", angular_diameter_deg=1.0)
+    theta, phi = np.radians(incidence_deg), np.radians(angle_deg)
+    to_light = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    u = 0.55 if to_light[0] > 0.3 else -0.55
+    v = source.spread * np.linspace(-2.0, 2.0, 17)
+    views = np.stack([np.full(17, u - to_light[0]), v - to_light[1], np.zeros(17)], axis=1)
+    views[:, 2] = np.sqrt(1.0 - np.sum(views**2, axis=1))
+    # Amplitudes of the orders from their definition, at every 0.1 nm.
+    nm = np.linspace(380.0, 780.0, 4001)
+    products = np.stack([np.interp(nm, np.arange(380, 781), c) for c in colorimetry.colour_products().T], axis=1) * 0.1
+    exact = []
+    for view, away in zip(views, v, strict=True):
+        kappas = (to_light[2] + view[2]) / (nm * 1e-3)
+        powers = np.abs(np.fft.fft(np.exp(2j * np.pi * kappas[:, None] * sine.heights_um[0]), axis=1) / 64.0) ** 2
+        spectral = np.zeros(len(nm))
+        for order in (-2, -1, 1, 2):
+            d = np.stack([u - order * nm * 1e-3, np.full(len(nm), away)])
+            along = to_light[:2] @ d
+            exponent = (np.sum(d**2, axis=0) + (along / to_light[2]) ** 2) / source.spread**2
+            spectral += powers[:, order] * np.exp(-0.5 * exponent)
+        exact.append(spectral @ products)
+    gains = reflectance_factors.gain(
+        np.tile(to_light, (17, 1)),
+        views,
+        normal=reflectance_factors.normal_reflectance(1.5),
+        masking=True,
+        per_light_cosine=True,
+    )
+    exact = gains[:, None] * np.array(exact)
+    plan = wd.plan(sine, coherence=source, method="low-rank", strict=False)
+    tabled = dataclasses.replace(plan, rings_per_octave=64, azimuths_per_width=4.0)
+    np.testing.assert_allclose(wd.reflectance(sine, to_light, views, plan=tabled), exact, atol=2e-2 * exact.max())
+
+
+def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
+    """Near the mirror direction, and where a grazing source is narrower than the lines: no worse than sampling."""
+    to_light = np.array([0.6, 0.0, 0.8])
+    angles = rng.uniform(0.0, 2.0 * np.pi, 60)
+    uv = rng.uniform(0.1, 0.99, 60) * polar_grid.near(SOURCE)
+    near = np.stack([uv * np.cos(angles) - 0.6, uv * np.sin(angles), np.zeros(60)], axis=1)
+    grazing = np.tile([np.sqrt(1.0 - 0.02**2), 0.0, 0.02], (60, 1))
+    aside = np.stack([-grazing[:, 0], np.linspace(0.2, 0.9, 60) * 0.02, np.zeros(60)], axis=1)
+    for all_lights, all_views in ((np.tile(to_light, (60, 1)), near), (grazing, aside)):
+        inside = np.sum(all_views**2, axis=1) < 1.0
+        lights, views = all_lights[inside], all_views[inside]
+        views[:, 2] = np.sqrt(1.0 - np.sum(views**2, axis=1))
+        exact = wd.reflectance(fingers, lights, views, coherence=SOURCE, method="low-rank", tolerance=1e-3)
+        found = wd.reflectance(fingers, lights, views, plan=plan)
+        np.testing.assert_allclose(found, exact, atol=2e-3 * exact.max(), rtol=2e-2)
+
+
+def test_what_no_truth_resolves_does_not_judge():
+    """A source at the horizon takes more wavelengths than there are, but a table has no need of them."""
+    directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
+    group = trial.Group(directions, wp.get_device("cpu"), 1)
+    group.weigh(np.ones((1, 10, 3)), np.array([[1e-3]]))
+    errors = np.zeros((1, 10))
+    errors[0, 3] = 2.0
+    assert trial.worst(errors, group) == 2.0
+    assert trial.worst(errors, group, np.arange(10) != 3) == 0.0
+
+
+def test_a_table_that_is_too_large_is_refused(rng):
+    large = wd.gratings.fingers(size_um=25.6, seed=1)
+    sharp = wd.Coherence("source", angular_diameter_deg=0.1)
+    lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
+    with pytest.raises(ValueError, match="takes more than 300 MB for tolerance"):
+        wd.plan(large, lights, views, coherence=sharp, tolerance=1e-2, method="low-rank/table")
+
+
+def test_lines_beyond_a_turn(fingers, plan):
+    """A full turn meets what a turn begins with."""
+    views = []
+    for degrees in (-1e-3, 1e-3, 180.0 - 1e-3, 180.0 + 1e-3):
+        u, v = 0.6 * np.cos(np.radians(degrees)), 0.6 * np.sin(np.radians(degrees))
+        views.append([-u, -v, np.sqrt(1.0 - 0.36)])
+    found = wd.reflectance(fingers, (0.0, 0.0, 1.0), views, plan=plan)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-2)
+    np.testing.assert_allclose(found[2], found[3], rtol=1e-2)
+
+
+def test_footprints_widen_the_source(fingers, plan):
+    """The mean over a footprint is the mean of points."""
+    from warpdiff.kernels.structs import Footprint
+
+    device = wp.get_device("cpu")
+    lookup = ColourLookup(
+        fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, device=device, threads=1
+    )
+    to_light = np.array([0.5, 0.3, np.sqrt(1.0 - 0.34)])
+    footprint = np.array([[0.004, 0.009], [-0.006, 0.002]])
+    places, weights = np.polynomial.hermite_e.hermegauss(24)
+    a, b = np.meshgrid(places, places, indexing="ij")
+    offsets = a[..., None] * footprint[0] + b[..., None] * footprint[1]
+    share = np.outer(weights, weights) / weights.sum() ** 2
+
+    def colours(uv, spread):
+        count = len(uv)
+        scattering_vectors = np.column_stack([uv, np.full(count, -1.4)])
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
+        lookup.add(
+            wp.array(scattering_vectors, dtype=wp.vec3d, device=device),
+            wp.array(np.tile(to_light, (count, 1)), dtype=wp.vec3f, device=device),
+            wp.ones(count, dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz,
+            footprints=spread,
+        )  # fmt: skip
+        return xyz.numpy()
+
+    for uv in ([0.5, 0.4], [-0.9, 0.1], [0.2, -0.7]):
+        mean = np.einsum("ab,abc->c", share, colours((uv + offsets).reshape(-1, 2), None).reshape(24, 24, 3))
+        spread = wp.array([footprint.ravel()], dtype=Footprint, device=device)
+        found = colours(np.array([uv]), spread)[0]
+        np.testing.assert_allclose(found, mean, rtol=3e-2, atol=1e-2 * mean.max())
+
+
+def test_progress_goes_on_to_the_end_once(fingers, plan, rng):
+    """What the table leaves to sampling does not begin it anew."""
+    lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
+    told = []
+    wd.reflectance(fingers, lights, views, plan=plan, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert told.count(1.0) == 1
+
+
+def test_pictures_of_sources_have_footprints(fingers):
+    tube = meshes.tube(segments_along=64, segments_around=48)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
+    image = wd.shade(tube, fingers, LIGHT, view, coherence=SOURCE, tolerance=0.2)
+    assert image.plan.footprint
+    points = dataclasses.replace(image.plan, footprint=False)
+    many = wd.shade(tube, fingers, LIGHT, view, plan=points, samples_per_pixel=100)
+    one = wd.shade(tube, fingers, LIGHT, view, plan=points)
+    inside = (many.coverage == 1.0) & image.illuminated
+    errors = [np.median(relative(each.xyz[inside], many.xyz[inside])) for each in (image, one)]
+    assert errors[0] < 6e-2
+    assert errors[0] < 0.3 * errors[1]
+    for threads in (1, 3):
+        again = wd.shade(tube, fingers, LIGHT, view, plan=image.plan, threads=threads)
+        np.testing.assert_array_equal(again.xyz, image.xyz)

@@ -1,0 +1,219 @@
+"""What is shipped: wheel, sdist and editable install, used from outside the checkout; and what the package imports."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import warpdiff as wd
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ("warpdiff", "kernels", "tests", "bench")
+
+if not (ROOT / "pyproject.toml").is_file():
+    pytest.skip("these tests need the source tree", allow_module_level=True)
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+# Runs without the site module, so that neither an editable install nor the checkout itself can stand in for what the
+# package lacks; the dependencies come last on the path.
+PRELUDE = """
+import sys
+target, source, dependencies = sys.argv[1], sys.argv[2], sys.argv[3].split("|")
+sys.path[:0] = [target]
+sys.path += dependencies
+import site
+if source != target:
+    site.addsitedir(target)
+"""
+CHECK = f"""{PRELUDE}
+from pathlib import Path
+import warpdiff as wd
+import warpdiff.kernels.coefficient_sum as spectral
+installed = "warpdiff/" if source == target else ""
+expected = {{
+    wd: "warpdiff/__init__.py", spectral: installed + "kernels/spectral_sum.py",
+}}
+for module, path in expected.items():
+    where = Path(source, path).resolve()
+    assert Path(module.__file__).resolve() == where, (module.__file__, where)
+assert Path(wd.__file__).with_name("py.typed").is_file()
+xyz = wd.reflectance(wd.HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1])
+assert abs(xyz[1] - 1.0) < 1e-2, xyz
+print("as", wd.__version__, flush=True)
+import runpy
+sys.argv = ["warpdiff", "--version"]
+runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
+"""
+
+
+def run(command: list[str | Path], cwd: Path) -> str:
+    """Standard output of a command that must succeed, without network and without what PYTHON* says."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    environment |= {"PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, f"{command} failed:\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def copy_of_the_tree(folder: Path) -> Path:
+    """A copy of what is under version control, so that a build leaves nothing in the checkout."""
+    folder.mkdir()
+    for name in SOURCES:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+    for path in ROOT.iterdir():
+        if path.is_file() and not path.name.startswith("."):
+            shutil.copy(path, folder)
+    return folder
+
+
+def build(kind: str, tree: Path, into: Path) -> Path:
+    """Call the build backend's hook, as pip does, but with the setuptools that is installed."""
+    into.mkdir(exist_ok=True)
+    code = f"import sys; from setuptools import build_meta; print(build_meta.build_{kind}(sys.argv[1]))"
+    return into / run([sys.executable, "-c", code, into], tree).splitlines()[-1]
+
+
+def install(wheel: Path, target: Path) -> Path:
+    """Install a wheel alone."""
+    run([sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], target.parent)
+    return target
+
+
+def check_installed(target: Path, source: Path, outside: Path) -> None:
+    """Import and use the package installed in ``target``, whose files lie in ``source``, from another folder."""
+    outside.mkdir()
+    dependencies = [path for path in sys.path if Path(path).is_dir() and Path(path).resolve() != ROOT]
+    arguments = [str(target), str(source), "|".join(dependencies)]
+    found = run([sys.executable, "-S", "-c", CHECK, *arguments], outside)
+    assert found.split() == ["as", PROJECT["version"], "warpdiff", PROJECT["version"]]
+    assert not list(outside.iterdir())
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> Path:
+    """A copy of the tree to build from."""
+    return copy_of_the_tree(tmp_path_factory.mktemp("source") / "tree")
+
+
+def shipped(folder: str) -> set[str]:
+    """Files below one folder of the checkout: code, and the data that it reads."""
+    files = (path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return {path.relative_to(ROOT / folder).as_posix() for path in files}
+
+
+def check_wheel(wheel: Path) -> None:
+    """Everything is inside, and nothing else."""
+    names = set(zipfile.ZipFile(wheel).namelist())
+    info = f"warpdiff-{PROJECT['version']}.dist-info"
+    expected = {f"warpdiff/{name}" for name in shipped("warpdiff")}
+    expected |= {f"warpdiff/kernels/{name}" for name in shipped("kernels")}
+    assert {name for name in names if not name.startswith(info)} == expected
+    assert not [name for name in names if "bench" in Path(name).parts]
+    assert f"{info}/licenses/LICENSE" in names
+    scripts = zipfile.ZipFile(wheel).read(f"{info}/entry_points.txt").decode()
+    assert "warpdiff = warpdiff.__main__:main" in scripts
+
+
+def test_sdist_and_its_wheel(tree, tmp_path):
+    sdist = build("sdist", tree, tmp_path / "dist")
+    shutil.unpack_archive(sdist, tmp_path)
+    unpacked = tmp_path / f"warpdiff-{PROJECT['version']}"
+    for name in ("LICENSE", "README.md", "pyproject.toml", "tests/contracts/test_packaging.py", "warpdiff/py.typed"):
+        assert (unpacked / name).is_file(), f"{name} is not in the sdist"
+    for folder in ("warpdiff", "kernels", "bench"):
+        missing = {name for name in shipped(folder) if not (unpacked / folder / name).is_file()}
+        assert not missing
+    wheel = build("wheel", unpacked, tmp_path / "from_sdist")
+    check_wheel(wheel)
+    # Kernels include headers from there.
+    target = install(wheel, tmp_path / "Pakete für mich")
+    check_installed(target, target, tmp_path / "outside")
+
+
+def test_editable(tree, tmp_path):
+    # Without scripts, to install a wheel is to unpack it.
+    with zipfile.ZipFile(build("editable", tree, tmp_path / "dist")) as wheel:
+        wheel.extractall(tmp_path / "target")
+    check_installed(tmp_path / "target", tree, tmp_path / "outside")
+
+
+@functools.cache
+def imported(path: Path) -> set[str]:
+    """Top-level names that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module.partition(".")[0])
+    return found
+
+
+def test_dependencies_are_what_is_imported():
+    names = {"warp": "warp-lang", "colour": "colour-science", "PIL": "pillow"}
+    used = set().union(
+        *(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
+    )
+    used = {names.get(name, name) for name in used - sys.stdlib_module_names - {"warpdiff"}}
+    declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
+    # What single commands take is in extras.
+    extras = PROJECT["optional-dependencies"]
+    optional = {re.split(r"[<>=~! \[]", each)[0] for name in ("view", "dask", "mitsuba") for each in extras[name]}
+    assert declared == used - optional
+    assert optional <= used
+
+
+def test_kernels_are_never_imported_by_their_folder():
+    for folder in SOURCES:
+        for path in (ROOT / folder).rglob("*.py"):
+            assert "kernels" not in imported(path), f"{path}: kernels/ is shipped as warpdiff.kernels"
+
+
+def test_a_plain_import_is_light():
+    code = "import sys, warpdiff; print(*sys.modules)"
+    assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
+    # What knows no device starts without Warp; nothing starts with what only some calls take.
+    slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
+    light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan"
+    code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.apps import cli; print(*sys.modules)"
+    assert not set(run([sys.executable, "-c", code], ROOT).split()) & {"warp", *slow}
+    code = "import sys; from warpdiff import *; print(*sys.modules)"
+    loaded = set(run([sys.executable, "-c", code], ROOT).split())
+    assert {"warp", "warpdiff.render.shade"} <= loaded
+    assert not loaded & slow
+
+
+def test_public_names_exist_and_are_documented():
+    assert list(wd.__all__) == sorted(wd.__all__)
+    for name in wd.__all__:
+        public = getattr(wd, name)
+        assert inspect.getdoc(public), f"warpdiff.{name} has no docstring"
+        members = vars(public).items() if inspect.isclass(public) or inspect.ismodule(public) else ()
+        for member, value in members:
+            own = getattr(value, "__module__", "").startswith("warpdiff") or isinstance(value, (property, classmethod))
+            if not member.startswith("_") and callable(getattr(public, member)) and own:
+                assert inspect.getdoc(value), f"warpdiff.{name}.{member} has no docstring"
+
+
+def test_everything_public_has_one_canonical_path():
+    for name in wd.__all__:
+        public = getattr(wd, name)
+        if not inspect.ismodule(public):
+            assert getattr(sys.modules[public.__module__], name) is public
+
+
+def test_the_version_is_that_of_the_metadata():
+    assert wd.__version__ == PROJECT["version"]

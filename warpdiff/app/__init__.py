@@ -1,6 +1,0 @@
-"""The command line: options, signals, standard streams, the demonstration.
-
-In: arguments, signals.
-Out: files, messages, an exit code.
-May import: core, optics, surface, scene, image, evaluate, render, viewer, the public names.
-"""

@@ -1,0 +1,5 @@
+"""The command line: options, signals, standard streams, the demonstration.
+
+In: arguments, signals.
+Out: files, messages, an exit code.
+"""

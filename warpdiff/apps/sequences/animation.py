@@ -1,0 +1,62 @@
+"""An animated file of frames, by Pillow: WebP, APNG or GIF."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core import file_writing, validation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from PIL.Image import Image
+
+_WRITERS: dict[str, tuple[str, dict[str, Any]]] = {
+    ".webp": ("WEBP", {"quality": 90, "method": 4}),
+    ".png": ("PNG", {}),
+    ".gif": ("GIF", {"disposal": 2}),
+}
+
+
+def check_target(path: Any, suffixes: Sequence[str]) -> Path:
+    """Return the path of an animated file that can be written there, of PNG frames."""
+    target = validation.path(path, "animation")
+    if target.suffix.lower() not in _WRITERS:
+        raise ValueError(f"animation must end in {', '.join(_WRITERS)}, got {target.name!r}")
+    if ".png" not in suffixes:
+        raise ValueError("animation is made of PNG frames: take '.png' among formats")
+    file_writing.check_folder(target.parent, "animation")
+    if target.is_dir():
+        raise IsADirectoryError(f"animation: {target} is a folder; name a file")
+    return target
+
+
+def write(target: Path, frames: Sequence[Path], frames_per_second: float) -> None:
+    """Write frames that lie in files into one that loops for ever, one frame in memory at a time where that goes."""
+    kind, options = _WRITERS[target.suffix.lower()]
+    first, *rest = frames
+    with file_writing.atomic_write(target, suffix=target.suffix.lower()) as temporary:
+        _opened(first).save(
+            temporary, kind, save_all=True, append_images=_Opened(rest), duration=1000.0 / frames_per_second, loop=0,
+            **options,
+        )  # fmt: skip
+
+
+def _opened(path: Path) -> Image:
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        picture.load()
+        # Pillow writes 16 bits in no animated file.
+        return picture.convert("RGBA" if "A" in picture.getbands() else "RGB")
+
+
+class _Opened:
+    """Frames that are opened as they are asked for, more than once by some writers."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = paths
+
+    def __iter__(self) -> Iterator[Image]:
+        return map(_opened, self._paths)

@@ -1,0 +1,93 @@
+"""Signals that end the command line, with nothing left behind and an exit code that names the signal.
+
+The library itself handles no signals.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from warpdiff.apps import standard_streams
+from warpdiff.core import file_writing
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class Interruption:
+    """Handles signals from its construction to the end of the process.
+
+    The first signal raises ``KeyboardInterrupt`` in the main thread, which lets contexts end; a second one ends the
+    process at once. Python runs both between two instructions of the main thread, so that a long native call, such as
+    a compilation, returns first. Exit codes are 128 plus the signal's number: 130, 143 or 129.
+    """
+
+    def __init__(self, signals: Sequence[signal.Signals]) -> None:
+        self._signals = signals
+        self._code: int | None = None
+        self._returned = False
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
+        # What is registered first runs last.
+        atexit.register(self._ignore)
+        # Temporary files of other packages, such as compilers, go with the process; child processes inherit the folder.
+        with contextlib.suppress(OSError):
+            self._temporary = tempfile.TemporaryDirectory(prefix="warpdiff-", ignore_cleanup_errors=True)
+            os.environ["TMPDIR"] = tempfile.tempdir = self._temporary.name
+        for each in signals:
+            signal.signal(each, self._handle)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether there was a signal."""
+        return self._code is not None
+
+    def finish(self, code: int) -> int:
+        """Flush what the command has written and return its code, or end as interrupted if it was."""
+        # From now on a signal ends the process at once.
+        self._returned = True
+        whole = standard_streams.flush()
+        if self._code is not None:
+            self._leave(self._code)
+        return code if whole else code or 1
+
+    def _ignore(self) -> None:
+        """All is written and tidied up: the command's own code stands while Python shuts down."""
+        for each in self._signals:
+            signal.signal(each, signal.SIG_IGN)
+
+    def _handle(self, number: int, _frame: Any) -> None:
+        if self._returned or self._code is not None:
+            self._leave(128 + number)
+        self._code = 128 + number
+        raise KeyboardInterrupt
+
+    def _swallowed(self, unraisable: Any) -> None:
+        """Python discards what is raised in a finalizer; there an interruption ends the process at once."""
+        if self._code is not None and issubclass(unraisable.exc_type, KeyboardInterrupt):
+            self._leave(self._code)
+        self._unraisable(unraisable)
+
+    def _leave(self, code: int) -> NoReturn:
+        """End the process, whatever other threads are doing, after its unfinished files are deleted."""
+        try:
+            file_writing.discard_unfinished()
+            for folder in self._folders():
+                shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            os._exit(code)
+
+    def _folders(self) -> list[Path]:
+        """Temporary folders of this process."""
+        found = [Path(self._temporary.name)] if self._temporary is not None else []
+        # Warp builds in folders that it names after the process.
+        kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
+        return [*found, *Path(kernels).glob(f"*_p{os.getpid()}_t*")] if kernels else found

@@ -1,0 +1,118 @@
+"""Bodies of the viewer: kept on disk, as to build one takes longer than a picture of it; framed; their local frames."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.core import disk_cache
+from warpdiff.render.picture import Frame
+from warpdiff.scene.mesh_import import Surface, prepare_surface
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.apps.viewer.page_calls import Call
+
+# Of a body, how much of the picture it fills at most.
+_FILLED = 0.92
+_FOV_Y_DEG = 25.0
+# From where a body is seen at first: a little from above.
+_TOWARDS_EYE = (0.0, 0.6, 0.8)
+
+
+def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
+    """A body made ready for rays; sample bodies are found again on disk."""
+    if not hasattr(mesh, "make"):
+        return prepare_surface(str(mesh), tangents=tangents)
+
+    # Of one mesh, geometries have no names.
+    named = {each.name: None for each in dataclasses.fields(Surface) if each.name != "geometry_names"}
+
+    def arrays() -> dict[str, Any]:
+        made = dataclasses.asdict(prepare_surface(mesh.make(), tangents=tangents))
+        return {name: made[name] for name in named if made[name] is not None}
+
+    found = disk_cache.cached_on_disk(("surface", tuple(named), str(mesh), tangents), np.zeros(0), arrays)
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
+    return Surface(**named | plain)
+
+
+def framed(surface: Surface, width: int, height: int) -> wd.View:
+    """A view of the whole body."""
+    up = np.array([0.0, 1.0, 0.0])
+    back = np.array(_TOWARDS_EYE)
+    right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
+    top = np.cross(back, right)
+    points = surface.vertices.astype(np.float64)
+    across, above, towards = (points @ axis for axis in (right, top, back))
+    middle = 0.5 * (across.min() + across.max()), 0.5 * (above.min() + above.max())
+    half_y = math.tan(math.radians(_FOV_Y_DEG) / 2.0) * _FILLED
+    half_x = half_y * width / height
+    distance = float(
+        np.max(np.maximum(np.abs(across - middle[0]) / half_x, np.abs(above - middle[1]) / half_y) + towards)
+    )
+    target = surface.centre + surface.radius * (middle[0] * right + middle[1] * top)
+    eye = target + surface.radius * distance * back
+    return wd.View(
+        tuple(np.round(eye, 6).tolist()), tuple(np.round(target, 6).tolist()), fov_y_deg=_FOV_Y_DEG, width=width,
+        height=height,
+    )  # fmt: skip
+
+
+class LocalDirections(NamedTuple):
+    """Directions to the light and to the viewer in the local frame of a point, unit vectors."""
+
+    to_light: tuple[float, float, float]
+    to_view: tuple[float, float, float]
+
+
+def local_directions(
+    surface: Surface,
+    view: wd.View,
+    light: wd.DirectionalLight | wd.PointLight,
+    column: int,
+    row: int,
+    *,
+    smooth: bool,
+    device: wp.Device,
+    threads: int,
+) -> LocalDirections | None:
+    """Directions where the ray through a pixel's centre meets a body; None where it does not."""
+    frame = view.frame()
+    x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
+    y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)
+    ray = x * frame.right + y * frame.up - frame.back
+    # Looked at by a picture of one pixel.
+    one = wd.View(
+        view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
+        up=view.up, fov_y_deg=0.01, width=1, height=1,
+    )  # fmt: skip
+    seen = Frame(surface, one, smooth=smooth, device=device, threads=threads)
+    seen.set_view(one)
+    seen.cast(0)
+    pixels = seen.seen.pixels
+    if not pixels.hit.numpy()[0]:
+        return None
+    axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)
+    if isinstance(light, wd.PointLight):
+        first, second = pixels.place.numpy()[0].tolist()
+        corners = surface.vertices[surface.faces[int(pixels.face.numpy()[0])]].astype(np.float64)
+        point = surface.centre + surface.radius * (np.array([first, second, 1.0 - first - second]) @ corners)
+        to_light = np.array(light.position) - point
+    else:
+        to_light = np.array(light.to_light)
+    return LocalDirections(_local(axes, to_light), _local(axes, pixels.to_view.numpy()[0]))
+
+
+def _local(axes: NDArray[np.float64], direction: NDArray[Any]) -> tuple[float, float, float]:
+    found = axes @ direction
+    x, y, z = (found / np.linalg.norm(found)).tolist()
+    return x, y, z

@@ -1,0 +1,279 @@
+"""``bake``: the smallest table of a height field's colours that keeps a colour difference."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.baked import quantisation
+from warpdiff.baked.interpolation import PolarGrid
+from warpdiff.baked.lobe_table import LARGEST_KAPPA, LARGEST_W, MOST_W_BASIS, BakedLobes
+from warpdiff.baked.zeroth_order import zeroth_powers
+from warpdiff.core import allocations, free_memory, validation
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.warnings import warn
+from warpdiff.diffraction import chebyshev
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import reflectance_table
+from warpdiff.planner.strategy import directions_of, plan_for
+from warpdiff.request.directions import hemisphere_pairs
+from warpdiff.request.evaluation import Request
+from warpdiff.tables.lookup import ColourLookup
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+
+# Rings an octave, and rays in a standard deviation of a lobe, from small to large tables.
+_RUNGS = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
+# Lobes are narrowest where light is bluest: at this wavelength what is narrower hardly shows [µm].
+_BLUE_UM = 0.43
+# Of the tolerance, what functions of w may leave out, and, in relative errors of XYZ for one of ΔE2000, what the table
+# of colours may that is sampled.
+_FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
+# So many colours are sampled as a rule, for as long as this at most [s of a core]: a source of 2° over 12.8 µm is told
+# to take 83, and takes 25.
+_LOOK_UPS, _MOST_S = 3e6, 300.0
+# Below, both light and view graze, and colours go on as w².
+_SMALLEST_W = 0.06
+_ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
+# A material's reflectance is kept at so many angles, and every so many nanometres.
+_ANGLES, _EACH_NM = 65, 5
+# Directions that judge, and that functions are fitted to: as many at random as for being bright, of so many.
+_JUDGES, _DRAWN, _SEED = 2048, 32_768, 27
+# A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
+_SHOWN, _FLOOR = 0.2, 1e-3
+_BYTES_A_NODE = 170
+# Of deeper relief a power oscillates over more w than can be sampled in a minute [µm].
+_MOST_HEIGHT_UM = 12.0
+
+
+def bake(
+    heightfield: HeightField,
+    *,
+    illuminant: str = "D65",
+    material: Material | None = None,
+    tolerance: float = 2.0,
+    coherence: Coherence | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> BakedLobes:
+    """Bake the colours of all directions into the smallest table that keeps a colour difference.
+
+    It needs neither the height field nor this library's kernels: a page in a browser and other renderers take it.
+
+    Args:
+        heightfield: The height field.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        material: A metal, or another one that is opaque, whose reflectance is within the colours; None leaves it to an
+            index of refraction that is given to what takes the table.
+        tolerance: ΔE2000 that 99 of 100 directions of the hemisphere keep, each shown as a middle grey is (Y = 0.2),
+            and what is dimmer than a thousandth of the bright ones as dim as it is beside these.
+        coherence: An averaged window or a source, whose powers add; None is averaged with σ = 16.25 µm.
+        strict: Raise where the largest table does not keep the tolerance, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core.
+        progress: Called with the share that is done, 0 to 1.
+
+    Returns:
+        The table, with the error that was measured.
+
+    Raises:
+        ValueError: A bad argument, a coherence whose powers do not add, a transparent material, a tolerance out of
+            reach.
+        MemoryError: More memory than is free; the message says what fits.
+    """
+    tolerance = validation.number(tolerance, "tolerance", least=0.2, most=20.0)
+    validation.instance(illuminant, str, "illuminant")
+    request = Request.checked(
+        heightfield, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto", coherence=coherence, ior=None, masking=True,
+        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,), material=material,
+    )  # fmt: skip
+    if material is not None and not material.is_opaque:
+        raise ValueError(
+            f"material must be opaque, got {material}: bake without one, and give ior= to what takes the table"
+        )
+    if not request.coherence.adds_powers:
+        raise ValueError(
+            f"coherence of kind={request.coherence.kind!r} adds amplitudes, whose lobes are not baked: use 'averaged' "
+            "or 'source'"
+        )
+    if heightfield.height_range_um > _MOST_HEIGHT_UM:
+        raise ValueError(
+            f"heightfield has heights over {heightfield.height_range_um:.3g} µm, and lobes are baked of up to {_MOST_HEIGHT_UM:g} µm: "
+            "take a part of it"
+        )
+    with allocations.as_memory_error("bake()", "take a larger tolerance, or a smaller sigma_um"):
+        return _Bakery(request, illuminant, tolerance).baked(progress or (lambda _: None))
+
+
+class _Bakery:
+    """What a height field's colours are sampled by, and the directions that judge a table."""
+
+    def __init__(self, request: Request, illuminant: str, tolerance: float) -> None:
+        self._request, self._illuminant, self._tolerance = request, illuminant, tolerance
+        direction_range, sample, _ = directions_of(request)
+        plan = plan_for(request, direction_range, sample, _LOOK_UPS)
+        seconds = 1e-6 * plan.microseconds * _LOOK_UPS
+        if seconds > _MOST_S:
+            raise ValueError(
+                f"coherence takes {plan.wavelengths:,} wavelengths a colour, some {seconds:,.0f} s of a core in all, "
+                f"with the {request.coherence}: take one over shorter distances"
+            )
+        self._lookup = ColourLookup(
+            request.heightfield,
+            plan,
+            direction_range,
+            zeroth_order=False,
+            device=request.device,
+            threads=request.threads,
+        )
+        self._judged, self._gains, self._truth, self._bright = self._drawn(_SEED)
+        # As many nodes of |w| as a power of the shortest wavelength oscillates over them.
+        phase = math.pi * LARGEST_KAPPA * request.heightfield.height_range_um
+        self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
+
+    def baked(self, progress: Callable[[float], None]) -> BakedLobes:
+        """The first table that keeps the tolerance, or the largest."""
+        principal = self._functions()
+        coherence = self._request.coherence
+        width = coherence.spread
+        if coherence.sigma_um is not None:
+            width = _BLUE_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
+        zeroth = zeroth_powers(self._request.heightfield, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
+        material = self._request.illuminated[0].material
+        reflectances = None if material is None else reflectance_table(material, _ANGLES)[:, ::_EACH_NM].copy()
+        functions = self._between_nodes(np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)) @ principal
+        for index, (rings, azimuths_per_width) in enumerate(_RUNGS):
+
+            def at(share: float, index: int = index) -> None:
+                progress((index + share) / len(_RUNGS))
+
+            grid = PolarGrid.of(width, rings, azimuths_per_width)
+            result = self._table(grid, principal, functions.astype(np.float32), zeroth, reflectances, at)
+            if result.error <= self._tolerance:
+                break
+        progress(1.0)
+        if result.error > self._tolerance:
+            told = f"tolerance={self._tolerance:g} is out of reach of the largest table, which keeps {result.error:.2g}"
+            if self._request.strict:
+                raise ValueError(f"{told}: take a larger tolerance, or strict=False")
+            warn(told)
+        return result
+
+    def _table(
+        self,
+        grid: PolarGrid,
+        principal: NDArray[np.float64],
+        functions: NDArray[np.float32],
+        zeroth: NDArray[np.float32],
+        reflectances: NDArray[np.float32] | None,
+        progress: Callable[[float], None],
+    ) -> BakedLobes:
+        """A table with the nodes of a grid, judged."""
+        free_memory.require_memory(
+            _BYTES_A_NODE * grid.nodes, f"a table of {grid.nodes} nodes",
+            "take a larger tolerance, or a smaller sigma_um",
+        )  # fmt: skip
+        values = self._projected(grid.places(), principal, progress)
+        coefficients = grid.coefficients(values)
+        for dtype in (np.int8, np.int16):
+            result = BakedLobes(
+                self._request.coherence, self._illuminant, self._tolerance, 0.0, grid, functions,
+                *quantisation.quantise(coefficients, dtype), zeroth, reflectances,
+            )  # fmt: skip
+            result = replace(result, error=self._error(result.colours(self._judged, zeroth_order=False)))
+            if result.error <= self._tolerance:
+                break
+        return result
+
+    def _drawn(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+        """Deflections at random, and as many that were drawn for being bright, with their gains and colours.
+
+        The last is how bright all are: percentile 99, or, of sparse ones, that above which half of the light lies.
+        """
+        lights, views = hemisphere_pairs(_DRAWN, seed)
+        gains = reflectance_factors.gain(lights, views, normal=self._request.normal_reflectance, masking=True)
+        scattering_vectors = -lights - views
+        colours = self._colours(scattering_vectors)
+        luminance = gains * np.maximum(colours[:, 1], 0.0)
+        order = np.argsort(luminance)
+        shares = np.cumsum(luminance[order])
+        half = luminance[order][np.searchsorted(shares, 0.5 * shares[-1])]
+        weights = np.where(np.arange(_DRAWN) < _JUDGES, 0.0, luminance + _FLOOR * luminance.mean() + 1e-300)
+        bright = np.random.default_rng(seed).choice(_DRAWN, _JUDGES, replace=False, p=weights / weights.sum())
+        places = np.concatenate([np.arange(_JUDGES), bright])
+        level = max(float(np.percentile(luminance, 99.0)), float(half))
+        return scattering_vectors[places], gains[places], colours[places], level
+
+    def _colours(self, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """XYZ without the zeroth order, of light from above, for gains of 1, (n, 3)."""
+        count = len(scattering_vectors)
+        above = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1))
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=self._request.device)
+        self._lookup.add(
+            wp.array(scattering_vectors, dtype=wp.vec3d, device=self._request.device),
+            wp.array(above, dtype=wp.vec3f, device=self._request.device),
+            wp.ones(count, dtype=wp.float32, device=self._request.device), self._request.illuminated[0], xyz,
+        )  # fmt: skip
+        return np.asarray(xyz.numpy().astype(np.float64))
+
+    def _between_nodes(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Weights of the polynomial through what is at the nodes of |w|, (n, nodes); constant below these."""
+        return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
+
+    def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Colours over w² at (u, v), at all nodes of |w|, shape (n, 3, nodes)."""
+        return np.stack([self._at(uv, w) for w in self._ws], axis=2)
+
+    def _at(self, uv: NDArray[np.float64], w: float) -> NDArray[np.float64]:
+        return self._colours(np.column_stack([uv, np.full(len(uv), -w)])) / w**2
+
+    @single_threaded_blas()
+    def _functions(self) -> NDArray[np.float64]:
+        """Orthonormal functions at the nodes of |w|, as few as keep their share of the tolerance, (nodes, K)."""
+        found = self._over_w(self._drawn(_SEED + 1)[0][:, :2])
+        sizes = np.sqrt(np.mean(found**2, axis=2, keepdims=True))
+        rows = (found / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))
+        principal = np.linalg.eigh(rows.T @ rows)[1][:, ::-1]
+        judged, w = self._over_w(self._judged[:, :2]), -self._judged[:, 2]
+        between = self._between_nodes(w) * (w * w)[:, None]
+        for count in range(1, min(MOST_W_BASIS, len(self._ws)) + 1):
+            kept = principal[:, :count]
+            colours = np.einsum("ncj,jk,nk->nc", judged, kept, between @ kept)
+            if self._error(colours) <= _FUNCTIONS_SHARE * self._tolerance:
+                break
+        return np.asarray(kept)
+
+    def _projected(
+        self, uv: NDArray[np.float64], principal: NDArray[np.float64], progress: Callable[[float], None]
+    ) -> NDArray[np.float32]:
+        """Coefficients of the functions at (u, v), (n, 3, K)."""
+        result = np.zeros((len(uv), 3, principal.shape[1]), dtype=np.float32)
+        for index, (w, row) in enumerate(zip(self._ws, principal, strict=True)):
+            result += self._at(uv, w)[:, :, None].astype(np.float32) * row.astype(np.float32)
+            progress((index + 1) / len(self._ws))
+        return result
+
+    def _error(self, colours: NDArray[Any]) -> float:
+        """Percentile 99 of ΔE2000 of the judges' colours, of those at random or of the bright ones.
+
+        The zeroth order, which is the same for both, is left out.
+        """
+        if self._bright <= 0.0:
+            return 0.0
+        luminance = self._gains * self._truth[:, 1]
+        exposed = (self._gains * _SHOWN / np.maximum(luminance, _FLOOR * self._bright))[:, None]
+        found = colorimetry.colour_difference(exposed * np.maximum(colours, 0.0), exposed * self._truth)
+        return max(float(np.percentile(each, 99.0)) for each in np.split(found, 2))

@@ -1,0 +1,100 @@
+"""``bake_spectrum``: the power spectrum of a height field over q = (u, v)/λ, for renderers that sample wavelengths."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.baked.spectrum_table import BakedSpectrum
+from warpdiff.baked.zeroth_order import zeroth_powers
+from warpdiff.core import allocations, free_memory, validation
+from warpdiff.planner.strategy import directions_of, plan_for
+from warpdiff.request.evaluation import Request
+from warpdiff.tables import coefficient_table
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+
+_ENTRIES = 512
+_LEAST_SIZE, _MOST_SIZE = 16, 8192
+
+
+def bake_spectrum(
+    heightfield: HeightField,
+    *,
+    size: int = 1024,
+    tolerance: float = 1e-2,
+    coherence: Coherence | None = None,
+    device: Any = None,
+    threads: int | None = None,
+) -> BakedSpectrum:
+    """Bake the power spectrum of all directions and visible wavelengths.
+
+    A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. What is narrower than a cell is blurred
+    to it and keeps its power: 1,024 cells a side are 1.5 standard deviations of a lobe of σ = 16.25 µm wide.
+
+    Args:
+        heightfield: The height field.
+        size: Cells along a side, 16 to 8192.
+        tolerance: What functions of κ leave out, as :func:`warpdiff.spectral_reflectance` has it.
+        coherence: An averaged window, whose lobes are as wide in q at all wavelengths; None has σ = 16.25 µm.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core.
+
+    Returns:
+        The table.
+
+    Raises:
+        ValueError: A bad argument, another kind of coherence.
+        MemoryError: More memory than is free; the message says what fits.
+    """
+    request = Request.checked(
+        heightfield, tolerance=tolerance, method="low-rank", coherence=coherence, ior=1.5, masking=True, strict=True,
+        device=device, threads=threads,
+    )  # fmt: skip
+    window = request.coherence
+    if window.kind != "averaged":
+        raise ValueError(f"coherence must be of kind 'averaged' for a spectrum, got {window.kind!r}")
+    if not _LEAST_SIZE <= validation.count(size, "size") <= _MOST_SIZE:
+        raise ValueError(f"size must be {_LEAST_SIZE} to {_MOST_SIZE}, got {size}")
+    with allocations.as_memory_error("bake_spectrum()", "take a smaller size"):
+        direction_range, sample, _ = directions_of(request)
+        plan = plan_for(request, direction_range, sample, float(len(sample)))
+        table = coefficient_table.table_for(
+            heightfield, plan, direction_range, device=request.device, threads=request.threads
+        )
+        found, terms = table.coefficients, min(plan.terms, table.coefficients.terms)
+        free_memory.require_memory(
+            8.0 * size * size * terms, f"a spectrum of {size} × {size} cells", "take {side} of the size"
+        )
+        reached = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))
+        kappas = np.linspace(reached.kappa_low, reached.kappa_high, _ENTRIES)
+        along = 2.0 * math.pi * (window.sigma_um or 0.0)
+        largest = direction_range.max_uv * 1e3 / direction_range.lambda_min_nm
+        at = table.arguments
+        rows = found.rows[:, :, 0, :terms].copy()
+        rows[at.origin_y, at.origin_x] = 0.0
+        across_y = _shares(size, largest, (np.arange(at.count_y) - at.origin_y) / at.length_y, along)
+        across_x = _shares(size, largest, (np.arange(at.count_x) - at.origin_x) / at.length_x, along)
+        powers = np.empty((size, size, terms), dtype=np.float32)
+        for term in range(terms):
+            powers[:, :, term] = across_y @ rows[:, :, term] @ across_x.T
+    return BakedSpectrum(
+        float(window.sigma_um or 0.0), largest, powers, reached.kappa_low, reached.kappa_high,
+        found.basis_at(kappas)[:, :terms].astype(np.float32), zeroth_powers(heightfield, kappas),
+    )  # fmt: skip
+
+
+def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
+    """Means over cells of exp(−(falloff (q − q_r))²) along an axis, (size, orders)."""
+    from scipy.special import erf
+
+    edges = np.linspace(-largest, largest, size + 1)
+    below = erf(falloff * (edges[:, None] - orders))
+    scale = math.sqrt(math.pi) / (2.0 * falloff * (edges[1] - edges[0]))
+    return np.asarray(scale * np.diff(below, axis=0), dtype=np.float32)

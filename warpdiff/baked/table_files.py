@@ -1,0 +1,75 @@
+"""Files of named arrays: NumPy's ``.npz``, whole or not there, and checked before anything is unpacked."""
+
+from __future__ import annotations
+
+import contextlib
+import zipfile
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import file_writing, free_memory, validation
+from warpdiff.core.file_reading import naming_file
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+
+def save(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> Path:
+    """Write arrays by name, compressed; an existing file is replaced only once the new one is complete."""
+    target = validation.path(path, "path")
+    if target.suffix.lower() != ".npz":
+        raise ValueError(f"path must end in .npz, got {str(path)!r}")
+    file_writing.check_folder(target.parent, "path")
+    with file_writing.atomic_write(target) as temporary, temporary.open("rb+") as file:
+        np.savez_compressed(file, **arrays)
+    return target
+
+
+@contextlib.contextmanager
+def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[str, Any]]:
+    """The arrays of a file whose ``format`` is what is told; whatever is wrong with them within, too, is a ValueError.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is not one of the kind, or damaged.
+    """
+    source = validation.path(path, "path")
+    try:
+        with naming_file(source), source.open("rb") as file:
+            with zipfile.ZipFile(file) as archive:
+                size = sum(each.file_size for each in archive.infolist())
+            free_memory.require_memory(size, f"path: {str(path)!r}", "take a smaller one")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        _check_format(str(arrays["format"]), told)
+        yield arrays
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        # Damaged archives make zipfile, zlib and NumPy raise all sorts of things.
+        raise ValueError(
+            f"path must be a file that {kind}.save wrote, got {str(path)!r}: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _check_format(found: str, told: str) -> None:
+    if found != told:
+        raise ValueError(f"format is {found!r}, not {told!r}")
+
+
+def check(owner: Any, **wanted: tuple[Any, tuple[int, ...]]) -> None:
+    """Refuse attributes that are not arrays of a type and a shape, or not finite; from now on they are read-only."""
+    for name, (dtype, shape) in wanted.items():
+        array = getattr(owner, name)
+        if not isinstance(array, np.ndarray) or array.dtype != dtype:
+            told = array.dtype.name if isinstance(array, np.ndarray) else type(array).__name__
+            raise TypeError(f"{name} must be an array of {np.dtype(dtype).name}, got {told}")
+        if array.shape != shape or 0 in shape:
+            raise ValueError(f"{name} must have shape {shape}, without an empty axis, got {array.shape}")
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite, got {int(np.count_nonzero(~np.isfinite(array)))} that are not")
+        array.setflags(write=False)

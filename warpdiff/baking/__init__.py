@@ -1,6 +1,0 @@
-"""Baked lobes: colours of all directions in the smallest table that keeps an error, to be taken elsewhere.
-
-In: a height field, a coherence, an illuminant, a colour difference.
-Out: ``BakedLobes`` and their file.
-May import: core, fourier, optics, surface, plans, tables, planning.
-"""

@@ -1,6 +1,0 @@
-"""Bridges to other programs: what is baked here as a plug-in there.
-
-In: files of what was baked.
-Out: a BSDF plug-in for Mitsuba 3.
-May import: the public names.
-"""

@@ -1,0 +1,87 @@
+"""OpenImageIO, and forks: its threads end before one, and its calls are waited for, as they hold locks."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core import forks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# A fork waits so long for calls of other threads.
+_MOST_WAIT_S = 1.0
+
+
+class _Library:
+    """Who is within it, and what it is told meanwhile."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._within, self._forking = 0, False
+        self._cut_off = False
+        self._threads = self._exr_threads = 0
+        forks.at_fork(before=self._before, in_parent=self._in_parent, in_child=self._in_child)
+
+    @contextlib.contextmanager
+    def in_use(self) -> Iterator[Any]:
+        """The library, which reads and writes EXR files on this thread while someone is within.
+
+        A child of a fork would wait for ever for the threads that OpenEXR keeps, and for locks that another thread
+        held, such as those of OpenColorIO: a fork waits a little for whoever is within.
+
+        Raises:
+            RuntimeError: This process was forked while another thread was within.
+        """
+        import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+        with self._changed:
+            self._changed.wait_for(lambda: not self._forking)
+            if self._cut_off:
+                raise RuntimeError(
+                    f"this process was forked while a thread read, showed or wrote pictures: {forks.REMEDY}"
+                )
+            self._within += 1
+            if self._within == 1:
+                self._exr_threads = oiio.get_int_attribute("exr_threads")
+                oiio.attribute("exr_threads", -1)
+        try:
+            yield oiio
+        finally:
+            with self._changed:
+                self._within -= 1
+                if not self._within:
+                    oiio.attribute("exr_threads", self._exr_threads)
+                    self._changed.notify_all()
+
+    def _before(self) -> None:
+        self._changed.acquire()
+        self._forking = True
+        self._changed.wait_for(lambda: not self._within, timeout=_MOST_WAIT_S)
+        oiio: Any = sys.modules.get("OpenImageIO")
+        # Unless it is being imported.
+        self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
+        self._set_threads(1)
+
+    def _in_parent(self) -> None:
+        self._set_threads(self._threads)
+        self._forking = False
+        self._changed.notify_all()
+        self._changed.release()
+
+    def _in_child(self) -> None:
+        self._changed = threading.Condition()
+        self._forking = False
+        self._cut_off = self._cut_off or self._within > 0
+        if not self._cut_off:
+            self._set_threads(self._threads)
+
+    def _set_threads(self, count: int) -> None:
+        if self._threads:
+            sys.modules["OpenImageIO"].attribute("threads", count)
+
+
+in_use = _Library().in_use

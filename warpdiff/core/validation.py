@@ -1,0 +1,180 @@
+"""Validation of arguments: one clear error that names the argument and the remedy, before any kernel runs."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+# Of whatever has a unit, in magnitude: what is beyond means nothing, and its powers overflow or vanish.
+MOST, LEAST = 1e15, 1e-15
+MOST_COUNT = 2**63 - 1
+
+
+def finite_array(
+    value: Any, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
+) -> NDArray[np.float64]:
+    """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank.
+
+    A masked element is NaN, which passes with ``gaps``; magnitudes are at most ``most``.
+    """
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError):
+        given = None  # rows of different lengths
+    if given is None or given.dtype.kind not in "biuf":
+        raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
+    array = np.array(given, dtype=np.float64)
+    if isinstance(value, np.ma.MaskedArray):
+        # What lies under a mask is any number, often the instrument's code for no signal.
+        array[np.ma.getmaskarray(value)] = np.nan
+    if ndim is not None and array.ndim != ndim:
+        raise ArgumentValueError(f"{ref(name)} must be a {ndim}-D array, got shape {array.shape}")
+    bad = np.isinf(array) if gaps else ~np.isfinite(array)
+    if bad.any():
+        kind = "infinite" if gaps else "NaN, masked or infinite" if np.ma.is_masked(value) else "NaN or infinite"
+        raise ArgumentValueError(f"{ref(name)} must be finite, got {int(np.count_nonzero(bad))} {kind} value(s)")
+    if (beyond := (array > most) | (array < -most)).any():
+        raise ArgumentValueError(f"{ref(name)} must lie within ±{most:g}, got {array[beyond][0]:g}")
+    return array
+
+
+def range_text(above: float | None, least: float | None, most: float | None) -> str:
+    """Return the range of a number in words, such as ``"more than 0 and at most 0.5"``; empty if it has no bounds."""
+    words = (("more than", above), ("at least", least), ("at most", most))
+    return " and ".join(f"{word} {bound:g}" for word, bound in words if bound is not None)
+
+
+def number(value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST) -> float:
+    """Return ``value`` as a finite float with ``above`` < value, ``least`` <= value <= ``most``."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise ArgumentTypeError(f"{ref(name)} must be a number, got {type(value).__name__}")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    if not (-MOST <= result <= most and above < result and least <= result):
+        bounds = range_text(
+            above if above > -math.inf else None,
+            least if least > -math.inf else None,
+            most if most < MOST or MOST < abs(result) < math.inf else None,
+        )
+        raise ArgumentValueError(f"{ref(name)} must be a finite number{f', {bounds}' if bounds else ''}, got {value!r}")
+    return result
+
+
+def positive(value: Any, name: str, *, most: float = MOST) -> float:
+    """Return ``value`` as a finite float > 0, no less than any length is."""
+    result = number(value, name, above=0.0, most=most)
+    if result < LEAST:
+        raise ArgumentValueError(f"{ref(name)} must be at least {LEAST:g}, got {result:g}")
+    return result
+
+
+def count(value: Any, name: str, *, least: int = 1, most: int = MOST_COUNT) -> int:
+    """Return ``value`` as an integer from ``least`` to ``most``."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise ArgumentTypeError(f"{ref(name)} must be an integer, got {type(value).__name__}")
+    if not least <= value <= most:
+        bounds = range_text(
+            None, least if least > -MOST_COUNT else None, most if most < MOST_COUNT or value > most else None
+        )
+        raise ArgumentValueError(f"{ref(name)} must be an integer, {bounds}, got {value}")
+    return int(value)
+
+
+def is_sequence(value: Any) -> bool:
+    """Whether ``value`` is a tuple, a list or an array that has a length."""
+    return isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.ndim > 0)
+
+
+def pair(value: Any, name: str) -> tuple[float, float]:
+    """Return a positive scalar, or a pair in the order (y, x), as a pair of positive floats."""
+    if is_sequence(value):
+        if len(value) != 2:
+            raise ArgumentValueError(f"{ref(name)} must be one number or a pair (y, x), got {len(value)} values")
+        return positive(value[0], f"{name}[0]"), positive(value[1], f"{name}[1]")
+    single = positive(value, name)
+    return single, single
+
+
+def vector(value: Any, name: str, *, most: float = math.inf) -> NDArray[np.float64]:
+    """Return ``value`` as a finite float64 vector of shape (3,), its components at most ``most`` in magnitude."""
+    array = finite_array(value, name, most=most)
+    if array.shape != (3,):
+        raise ArgumentValueError(f"{ref(name)} must be a vector of 3 numbers, got shape {array.shape}")
+    return array
+
+
+def numbers(value: Any, name: str, *, length: int) -> tuple[float, ...]:
+    """Return ``value`` as a tuple of ``length`` finite floats."""
+    array = finite_array(value, name, most=MOST)
+    if array.shape != (length,):
+        raise ArgumentValueError(f"{ref(name)} must be {length} numbers, got shape {array.shape}")
+    return tuple(array.tolist())
+
+
+def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
+    """Return directions as unit vectors, shape (n, 3), and whether a single one of shape (3,) was given."""
+    array = finite_array(value, name)
+    if array.ndim not in (1, 2) or array.shape[-1] != 3:
+        raise ArgumentValueError(f"{ref(name)} must have shape (3,) or (n, 3), got {array.shape}")
+    single = array.ndim == 1
+    array = np.atleast_2d(array)
+    # Scaling by the largest component first keeps tiny and huge vectors from under- or overflowing.
+    largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
+    if not np.all(largest > 0.0):
+        raise ArgumentValueError(f"{ref(name)} must not contain zero vectors, got {int(np.sum(largest == 0.0))}")
+    array /= largest
+    array /= np.linalg.norm(array, axis=1, keepdims=True)
+    return array, single
+
+
+def choice(value: Any, name: str, options: Collection[str]) -> str:
+    """Return ``value`` if it is one of ``options``."""
+    if not isinstance(value, str) or value not in options:
+        raise ArgumentValueError(f"{ref(name)} must be one of {', '.join(map(repr, options))}, got {value!r}")
+    return value
+
+
+def path(value: Any, name: str) -> Path:
+    """Return ``value`` as a path; refuse what is none, and names that no file can have."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise ArgumentTypeError(f"{ref(name)} must be a string or a path, got {type(value).__name__}")
+    try:
+        os.lstat(value)
+    except (ValueError, OSError) as error:
+        # A system takes neither NUL, nor half of a surrogate pair, nor thousands of characters.
+        if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
+            raise ArgumentValueError(f"{ref(name)} must be a name that a file can have, got {value!r}") from None
+    return Path(os.fsdecode(value))
+
+
+def instance(value: Any, kind: type, name: str, *, optional: bool = False) -> None:
+    """Refuse what is not of one of the package's own types; with ``optional`` None passes."""
+    if not isinstance(value, kind) and not (optional and value is None):
+        raise ArgumentTypeError(f"{ref(name)} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
+
+
+def flag(value: Any, name: str) -> bool:
+    """Return ``value`` as a bool; a string such as ``"no"`` would count as true and is refused."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ArgumentTypeError(f"{ref(name)} must be True or False, got {value!r}")
+    return bool(value)
+
+
+def callback(value: Any, name: str) -> None:
+    """Refuse what is neither None nor callable."""
+    if value is not None and not callable(value):
+        raise ArgumentTypeError(f"{ref(name)} must be callable or None, got {type(value).__name__}")

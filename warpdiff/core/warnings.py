@@ -1,0 +1,20 @@
+"""Warnings that name the line of the caller, however deep in the package they arise."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from types import FrameType
+
+from warpdiff.core.wording import WarpdiffWarning
+
+_PACKAGE = __name__.partition(".")[0]
+
+
+def warn(message: str) -> None:
+    """Warn at the first line outside the package, with a message that marks arguments by ``wording.ref``."""
+    level = 1
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == _PACKAGE:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(WarpdiffWarning(message), stacklevel=level + 1)

@@ -1,0 +1,168 @@
+"""The direct sum: ⟨|P|²⟩ in float64 from the height samples themselves, slow and certain.
+
+There is no expansion in κ, no FFT and no table: at every wavelength exp(2πiκh) is formed for all samples, and what is
+needed of its spectrum is an explicit sum over them: every coefficient within eight widths of the direction, or, for
+whole copies of the patch, the spectrum at the direction itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import free_memory
+from warpdiff.core.blas_threads import single_threaded_blas
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+
+_WIDTHS = 8.0
+# While phases and coefficients are made, as counted.
+_BYTES_A_NUMBER = 64.0
+
+
+def window_power(
+    heightfield: HeightField,
+    coherence: Coherence,
+    scattering_vectors: NDArray[np.float64],
+    wavelengths_um: NDArray[np.float64],
+    *,
+    to_lights: NDArray[np.float64] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.float64]:
+    """⟨|P|²⟩ of the height field under a window, a source or a number of periods.
+
+    Args:
+        heightfield: The height field, taken as periodic.
+        coherence: The window, source or periods.
+        scattering_vectors: (u, v, w) = −ωi − ωr, shape (n, 3).
+        wavelengths_um: Wavelengths [µm], shape (m,).
+        to_lights: Unit vectors ωi above the horizon, shape (n, 3); for a source, whose spread is foreshortened.
+        progress: Called with the share that is done.
+
+    Returns:
+        Shape (n, m), float64; 1 for a flat surface at u = v = 0.
+    """
+    if coherence.kind == "source" and to_lights is None:
+        raise ValueError("to_lights must be given for kind='source': its spread depends on the direction of the light")
+    if coherence.kind != "replicas":
+        _check_orders(heightfield, max((_cut(coherence, float(each)) for each in wavelengths_um), default=0.0))
+    result = np.zeros((len(scattering_vectors), len(wavelengths_um)))
+    for i, scattering_vector in enumerate(scattering_vectors):
+        for k, wavelength in enumerate(wavelengths_um):
+            q, kappa = scattering_vector[:2] / wavelength, scattering_vector[2] / wavelength
+            field = np.exp(2j * math.pi * kappa * heightfield.heights_um)
+            if coherence.kind == "replicas":
+                result[i, k] = _copies(heightfield, coherence, field, q)
+            else:
+                to_light = to_lights[i] if coherence.kind == "source" and to_lights is not None else None
+                result[i, k] = _coefficients(heightfield, coherence, field, q, float(wavelength), to_light)
+        if progress is not None:
+            progress((i + 1) / len(scattering_vectors))
+    return result
+
+
+@single_threaded_blas()
+def _coefficients(
+    heightfield: HeightField,
+    coherence: Coherence,
+    field: NDArray[np.complex128],
+    q: NDArray[np.float64],
+    wavelength: float,
+    to_light: NDArray[np.float64] | None,
+) -> float:
+    """The sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² at the centre of the window."""
+    # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs. Windows are round; a source is a disc about the ray to
+    # the light, and from the surface it looks shorter along t, the tangential part of that ray.
+    tangential, cos_light = (0.0, 0.0), 1.0
+    if to_light is not None:
+        tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
+    falloff, cut = _falloff(coherence, wavelength), _cut(coherence, wavelength)
+    # Along an axis the Gaussian's standard deviation is √(1 − t²) times as much.
+    cut_x, cut_y = (cut * math.sqrt(1.0 - t**2) for t in tangential)
+    ny, nx = heightfield.shape
+    length_y, length_x = heightfield.size_um
+    qx, qy = q
+    r = np.arange(math.ceil((qx - cut_x) * length_x), math.floor((qx + cut_x) * length_x) + 1)
+    s = np.arange(math.ceil((qy - cut_y) * length_y), math.floor((qy + cut_y) * length_y) + 1)
+    # An axis of one sample is constant: it has no order but 0.
+    r = r if nx > 1 else r[r == 0]
+    s = s if ny > 1 else s[s == 0]
+    if r.size == 0 or s.size == 0:
+        return 0.0
+    # Orders are reduced modulo the samples before they meet π, so that large ones lose no digits.
+    along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
+    along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
+    coefficients = along_y @ field @ along_x / (ny * nx)
+    dx, dy = qx - r[None, :] / length_x, qy - s[:, None] / length_y
+    slant = (dx * tangential[0] + dy * tangential[1]) / cos_light
+    gaussian = np.exp(-falloff * (dx**2 + dy**2 + slant**2))
+    if coherence.adds_powers:
+        return float(np.sum(np.abs(coefficients) ** 2 * gaussian))
+    if coherence.centre_um is None:
+        centre_y, centre_x = (ny // 2) * heightfield.pitch_um[0], (nx // 2) * heightfield.pitch_um[1]
+    else:
+        centre_y, centre_x = coherence.centre_um
+    phase = s[:, None] * centre_y / length_y + r[None, :] * centre_x / length_x
+    return float(abs(np.sum(coefficients * gaussian * np.exp(-2j * math.pi * phase))) ** 2)
+
+
+def _falloff(coherence: Coherence, wavelength: float) -> float:
+    """The a [µm²] of exp(−a d²)."""
+    if coherence.kind == "source":
+        return wavelength**2 / (2.0 * coherence.spread**2)
+    return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
+
+
+def _cut(coherence: Coherence, wavelength: float) -> float:
+    """Distance in frequency [1/µm] of the coefficients that are summed."""
+    # exp(−a q²) has the standard deviation 1/√(2a).
+    return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
+
+
+def _check_orders(heightfield: HeightField, cut: float) -> None:
+    """Refuse coefficients that do not fit."""
+    rows, columns = (
+        2.0 * cut * length + 1.0 if n > 1 else 1.0
+        for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
+    )
+    ny, nx = heightfield.shape
+    free_memory.require_memory(
+        _BYTES_A_NUMBER * (rows * ny + columns * nx + rows * columns + ny * nx),
+        f"the direct sum of {rows:.3g} × {columns:.3g} coefficients of {ny} × {nx} samples",
+        "take another method, a larger sigma_um of coherence, or {share} of heightfield's area",
+    )
+
+
+@single_threaded_blas()
+def _copies(
+    heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
+) -> float:
+    """|P|² of a number of copies: the patch's own sum at q, times how the copies along each axis add up."""
+    ny, nx = heightfield.shape
+    pitch_y, pitch_x = heightfield.pitch_um
+    along_x = np.exp(2j * math.pi * q[0] * pitch_x * np.arange(nx))
+    along_y = np.exp(2j * math.pi * q[1] * pitch_y * np.arange(ny))
+    power = float(abs(along_y @ field @ along_x / (ny * nx)) ** 2)
+    copies_y, copies_x = coherence.periods or (1, 1)
+    return (
+        power
+        * _interference(q[0] * heightfield.size_um[1], copies_x)
+        * _interference(q[1] * heightfield.size_um[0], copies_y)
+    )
+
+
+def _interference(turns: float, periods: int) -> float:
+    """|(1/N) Σ e^(2πikt)|² = [sin(πNt)/(N sin(πt))]² of t turns from one copy to the next; 1 at whole turns."""
+    # Whole turns change nothing, but N times them would lose the digits of what remains.
+    part = math.pi * (turns - round(turns))
+    if part == 0.0:
+        return 1.0
+    return (math.sin(periods * part) / (periods * math.sin(part))) ** 2

@@ -1,0 +1,455 @@
+"""The reflectance at arrays of directions: XYZ, spectra, the absolute BRDF, and maps over the hemisphere."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.core import allocations, free_memory, validation
+from warpdiff.core.warnings import warn
+from warpdiff.device.kernel_calls import launch
+from warpdiff.diffraction import direct_sum, energy_normalisation
+from warpdiff.image.image import Image, lengths, relative_errors
+from warpdiff.kernels.thresholds import HORIZON
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
+from warpdiff.planner.strategy import broadcast_directions, plan_for, warn_outside
+from warpdiff.request.directions import DirectionRange, DirectionSample
+from warpdiff.request.evaluation import Request
+from warpdiff.tables.coefficient_table import table_for
+from warpdiff.tables.lookup import ColourLookup
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
+    from warpdiff.request.plan import Plan
+
+# The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
+_DIRECT_SETTLED = 0.05
+_DIRECT_MOST_WAVELENGTHS = 20_000
+# What a direction takes, as measured, what each of its values at given wavelengths does, and a direction of a map.
+_BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
+_REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
+
+
+def spectral_reflectance(
+    heightfield: HeightField,
+    to_light: ArrayLike,
+    to_view: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float | None = None,
+    material: Material | None = None,
+    masking: bool = True,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[Any]:
+    """Relative reflectance ρ(λ): 1 for a flat mirror seen in the mirror direction at normal incidence.
+
+    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). It is a
+    ratio of radiances, without a further cosine, and is not bounded by 1.
+
+    Args:
+        heightfield: The height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
+        to_view: Directions to the viewer, the same; one and many broadcast.
+        wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
+        tolerance: Largest |Δρ| against max(ρ, 1e-3 · 99th percentile of the call).
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
+            relative to what it reflects at normal incidence.
+        material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
+        masking: Whether V-cavity masking and shadowing is included.
+        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
+        strict: Raise where the tolerance cannot be met, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+
+    Returns:
+        ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
+        at or below the horizon.
+    """
+    wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
+    request = Request.checked(
+        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        wavelengths_nm=wavelengths,
+    )  # fmt: skip
+    with allocations.as_memory_error("spectral_reflectance()", _REMEDY):
+        call = _Call(request, to_light, to_view)
+        return call.single(call.spectra(progress=progress))
+
+
+def reflectance(
+    heightfield: HeightField,
+    to_light: ArrayLike,
+    to_view: ArrayLike,
+    *,
+    illuminant: str | Spectrum = "D65",
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float | None = None,
+    material: Material | None = None,
+    masking: bool = True,
+    energy: str = "stam",
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[Any]:
+    """Colour of the reflectance: ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
+
+    Args:
+        heightfield: The height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
+        to_view: Directions to the viewer, the same; one and many broadcast.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
+        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the call's directions and of the bright ones
+            (Y at least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
+            ``"direct"`` (float64, slow and certain).
+        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
+            relative to what it reflects at normal incidence.
+        material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
+        masking: Whether V-cavity masking and shadowing is included, where ``energy`` is ``"stam"``.
+        energy: ``"stam"``, or ``"normalised"``, in place of masking: times a(ωi) a(ωr), the factors of
+            :func:`order_efficiencies` with which a perfect mirror sends back what comes in, the same at all
+            wavelengths, which send it back together; :func:`brdf` has those of each.
+        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
+        strict: Raise where the tolerance cannot be met, rather than warn.
+        device: ``"cpu"`` (None) or a CUDA device.
+        threads: Threads on the CPU; None is one a core.
+        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+
+    Returns:
+        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
+        normal incidence gives the illuminant's white, Y = 1.
+    """
+    request = Request.checked(
+        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, energy=energy, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        illuminants=(illuminant,),
+    )  # fmt: skip
+    with allocations.as_memory_error("reflectance()", _REMEDY):
+        call = _Call(request, to_light, to_view)
+        return call.single(call.colours(progress=progress))
+
+
+def reflectance_map(
+    heightfield: HeightField,
+    to_light: ArrayLike,
+    *,
+    size: int = 512,
+    illuminant: str | Spectrum = "D65",
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float | None = None,
+    material: Material | None = None,
+    masking: bool = True,
+    energy: str = "stam",
+    samples_per_pixel: int = 1,
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """Colour of the reflectance over all view directions, seen from above.
+
+    The picture is the unit disc of (sin θr cos φr, sin θr sin φr): x to the right, y up.
+
+    Args:
+        heightfield: The height field.
+        to_light: Direction to the light in the local frame, shape (3,), above the horizon.
+        size: Width and height of the picture [pixels].
+        illuminant: As in :func:`reflectance`.
+        tolerance: As in :func:`reflectance`; the disc's pixels are the directions of the call.
+        method: As in :func:`reflectance`.
+        coherence: As in :func:`reflectance`.
+        ior: As in :func:`reflectance`.
+        material: As in :func:`reflectance`.
+        masking: As in :func:`reflectance`.
+        energy: As in :func:`reflectance`.
+        samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
+        plan: As in :func:`reflectance`.
+        strict: As in :func:`reflectance`.
+        device: As in :func:`reflectance`.
+        threads: As in :func:`reflectance`.
+        progress: As in :func:`reflectance`.
+
+    Returns:
+        The map; its mask is the inside of the disc.
+
+    Raises:
+        ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
+        MemoryError: More memory than is free; the message says what fits.
+    """
+    request = Request.checked(
+        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, energy=energy, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+        illuminants=(illuminant,),
+    )  # fmt: skip
+    light, single = validation.directions(to_light, "to_light")
+    if not single:
+        raise ValueError(f"to_light must have shape (3,) for a map, got {np.shape(to_light)}")
+    if light[0, 2] <= HORIZON:
+        raise ValueError(f"to_light must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}")
+    size = validation.count(size, "size", least=2)
+    across = math.isqrt(validation.count(samples_per_pixel, "samples_per_pixel"))
+    if across * across != samples_per_pixel:
+        raise ValueError(f"samples_per_pixel must be a square number, for they lie on a grid, got {samples_per_pixel}")
+    count = across * size
+    if count * count > free_memory.MOST_ELEMENTS:
+        raise ValueError(
+            f"size² · samples_per_pixel must be at most {free_memory.MOST_ELEMENTS} directions, got {count * count}"
+        )
+    free_memory.require_memory(
+        _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",
+        "take at most {side} times the size, or {share} of the samples",
+    )  # fmt: skip
+    with allocations.as_memory_error(f"a map of {size} × {size} pixels", _REMEDY):
+        axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
+        x, y = np.meshgrid(axis, -axis)
+        radius2 = x * x + y * y
+        inside = radius2 < 1.0
+        views = np.stack([x[inside], y[inside], np.sqrt(1.0 - radius2[inside])], axis=1)
+        call = _Call(request, light, views)
+        colours = np.zeros((count, count, 3), dtype=np.float32)
+        colours[inside] = call.colours(progress=progress)
+    xyz = colours.reshape(size, across, size, across, 3).mean(axis=(1, 3))
+    coverage = inside.reshape(size, across, size, across).mean(axis=(1, 3), dtype=np.float32)
+    mask = coverage > 0.0
+    error = np.zeros(mask.shape, dtype=np.float32)
+    error[mask] = relative_errors(call.plan.error * lengths(xyz[mask]), xyz[mask])
+    return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan)
+
+
+def brdf(
+    heightfield: HeightField,
+    to_light: ArrayLike,
+    to_view: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    *,
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float | None = None,
+    material: Material | None = None,
+    energy: str = "stam",
+    plan: Plan | None = None,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[Any]:
+    """Absolute BRDF [1/sr] (Stam 1999), never masked.
+
+    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times what the coherence makes of it: for a window 4πσ²/λ², the
+    whole then being |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²); for a source of covariance Σs 1/(2π √det Σs); for copies
+    of a patch of area A it is A N1 N2/λ². It is reciprocal, except for a source, which only the light has. Scalar
+    diffraction does not conserve energy exactly: the sum over the orders exceeds R a little for shallow profiles, and a
+    lot for short periods at grazing angles.
+
+    Args:
+        heightfield: The height field.
+        to_light: As in :func:`spectral_reflectance`.
+        to_view: As in :func:`spectral_reflectance`.
+        wavelengths_nm: As in :func:`spectral_reflectance`.
+        tolerance: As in :func:`spectral_reflectance`.
+        method: As in :func:`spectral_reflectance`.
+        coherence: As in :func:`spectral_reflectance`.
+        ior: As in :func:`spectral_reflectance`.
+        material: As in :func:`spectral_reflectance`.
+        energy: ``"stam"``, or ``"normalised"``, where orders of a perfect mirror sum to 1 from everywhere, as in
+            :func:`order_efficiencies`; it is reciprocal, too, but for what interpolation leaves. Of more than 64 lights
+            sums are 1 but for that, which is much at grazing angles. Between some wavelengths factors are linear.
+        plan: As in :func:`spectral_reflectance`.
+        strict: As in :func:`spectral_reflectance`.
+        device: As in :func:`spectral_reflectance`.
+        threads: As in :func:`spectral_reflectance`.
+        progress: As in :func:`spectral_reflectance`.
+
+    Returns:
+        Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
+    """
+    validation.choice(energy, "energy", energy_normalisation.FORMS)
+    relative = spectral_reflectance(
+        heightfield, to_light, to_view, wavelengths_nm, tolerance=tolerance, method=method, coherence=coherence, ior=ior,
+        material=material, masking=False, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
+    )  # fmt: skip
+    lights, views, single = broadcast_directions(to_light, to_view)
+    used = plan.coherence if plan is not None else coherence or Coherence()
+    wavelengths_um = colorimetry.check_wavelengths(wavelengths_nm) * 1e-3
+    cos_light = np.where(lights[:, 2] > HORIZON, lights[:, 2], 1.0)
+    scale = reflectance_factors.brdf_scale(
+        cos_light, wavelengths_um, used, heightfield.size_um[0] * heightfield.size_um[1]
+    )
+    scale *= check_reflection(ior, material)[0]
+    illuminated = (lights[:, 2] > HORIZON) & (views[:, 2] > HORIZON)
+    if energy == "normalised" and illuminated.any():
+        scale[illuminated] *= energy_normalisation.between(
+            heightfield, lights[illuminated], views[illuminated], 1e3 * wavelengths_um
+        )
+    return np.asarray(relative * (scale[0] if single else scale).astype(relative.dtype))
+
+
+class _Call:
+    """Pairs of directions with the plan for them."""
+
+    def __init__(self, request: Request, to_light: ArrayLike, to_view: ArrayLike) -> None:
+        self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
+        directions = len(self._lights)
+        values = 0 if request.wavelengths_nm is None else len(request.wavelengths_nm)
+        free_memory.require_memory(
+            directions * (_BYTES_PER_DIRECTION + _BYTES_PER_VALUE * values),
+            f"a call of {directions} directions" + f" at {values} wavelengths" * (values > 0),
+            "take at most {share} of them at a time",
+        )
+        self._request = request
+        self._where = {"device": request.device, "threads": request.threads}
+        self._deflections = -self._lights - self._views
+        self._gains = reflectance_factors.gain(
+            self._lights, self._views, normal=request.normal_reflectance, masking=request.masking,
+            per_light_cosine=request.coherence.kind == "source",
+        )  # fmt: skip
+        illuminated = self._gains > 0.0
+        energy = request.energy_factors
+        if energy is not None:
+            self._gains[illuminated] *= energy.between(self._lights[illuminated], self._views[illuminated])
+        self._scope = DirectionRange.of(
+            request.heightfield, request.coherence, self._deflections, self._lights, illuminated, request.wavelengths_nm
+        )
+        if request.plan is None:
+            sample = DirectionSample.among(self._deflections, self._lights, self._gains)
+            self.plan = plan_for(request, self._scope, sample, float(np.count_nonzero(illuminated)))
+        else:
+            self.plan = request.plan
+            warn_outside(self.plan, request.heightfield, self._scope)
+        self.plan = request.with_energy(self.plan)
+
+    def single(self, values: NDArray[Any]) -> NDArray[Any]:
+        """The values of a pair of single directions without the axis of directions."""
+        return np.asarray(values[0]) if self._is_single else values
+
+    def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+        """ρ, shape (n, m)."""
+        heightfield, wavelengths_nm = self._request.heightfield, np.asarray(self._request.wavelengths_nm)
+        if self.plan.method == "direct":
+            result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
+            illuminated = self._gains > 0.0
+            power = direct_sum.window_power(
+                heightfield, self.plan.coherence, self._deflections[illuminated], wavelengths_nm * 1e-3, to_lights=self._lights[illuminated],
+                progress=progress,
+            )  # fmt: skip
+            result[illuminated] = (
+                self._gains[illuminated, None] * power * self._reflectances(wavelengths_nm, illuminated)
+            )
+            return result
+        table = table_for(heightfield, self.plan, self._scope, **self._where)
+        wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._request.device)
+        values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._request.device)
+        inputs = [table.arguments, *self._deflect(), wavenumbers]
+        launch(table.sample, len(self._lights), inputs, [values], progress=progress, **self._where)
+        found: NDArray[np.float32] = values.numpy()
+        if self._request.illuminated[0].material is not None:
+            found *= self._reflectances(wavelengths_nm).astype(np.float32)
+        return found
+
+    def _reflectances(self, wavelengths_nm: NDArray[np.float64], some: Any = slice(None)) -> NDArray[np.float64]:
+        return reflectances(self._request.illuminated[0].material, self._deflections[some], wavelengths_nm)
+
+    def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
+        """XYZ, shape (n, 3)."""
+        heightfield, (illuminated,) = self._request.heightfield, self._request.illuminated
+        if self.plan.method == "direct":
+            return direct_colour(
+                heightfield, self._deflections, self._lights, self._gains, self.plan, illuminated, progress=progress
+            )
+        lookup = ColourLookup(heightfield, self.plan, self._scope, **self._where)
+        xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._request.device)
+        lookup.add(*self._deflect(), illuminated, xyz, progress=progress)
+        return np.asarray(xyz.numpy())
+
+    def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Deflections, directions to the light and gains on the device."""
+        device = self._request.device
+        return (
+            wp.array(self._deflections, dtype=wp.vec3d, device=device),
+            wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=device),
+            wp.array(self._gains.astype(np.float32), dtype=wp.float32, device=device),
+        )
+
+
+def direct_colour(
+    heightfield: HeightField,
+    scattering_vectors: NDArray[np.float64],
+    to_lights: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    plan: Plan,
+    lit_material: IlluminatedMaterial,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.float64]:
+    """XYZ by the direct sum: the step in 1/λ is halved until XYZ settles to a twentieth of the tolerance.
+
+    The first step is the one of the plan's bounds, which no order slips through.
+    """
+    result = np.zeros((len(gains), 3))
+    illuminated = np.flatnonzero(gains > 0.0)
+    unconverged_share = 0
+
+    def powers(index: int, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        one = slice(index, index + 1)
+        found = direct_sum.window_power(
+            heightfield, plan.coherence, scattering_vectors[one], wavelengths_nm * 1e-3, to_lights=to_lights[one]
+        )
+        return np.asarray(found[0] * reflectances(lit_material.material, scattering_vectors[one], wavelengths_nm)[0])
+
+    for done, i in enumerate(illuminated.tolist()):
+        count = plan.wavelengths * plan.subdivisions
+        wavelengths = colorimetry.wavelengths_uniform_in_wavenumber(count)
+        values = powers(i, wavelengths)
+        colour = values @ colorimetry.quadrature_weights(wavelengths, lit_material.illuminant)
+        settled = False
+        while not settled and 2 * count < _DIRECT_MOST_WAVELENGTHS:
+            count = 2 * count - 1
+            finer = colorimetry.wavelengths_uniform_in_wavenumber(count)
+            refined = np.empty(count)
+            refined[::2] = values
+            refined[1::2] = powers(i, finer[1::2])
+            values, before = refined, colour
+            colour = values @ colorimetry.quadrature_weights(finer, lit_material.illuminant)
+            change = float(np.linalg.norm(colour - before))
+            settled = change <= _DIRECT_SETTLED * plan.tolerance * float(np.linalg.norm(colour))
+        unconverged_share += not settled
+        result[i] = gains[i] * colour
+        if progress is not None:
+            progress((done + 1) / len(illuminated))
+    if unconverged_share:
+        warn(
+            f"the direct sum of {unconverged_share} of {len(illuminated)} directions has not settled at {_DIRECT_MOST_WAVELENGTHS} "
+            "wavelengths, the most it takes: ask for a larger tolerance, or for spectral_reflectance"
+        )
+    return result

@@ -1,0 +1,139 @@
+"""Gaps of a grid filled by the harmonic function that meets the samples around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core.blas_threads import single_threaded_blas
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+# The residual left, relative to the first.
+_SETTLED = 1e-10
+# Steps of conjugate gradients, of which some twenty suffice.
+_MOST_STEPS = 200
+# A neighbour's weight by the square of its distance, relative to the nearer ones': what is less is lost in rounding.
+_LEAST_WEIGHT = 1e-10
+# Of Jacobi's method, also where it smooths what coarser grids correct.
+_DAMPING = 2.0 / 3.0
+_SWEEPS = 2
+# Unknowns that are eliminated.
+_FEW = 400
+# Samples of a coarser grid's, along an axis unless these lie further apart than along the other by more than a factor.
+_COARSER, _MOST_ASLANT = 3, 1.8
+
+
+@np.errstate(under="ignore")
+def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDArray[np.float64]:
+    """Return ``heights`` (ny, nx) with each NaN replaced so that the five-point Laplacian vanishes there.
+
+    No slope crosses the edges of the grid. The equations are solved by conjugate gradients, preconditioned by multigrid
+    (smoothed aggregation: Vaněk, Mandel and Brezina 1996, Computing 56, 179–196), in as many steps for large gaps as
+    for small ones; at least one sample must be known.
+    """
+    from scipy.sparse import linalg
+
+    gaps = np.isnan(heights)
+    result = heights.copy()
+    if not gaps.any():
+        return result
+    known = heights[~gaps]
+    # About the mean, so that an offset costs no digits, and of a size whose squares neither overflow nor vanish.
+    mean = float(np.mean(known))
+    scale = float(np.max(np.abs(known - mean))) or 1.0
+    matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
+    with single_threaded_blas():
+        cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
+        solution, _ = linalg.cg(matrix, target, rtol=_SETTLED, maxiter=_MOST_STEPS, M=cycle)
+        found = mean + scale * solution
+    # As harmonic functions do, but for rounding.
+    result[gaps] = np.clip(found, known.min(), known.max())
+    return result
+
+
+def _equations(
+    gaps: NDArray[np.bool_], heights: NDArray[np.float64], pitch: tuple[float, float]
+) -> tuple[Any, NDArray[np.float64]]:
+    """Minus the Laplacian of the gaps' samples, sparse, and what the known ones beside them add."""
+    from scipy import sparse
+
+    count = int(np.count_nonzero(gaps))
+    number = np.full(gaps.shape, -1, dtype=np.int32)
+    number[gaps] = np.arange(count, dtype=np.int32)
+    diagonal, target = np.zeros(count), np.zeros(count)
+    matrix = sparse.csr_array((count, count))
+    for axis in (0, 1):
+        weight = max((min(pitch) / pitch[axis]) ** 2, _LEAST_WEIGHT)
+        before, after = (np.moveaxis(number, axis, 0)[part] for part in (slice(-1), slice(1, None)))
+        height_before, height_after = (np.moveaxis(heights, axis, 0)[part] for part in (slice(-1), slice(1, None)))
+        for one, other, height in ((before, after, height_after), (after, before, height_before)):
+            unknown = one >= 0
+            row, column = one[unknown], other[unknown]
+            # Each sample has one neighbour on a side.
+            diagonal[row] += weight
+            target[row] += weight * height[unknown]
+            both = column >= 0
+            row, column = row[both], column[both]
+            matrix += sparse.csr_array((np.full(len(row), -weight), (row, column)), shape=(count, count))
+    return (matrix + sparse.diags_array(diagonal)).tocsr(), target
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A grid of multigrid.
+
+    Attributes:
+        matrix: Its equations.
+        jacobi: The damped inverse of their diagonal.
+        to_finer: What it adds to the unknowns from those of the next coarser grid.
+    """
+
+    matrix: Any
+    jacobi: NDArray[np.float64]
+    to_finer: Any
+
+
+def _multigrid(
+    matrix: Any, places: tuple[NDArray[np.int64], ...], pitch: tuple[float, float]
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """An approximate inverse of equations between neighbours on a grid, symmetric: a cycle of multigrid."""
+    from scipy import sparse
+
+    levels: list[_Level] = []
+    distances = list(pitch)
+    while matrix.shape[0] > _FEW:
+        extended = [axis for axis in (0, 1) if places[axis].max() > 0]
+        nearest = min(distances[axis] for axis in extended)
+        blocks = [_COARSER if axis in extended and distances[axis] <= _MOST_ASLANT * nearest else 1 for axis in (0, 1)]
+        blocked = [place // block for place, block in zip(places, blocks, strict=True)]
+        width = int(blocked[1].max()) + 1
+        cells, cell = np.unique(blocked[0] * width + blocked[1], return_inverse=True)
+        jacobi = _DAMPING / matrix.diagonal()
+        constant = sparse.csr_array((np.ones(len(cell)), (np.arange(len(cell)), cell)))
+        to_finer = (constant - sparse.diags_array(jacobi) @ (matrix @ constant)).tocsr()
+        levels.append(_Level(matrix, jacobi, to_finer))
+        matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
+        places = cells // width, cells % width
+        distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
+    # SciPy's factorization of a sparse matrix leaves a forked child with an error that nobody raised.
+    inverse = np.linalg.inv(matrix.toarray())
+
+    def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:
+        if depth == len(levels):
+            return np.asarray(inverse @ residual)
+        level = levels[depth]
+        found = level.jacobi * residual
+        for _ in range(_SWEEPS - 1):
+            found += level.jacobi * (residual - level.matrix @ found)
+        found += level.to_finer @ cycle(level.to_finer.T @ (residual - level.matrix @ found), depth + 1)
+        for _ in range(_SWEEPS):
+            found += level.jacobi * (residual - level.matrix @ found)
+        return found
+
+    return cycle

@@ -1,0 +1,225 @@
+"""Skies as kernels take them: octahedral maps, blurred more and more, in three spectra that add up to any RGB."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.spectra import Spectrum
+
+# Rows of the grid of directions that is blurred: 0.35°. The first level is blurred by so much [rad], each next one by
+# twice as much; grids of a level have steps of half its blur at most, and maps texels as wide as it, but for the last.
+_ROWS, _FIRST_BLUR, _LEVELS = 512, 0.00625, 8
+_STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
+_TURNS = 40
+# Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
+# Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.
+_SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
+_AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
+
+
+class Sun(NamedTuple):
+    """What is bright and small in a sky."""
+
+    towards: NDArray[np.float64]
+    rgb: NDArray[np.float64]  # radiance times solid angle
+    deviation: float  # of its directions along an axis [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class SkyMaps:
+    """A sky as a light.
+
+    Attributes:
+        spectra: Three illuminants, of which any colour is a sum.
+        texels: Power per solid angle by spectrum, and the deviation of their sum under the blur, (n, 4), level after
+            level: those of a map, with a texel more on each side of it, row by row.
+        sides: Texels along a side of each level's map, without these.
+        blur: What the first level is blurred by [rad]; each next one by twice as much.
+        turn: By how much the sky is turned about +y [rad].
+        directions: From how many a pixel's colour is summed.
+    """
+
+    spectra: tuple[Spectrum, Spectrum, Spectrum]
+    texels: NDArray[np.float32]
+    sides: tuple[int, ...]
+    blur: float
+    turn: float
+    directions: int
+
+
+def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Values of a grid over latitude and longitude in directions, linear between its points."""
+    height, width = grid.shape[:2]
+    polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
+    row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
+    column = ((np.arctan2(along[..., 0], -along[..., 2]) + turn) / (2.0 * math.pi) + 0.5) * width - 0.5
+    top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    left, beside = left % width, (left + 1) % width
+    upper = (1.0 - right) * grid[top, left] + right * grid[top, beside]
+    lower = (1.0 - right) * grid[top + 1, left] + right * grid[top + 1, beside]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
+    """A sky on the grid that is blurred, without its suns, which are lights of their own: cells are wider than they."""
+    grid = _on_grid(radiance)
+    neighbour_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
+    suns: list[Sun] = []
+    if neighbour_extent > _FARTHEST_SUN_REACH:
+        return grid, suns
+    along = _grid_directions()
+    for _ in range(_MOST_SUNS):
+        found = _sun_in(grid, along, neighbour_extent)
+        if found is None:
+            break
+        suns.append(found[0])
+        grid = found[1]
+    return grid, suns
+
+
+def _sun_in(
+    grid: NDArray[np.float64], along: NDArray[np.float64], neighbour_extent: float
+) -> tuple[Sun, NDArray[np.float64]] | None:
+    """What is brightest in a sky, and the sky without it, if it is small and far brighter than what is around.
+
+    ``along`` are the directions to the grid's cells.
+    """
+    height, width = grid.shape[:2]
+    bright = grid @ colorimetry.RGB_TO_XYZ[1]
+    solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
+    solid = np.broadcast_to(solid, bright.shape)
+    towards = along.reshape(-1, 3)[bright.argmax()]
+    for _ in range(2):
+        away = np.arccos(np.clip(along @ towards, -1.0, 1.0))
+        inside, around = away < neighbour_extent, (away >= neighbour_extent) & (away < 2.0 * neighbour_extent)
+        beside = np.average(bright[around], weights=solid[around])
+        power = np.where(inside, np.maximum(bright - beside, 0.0) * solid, 0.0)
+        if power.sum() <= _SUN_SHARE * (bright * solid).sum():
+            return None
+        towards = (power[..., None] * along).sum(axis=(0, 1))
+        towards /= np.linalg.norm(towards)
+    if bright[around].max() > _AROUND_SUN * bright.max():
+        return None
+    # What is left of it is as bright as what is around.
+    kept = np.where(inside, np.minimum(beside / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
+    rgb = ((1.0 - kept) * grid * solid[..., None]).sum(axis=(0, 1))
+    return Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())), kept * grid
+
+
+def blurred_grids(grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """RGB, and the deviation of luminance from its mean, over latitude and longitude, blurred more and more."""
+    before = 0.0
+    grid = np.concatenate([grid, _luminance2(grid)], axis=2)
+    result = []
+    for level in range(_LEVELS):
+        blur = _FIRST_BLUR * 2.0**level
+        while grid.shape[0] * blur >= 2.0 * _STEPS_A_BLUR * math.pi:
+            grid = _halved(grid)
+        grid = _blurred(grid, math.sqrt(blur**2 - before**2))
+        before = blur
+        deviation = np.sqrt(np.maximum(grid[..., 3:] - _luminance2(grid), 0.0))
+        result.append(np.concatenate([grid[..., :3], deviation], axis=2))
+    return result
+
+
+def _luminance2(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squares of luminances, (height, width, 1)."""
+    return np.asarray((grid[..., :3] @ colorimetry.RGB_TO_XYZ[1, :, None]) ** 2)
+
+
+def maps_of(grids: list[NDArray[np.float64]]) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
+    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids."""
+    sides = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
+    texels = [linear(grid, _directions(side), 0.0).reshape(-1, 4) for grid, side in zip(grids, sides, strict=True)]
+    return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
+
+
+def _grid_directions() -> NDArray[np.float64]:
+    """Unit vectors to the middles of the grid's cells, (_ROWS, 2 _ROWS, 3)."""
+    polar = (np.arange(_ROWS) + 0.5) / _ROWS * math.pi
+    azimuth = ((np.arange(2 * _ROWS) + 0.5) / _ROWS - 1.0) * math.pi
+    level = np.sin(polar)[:, None]
+    along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
+    return np.stack(along, axis=-1)
+
+
+def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Radiance on a grid, (_ROWS, 2 _ROWS, 3): its means over cells, or linear between pixels that are larger."""
+    result = radiance.astype(np.float64)
+    if len(result) < _ROWS:
+        return linear(result, _grid_directions(), 0.0)
+    for axis, count in enumerate((_ROWS, 2 * _ROWS)):
+        given = np.linspace(0.0, 1.0, result.shape[axis] + 1)
+        wanted = np.linspace(0.0, 1.0, count + 1)
+        if axis == 0:
+            # By solid angle.
+            given, wanted = (0.5 - 0.5 * np.cos(math.pi * each) for each in (given, wanted))
+        result = np.moveaxis(result, axis, 0)
+        sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(given)[:, None, None], 0)])
+        place = np.interp(wanted, given, np.arange(len(given)))
+        first = np.minimum(place.astype(int), len(given) - 2)
+        sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
+        result = np.moveaxis(np.diff(sums, axis=0) / np.diff(wanted)[:, None, None], 0, axis)
+    return result
+
+
+def _halved(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A grid of half as many rows and columns, by solid angle."""
+    solid = -np.diff(np.cos(np.arange(len(grid) + 1) / len(grid) * math.pi))[:, None, None]
+    rows = (grid * solid)[::2] + (grid * solid)[1::2]
+    rows /= solid[::2] + solid[1::2]
+    return np.asarray(0.5 * (rows[:, ::2] + rows[:, 1::2]))
+
+
+def _blurred(grid: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+    """A grid blurred on the sphere: along circles of latitude, then along meridians, across the poles.
+
+    Weights along meridians are scaled from both sides (Sinkhorn), so that the blur keeps means and the whole power.
+    """
+    height, width = grid.shape[:2]
+    polar = (np.arange(height) + 0.5) / height * math.pi
+    level = np.sin(polar)
+    order = np.arange(width // 2 + 1)
+    waves = np.fft.rfft(grid, axis=1)
+    waves *= np.exp(-0.5 * (order * blur / level[:, None]) ** 2)[:, :, None]
+
+    def gaussian(away: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.exp(-0.5 * (away / blur) ** 2)
+
+    near = gaussian(polar[:, None] - polar) * level
+    over = (gaussian(polar[:, None] + polar) + gaussian(2.0 * math.pi - polar[:, None] - polar)) * level
+    scale = np.ones(height)
+    for _ in range(_TURNS):
+        scale = np.sqrt(scale / ((near + over) @ scale))
+    result = np.empty_like(waves)
+    for odd in (0, 1):
+        # What has gone over a pole is half a turn further.
+        weights = scale[:, None] * (near + (-1.0) ** odd * over) * scale
+        some = np.ascontiguousarray(waves[:, odd::2]).reshape(height, -1)
+        result[:, odd::2] = (weights @ some.real + 1j * (weights @ some.imag)).reshape(height, -1, grid.shape[2])
+    return np.asarray(np.fft.irfft(result, width, axis=1))
+
+
+def _directions(side: int) -> NDArray[np.float64]:
+    """Unit vectors to the texels of an octahedral map and to those beyond its sides, (side + 2, side + 2, 3)."""
+    place = (2.0 * np.arange(-1, side + 1) + 1.0) / side - 1.0
+    q, p = np.meshgrid(place, place, indexing="ij")
+    # Beyond a side the map goes on at the same side, the other way round.
+    for _ in range(2):
+        beyond = np.abs(p) > 1.0
+        p, q = np.where(beyond, np.sign(p) * 2.0 - p, p), np.where(beyond, -q, q)
+        p, q = q, p
+    up = 1.0 - np.abs(p) - np.abs(q)
+    folded = (1.0 - np.abs(q)) * np.sign(p), (1.0 - np.abs(p)) * np.sign(q)
+    along = np.stack([np.where(up < 0.0, folded[0], p), up, np.where(up < 0.0, folded[1], q)], axis=-1)
+    return np.asarray(along / np.linalg.norm(along, axis=-1, keepdims=True))

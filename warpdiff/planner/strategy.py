@@ -1,0 +1,567 @@
+"""The plan: from a height field, a coherence, a range of directions and a tolerance to the numbers the kernels get.
+
+Bounds that hold for all directions of the range come first and err on the side of accuracy. Calls of few directions are
+computed by them; for many, ``plan_search`` finds on a sample of the directions how much of them is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import allocations, validation
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.warnings import warn
+from warpdiff.diffraction.coefficient_basis import holds_powers
+from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
+from warpdiff.heightfield import aliasing, scalar_validity
+from warpdiff.kernels import refinement_levels
+from warpdiff.optics import reflectance_factors
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.planner import cost_model, plan_search, trial
+from warpdiff.request.directions import DirectionRange, DirectionSample, hemisphere_pairs, order_rate, stratified
+from warpdiff.request.evaluation import Request
+from warpdiff.request.plan import AUTOMATIC, LABELS, Plan, has_table
+from warpdiff.tables import coefficient_table, polar_grid
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
+
+# A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
+# mirror by as much again: what a series leaves out of an amplitude must be smaller by this factor.
+_AMPLITUDE_MARGIN = 1e-3
+# The mirror's coefficient is the brightest by far, and a frame need not show it, but its Gaussian's tail: weights, on
+# powers or on amplitudes, are negligible below this share of the tolerance.
+_WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
+# Where nothing is tried, a call may be as dark as f is at least.
+_DARKEST = 1e-12
+# What a fitted basis may leave out of a coefficient's largest value, as a share of the tolerance: where κ is small, the
+# coefficient is, too.
+_BASIS_SHARE = 1e-2
+# A colour changes as fast as the colour curves and the illuminant do: their share of the samples, per unit of 1/λ [µm].
+_COLOUR_BANDWIDTH_UM = 48.0
+# An order passes as a Gaussian of 1/λ: samples for each of its deviations at a tolerance of 1e-2. Quintics between
+# samples, under curves with lines, err as the sixth power of their distance; measured from 1e-1 to 1e-4 for D65, FL11
+# and HP1, for Gaussians of 1/18 to 1/222 per µm.
+_SAMPLES_PER_DEVIATION = 0.95
+# Two levels of a tall surface, seen from the mirror direction, oscillate: samples for each cycle, besides the colours'.
+_SAMPLES_PER_CYCLE = 6.0
+# What plans from bounds leave to the integral, as a rule, and of a mirror a thousand times as bright as the call to
+# neighbours, as shares of the tolerance.
+_QUADRATURE_SHARE, _NEIGHBOUR_SHARE = 0.08, 0.01
+# Samples of a patch's power for each order that passes, at a tolerance of 1e-2, for the kernel's cubics between them.
+_SAMPLES_PER_ORDER = 24.0
+# Samples of the copies' factor for each of its lobes.
+_SAMPLES_PER_LOBE = 2.0
+# A wider neighbourhood is a mistake in the units or a patch much larger than the window.
+_MOST_NEIGHBOURS = 40_000
+_PATCH_IN_SIGMAS = 20.0
+_MOST_WAVELENGTHS = 65_536
+_MOST_SAMPLES = 2_000_000
+# Of a source that grazes the surface: foreshortened fifty times and more.
+_MOST_GRAZING = 16_384
+_LESS_COHERENT = {
+    "averaged": "a smaller sigma_um",
+    "centred": "a smaller sigma_um",
+    "source": "a larger angular_diameter_deg",
+    "replicas": "fewer copies",
+}
+# Float32 rounds each term of a series to half a unit in the last place.
+_FLOAT32_ROUNDING = 2.0**-24
+# What a search makes of the cost of bounds: a fifth, or less.
+_SEARCH_SAVES_FACTOR = 5.0
+# A picture that is worth a table is rendered again, with another light or view.
+_EXPECTED_REPEATS = 3.0
+# Calls of fewer directions are computed by the bounds: to search would take longer than it saves. Of copies, for which
+# it saves the most, fewer.
+FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
+# Of an explicit method that adds powers in float32.
+_FEWEST_TRIED = 16
+# Directions whose cost is counted where none are tried.
+_DIRECTIONS_FOR_COST = 64
+# A plan holds a little further than the directions that it was made for: its ranges are rounded up.
+_RANGE_MARGIN = 0.03
+_SEED = 0
+# Directions that stand for the whole hemisphere.
+_HEMISPHERE_DIRECTIONS = 8192
+# A tolerance for which a plan only tells what is bright.
+_COARSE_TOLERANCE = 0.5
+
+
+def plan(
+    heightfield: HeightField,
+    to_light: ArrayLike | None = None,
+    to_view: ArrayLike | None = None,
+    *,
+    illuminant: str | Spectrum = "D65",
+    tolerance: float = 1e-2,
+    method: str = "auto",
+    coherence: Coherence | None = None,
+    ior: float | None = None,
+    material: Material | None = None,
+    masking: bool = True,
+    strict: bool = True,
+    device: Any = None,
+    threads: int | None = None,
+) -> Plan:
+    """Plan an evaluation of these directions without computing it.
+
+    Args:
+        heightfield: The height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
+        to_view: Directions to the viewer; None is the whole hemisphere.
+        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
+        tolerance: Error of XYZ that is asked for, in 1e-5 to 0.5.
+        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"`` or
+            ``"direct"``.
+        coherence: The window, source or copies; the default is averaged with σ = 16.25 µm.
+        ior: Index of refraction, > 1, 1.5 unless a material is given; it and masking decide what is bright.
+        material: What the surface is made of, in place of ``ior``.
+        masking: Whether V-cavity masking and shadowing is included.
+        strict: Raise a ``ValueError`` where the tolerance cannot be met; otherwise warn.
+        device: ``"cpu"`` (None) or a CUDA device, on which the sample of directions is tried.
+        threads: Threads on the CPU; None is one a core.
+
+    Returns:
+        The plan; ``print(plan)`` explains it.
+    """
+    request = Request.checked(
+        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
+        masking=masking, strict=strict, device=device, threads=threads, illuminants=(illuminant,),
+    )  # fmt: skip
+    with allocations.as_memory_error("plan()", "take a larger tolerance, or a smaller heightfield"):
+        direction_range, sample, count = directions_of(request, to_light, to_view)
+        result = plan_for(request, direction_range, sample, count)
+    if result.scalar_error >= scalar_validity.UNTRUSTED:
+        warn(
+            f"scalar diffraction is {scalar_validity.told(result.scalar_error)}; heightfield has a standard deviation of "
+            f"{heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: use a rigorous solver, or take colours for a "
+            "likeness"
+        )
+    return result
+
+
+def directions_of(
+    request: Request, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
+) -> tuple[DirectionRange, DirectionSample, float]:
+    """The scope of directions, some of them, and their number; None is the whole hemisphere.
+
+    A plan for directions that are not yet known is made for many.
+    """
+    heightfield, coherence = request.heightfield, request.coherence
+    some_lights, some_views = hemisphere_pairs(_HEMISPHERE_DIRECTIONS, _SEED)
+    if to_light is not None and to_view is not None:
+        lights, views, _ = broadcast_directions(to_light, to_view)
+    else:
+        lights = some_lights if to_light is None else _some_of(to_light, "to_light")
+        views = some_views if to_view is None else _some_of(to_view, "to_view")
+    count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
+    scattering_vectors, illuminated = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
+    direction_range = DirectionRange.of(heightfield, coherence, scattering_vectors, lights, illuminated)
+    if to_light is None or to_view is None:
+        given = views if to_light is None else lights
+        direction_range = _any_direction(
+            heightfield, coherence, direction_range, None if to_light is None and to_view is None else given
+        )
+    gains = reflectance_factors.gain(
+        lights, views, normal=request.normal_reflectance, masking=request.masking,
+        per_light_cosine=coherence.kind == "source",
+    )  # fmt: skip
+    return direction_range, DirectionSample.among(scattering_vectors, lights, gains), count
+
+
+def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:
+    """As many of the given directions as there are for those that are not given, repeated where they are fewer."""
+    given, _ = validation.directions(directions, name)
+    if not len(given):
+        return np.zeros((_HEMISPHERE_DIRECTIONS, 3))
+    some = given[stratified(len(given), _HEMISPHERE_DIRECTIONS)]
+    return np.asarray(some[np.arange(_HEMISPHERE_DIRECTIONS) % len(some)])
+
+
+def _any_direction(
+    heightfield: HeightField, coherence: Coherence, direction_range: DirectionRange, given: NDArray[np.float64] | None
+) -> DirectionRange:
+    """A scope that holds for the whole hemisphere on one side and the given directions, or all, on the other."""
+    max_uv = min_w = max_w = 0.0
+    if given is None:
+        max_uv, min_w, max_w = 2.0, 0.0, 2.0
+    elif np.any(above := given[:, 2] > 0.0):
+        z = given[above, 2]
+        max_uv = 1.0 + float(np.max(np.hypot(given[above, 0], given[above, 1])))
+        min_w, max_w = float(z.min()), 1.0 + float(z.max())
+    # A grazing source has no largest bandwidth: what exceeds the sample's takes the largest set of wavelengths.
+    most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
+    return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
+
+
+def broadcast_directions(
+    to_light: ArrayLike, to_view: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Unit directions, both of shape (n, 3), and whether both were single."""
+    lights, one_light = validation.directions(to_light, "to_light")
+    views, one_view = validation.directions(to_view, "to_view")
+    if len(lights) != len(views) and 1 not in (len(lights), len(views)):
+        raise ValueError(
+            f"to_light and to_view must hold the same number of directions, or one, got {len(lights)} and {len(views)}"
+        )
+    shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
+    return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
+
+
+@single_threaded_blas()
+def plan_for(request: Request, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
+    """The plan for all directions of a scope, searched for on a sample of them.
+
+    The directions are ``count`` in number, or of means over pixels some of them; a table, which takes time to make, is
+    for many, and for the footprints of what adds as powers. With wavelengths there is no integral over λ, and only
+    those need be served.
+    """
+    heightfield, tolerance, coherence, footprint = (
+        request.heightfield,
+        request.tolerance,
+        request.coherence,
+        request.footprint,
+    )
+    method, _, integration = request.method.partition("/")
+    if not request.integrates and integration == "table":
+        raise ValueError(f"method='{method}/table' integrates over λ, and wavelengths_nm asks for a spectrum")
+    check_cycles(heightfield, direction_range.kappas[1])
+    pitch = aliasing.coarsest_pitch_um(heightfield)
+    colour = request.integrates
+    upper_bound_plan = _ample(
+        heightfield, direction_range, tolerance=tolerance, method=method, coherence=coherence, colour=colour
+    )
+    between = coherence.centre_um is not None and method != "direct"
+    _warn_of_aliasing(direction_range, pitch, coefficient_table.radius(upper_bound_plan) if between else 0.0)
+    if method == "direct":
+        return upper_bound_plan
+    blurs = footprint and coherence.adds_powers and method == "auto"
+    if footprint and not blurs:
+        count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
+    most_making = math.inf if integration == "table" or blurs else 0.0
+    if method == "auto" and colour and not most_making:
+        most_making = affordable_table_cost(heightfield, upper_bound_plan, count)
+    # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
+    is_truncated = upper_bound_plan.max_order_rate < direction_range.max_order_rate
+    # Powers of coefficients that vanish with κ cancel in float32, which only a trial tells.
+    cancels = method != "auto" and holds_powers(upper_bound_plan.method, adds_powers=coherence.adds_powers)
+    fewest = _FEWEST_TRIED if cancels else _fewest_searched(coherence)
+    is_searched = len(sample) > 0 and (most_making > 0.0 or is_truncated or count >= fewest)
+    if method == "auto" and not is_searched:
+        # Amplitudes take no longer.
+        upper_bound_plan = _ample(
+            heightfield, direction_range, tolerance=tolerance, method=trial.TRUTH, coherence=coherence, colour=colour
+        )
+    if not is_searched and coherence.adds_powers:
+        upper_bound_plan = replace(upper_bound_plan, least_weight=tolerance * _DARKEST)
+    found = upper_bound_plan
+    if upper_bound_plan.method not in EXPANSIONS:
+        basis, _, _ = coefficient_table.coefficients_for(
+            heightfield, upper_bound_plan.method, coherence, direction_range, coefficient_table.neighbour_extent(upper_bound_plan, heightfield), terms=upper_bound_plan.terms,
+            threads=request.threads,
+        )  # fmt: skip
+        terms = basis.terms_within(_BASIS_SHARE * tolerance)
+        found = replace(upper_bound_plan, terms=terms, truncation=float(basis.unserved_gain[terms]))
+    found = replace(
+        found, aliasing=aliasing.folded_power(heightfield, direction_range.max_uv * 1e3 / direction_range.lambda_min_nm)
+    )
+    if is_searched:
+        found = search_plan(
+            found, request, direction_range, sample, footprint=blurs, most_making=most_making, is_truncated=is_truncated
+        )
+    else:
+        found = _with_cost(found, heightfield, sample)
+    if upper_bound_plan.truncation > tolerance * _AMPLITUDE_MARGIN:
+        # The series that all bases are made from, and judged by, ends too soon.
+        found = replace(
+            found, terms=upper_bound_plan.terms, truncation=max(found.truncation, upper_bound_plan.truncation)
+        )
+    _check_error(heightfield, found, strict=request.strict)
+    return replace(found, footprint=footprint)
+
+
+def search_plan(
+    plan: Plan,
+    request: Request,
+    direction_range: DirectionRange,
+    sample: DirectionSample,
+    *,
+    footprint: bool,
+    most_making: float,
+    is_truncated: bool,
+) -> Plan:
+    """The plan that a search finds from that of bounds, which is left where all is dark.
+
+    A table may take ``most_making`` multiply-adds to make; 0 is none.
+    """
+    heightfield, tolerance, colour = request.heightfield, plan.tolerance, request.integrates
+    method, _, integration = request.method.partition("/")
+    coarse = _ample(
+        heightfield,
+        direction_range,
+        tolerance=_COARSE_TOLERANCE,
+        method=method,
+        coherence=plan.coherence,
+        colour=colour,
+    )
+    # Half the wavelengths of bounds, which are ample, tell as well what is bright.
+    coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
+    coarse = replace(coarse, terms=min(coarse.terms, coefficient_table.LANES)) if method not in EXPANSIONS else coarse
+    tried = trial.Trial(plan, request, direction_range, sample, coarse=coarse)
+    if not tried.any_light and not is_truncated:
+        return plan
+    explicit = integration == "table"
+    best = None
+    if most_making:
+        best = plan_search.tabled(plan, tried, footprint=footprint, needed=explicit, most_making=most_making)
+    if best is None and explicit:
+        raise ValueError(
+            f"method='{method}/table' takes more than {polar_grid.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: "
+            "use method='auto', or ask for a larger tolerance"
+        )
+    # Points in place of means err by more than a table that keeps the tolerance without any safety.
+    most = tolerance * (plan_search.SEARCH_SAFETY if footprint else 1.0)
+    if best is None or (best.error > most and not explicit):
+        best = plan_search.refined(plan, tried, automatic=method == "auto")
+    return best
+
+
+def _with_cost(plan: Plan, heightfield: HeightField, sample: DirectionSample) -> Plan:
+    """The plan with the mean cost of some directions, where there are any."""
+    if not len(sample):
+        return plan
+    places = stratified(len(sample), _DIRECTIONS_FOR_COST)
+    scattering_vectors, to_lights = sample.scattering_vectors[places], sample.to_lights[places]
+    reaches = order_rate(heightfield, plan.coherence, scattering_vectors, to_lights)
+    return replace(
+        plan,
+        multiply_adds=cost_model.sampling_multiply_adds(heightfield, plan, reaches, np.abs(scattering_vectors[:, 2])),
+    )
+
+
+def _fewest_searched(coherence: Coherence) -> int:
+    """From how many directions on a search pays."""
+    return _FEWEST_OF_COPIES if coherence.kind == "replicas" else FEWEST_SEARCHED
+
+
+def affordable_table_cost(heightfield: HeightField, plan: Plan, count: float) -> float:
+    """Multiply-adds that a table saves so many directions of a plan by bounds; 0 where none takes less to make."""
+    table_size = polar_grid.smallest_sufficient_size(plan)
+    if table_size is None or not has_table(plan.method, plan.coherence):
+        return 0.0
+    smallest = replace(plan, rings_per_octave=table_size[0], azimuths_per_width=table_size[1])
+    saved = _EXPECTED_REPEATS * count * plan.multiply_adds / _SEARCH_SAVES_FACTOR
+    return saved if saved > cost_model.making_multiply_adds(heightfield, smallest) else 0.0
+
+
+def _ample(
+    heightfield: HeightField,
+    direction_range: DirectionRange,
+    *,
+    tolerance: float,
+    method: str,
+    coherence: Coherence,
+    colour: bool,
+) -> Plan:
+    """The plan that follows from bounds alone."""
+    series = AUTOMATIC if method in ("auto", "direct") else method
+    # A fitted basis is made from the Jacobi-Anger series.
+    expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
+    argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
+    terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
+    least_weight = tolerance * _WEIGHT_MARGINS[coherence.adds_powers]
+    result = Plan(
+        method="direct" if method == "direct" else series,
+        coherence=coherence,
+        tolerance=tolerance,
+        terms=terms,
+        least_weight=least_weight,
+        wavelengths=0,
+        subdivisions=1,
+        bandwidth_um=_bandwidth_um(heightfield, coherence, tolerance),
+        adaptive=True,
+        rings_per_octave=0,
+        azimuths_per_width=0.0,
+        w_basis_size=0,
+        footprint=False,
+        refined_share=0.0,
+        light_sample_count=0,
+        unconverged_share=0.0,
+        unconverged_edge_share=0.0,
+        errors=(0.0, 0.0),
+        energy_spread=0.0,
+        max_uv=direction_range.max_uv,
+        max_order_rate=direction_range.max_order_rate,
+        min_w=direction_range.min_w,
+        max_w=direction_range.max_w,
+        lambda_min_nm=direction_range.lambda_min_nm,
+        lambda_max_nm=direction_range.lambda_max_nm,
+        height_range_um=heightfield.height_range_um,
+        truncation=expansion.remainder(argument, terms),
+        neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
+        quadrature=_QUADRATURE_SHARE * tolerance if colour else 0.0,
+        rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
+        aliasing=0.0,
+        scalar_error=scalar_validity.error_bound(heightfield.rms_um, heightfield.mean_slope),
+        multiply_adds=0.0,
+        is_measured=False,
+        validation_size=0,
+        table_multiply_adds=0.0,
+    )
+    if method != "direct":
+        _check_neighbours(heightfield, result)
+    if colour:
+        result = _with_wavelengths(heightfield, result)
+    dearest = cost_model.sampling_multiply_adds(
+        heightfield, result, np.array([direction_range.max_order_rate]), np.array([direction_range.max_w])
+    )
+    return replace(result, multiply_adds=dearest)
+
+
+def _bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
+    """Samples per unit of 1/λ that a direction takes, as a, b, c [µm] of a·lateral + b·|w| + c.
+
+    Products of two points of the surface oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their
+    distance, so that orders pass as Gaussians, and the colour curves add a constant.
+    """
+    if coherence.kind == "replicas":
+        # |mean over the patch|² has orders between −|u|Lx − |v|Ly and the same above, in samples of cubics.
+        cubic = (1e-2 / tolerance) ** 0.25
+        per_order = _SAMPLES_PER_ORDER * cubic
+        return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM * cubic
+    quintic = (1e-2 / tolerance) ** (1.0 / 6.0)
+    per_deviation, cycles = quintic * _SAMPLES_PER_DEVIATION, quintic * _SAMPLES_PER_CYCLE
+    if coherence.sigma_um is not None:
+        order_rate = per_deviation * math.sqrt(8.0) * math.pi * coherence.sigma_um
+        return order_rate, cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
+    # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
+    # van Cittert and Zernike is in proportion to λ, as they are.
+    log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
+    wider = log_band * 1e3 / LAMBDA_MIN_NM / cost_model.SPAN
+    order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
+    return order_rate, wider * cycles * heightfield.height_range_um, wider * _COLOUR_BANDWIDTH_UM
+
+
+def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
+    """Refuse a neighbourhood that no one means."""
+    rows, columns = (2 * n + 1 for n in coefficient_table.neighbour_extent(plan, heightfield))
+    if plan.coherence.kind == "replicas" or rows * columns <= _MOST_NEIGHBOURS:
+        return
+    size = f"{heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm: {rows} × {columns} coefficients lie in its reach; crop"
+    if plan.coherence.sigma_um is None:
+        what = f"angular_diameter_deg={plan.coherence.angular_diameter_deg:g} is too wide"
+        sigma = LAMBDA_MAX_NM * 1e-3 / (2.0 * math.sqrt(2.0) * math.pi * plan.coherence.spread)
+    else:
+        what, sigma = f"sigma_um={plan.coherence.sigma_um:g} is too short", plan.coherence.sigma_um
+    raise ValueError(
+        f"{what} for a patch of {size} the height field to some {_PATCH_IN_SIGMAS * sigma:.3g} µm, which such light "
+        "cannot tell from the whole"
+    )
+
+
+def _with_wavelengths(heightfield: HeightField, plan: Plan) -> Plan:
+    """The plan with as many wavelengths as its bandwidth asks for."""
+    count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
+    periods = plan.coherence.periods
+    divisions = 1
+    if periods is not None:
+        divisions = math.ceil(_SAMPLES_PER_LOBE * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
+    what = {
+        "source": f"angular_diameter_deg={plan.coherence.angular_diameter_deg}",
+        "replicas": f"periods={periods} of {heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm",
+    }.get(plan.coherence.kind, f"sigma_um={plan.coherence.sigma_um or 0.0:g}")
+    facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
+    if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:
+        # Near the horizon a source is foreshortened without end; such directions take the largest set there is.
+        count = coefficient_table.wavelength_set_size(_MOST_GRAZING)
+        per_lateral, per_w, constant = plan.bandwidth_um
+        order_rate = (count / cost_model.SPAN - per_w * plan.max_w - constant) / per_lateral
+        plan = replace(plan, max_order_rate=max(order_rate, plan.max_uv))
+    if count > _MOST_WAVELENGTHS or count * divisions > _MOST_SAMPLES:
+        raise ValueError(
+            f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour takes "
+            f"{count * divisions} wavelengths; the most are {_MOST_WAVELENGTHS}, {_MOST_SAMPLES} for copies: take "
+            f"{_LESS_COHERENT[plan.coherence.kind]} or a larger tolerance, or spectral_reflectance at wavelengths of "
+            "your own"
+        )
+    return replace(plan, wavelengths=count, subdivisions=divisions)
+
+
+def warn_outside(plan: Plan, heightfield: HeightField, direction_range: DirectionRange) -> None:
+    """Warn where a call with an explicit plan goes beyond what the plan's numbers hold for."""
+    beyond = [
+        f"{name} {value:.3g}, planned {planned:.3g}"
+        for name, value, planned in (
+            ("|(u, v)| up to", direction_range.max_uv, plan.max_uv),
+            ("|w| up to", direction_range.max_w, plan.max_w),
+            ("1/λ [1/µm] up to", 1e3 / direction_range.lambda_min_nm, 1e3 / plan.lambda_min_nm),
+            ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um),
+        )
+        if value > planned * (1.0 + _RANGE_MARGIN) + 1e-9
+    ]
+    if beyond and plan.method != "direct":
+        warn(
+            f"plan= is used beyond what it holds for: {'; '.join(beyond)}; make one for these directions and this "
+            "height field with warpdiff.plan()"
+        )
+
+
+def _check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
+    """Refuse, or warn of, a plan that cannot reach its tolerance."""
+    # Errors as measured; the safety in them is no reason to refuse.
+    if plan.error <= plan.tolerance * (plan_search.SEARCH_SAFETY if plan.is_measured else 1.0):
+        return
+    lower = "reduce the range with levelled(), despiked() or cropped(), or use method='auto' or 'direct'"
+    samples = f"{plan.rings_per_octave} nodes an octave" if plan.rings_per_octave else f"{plan.wavelengths} wavelengths"
+    sources = {
+        "rounding": (
+            f"float32 rounds terms that grow and cancel for a height range of {heightfield.height_range_um:.3g} µm",
+            lower,
+        ),
+        "truncation": (
+            f"{plan.terms} terms are too few for a height range of {heightfield.height_range_um:.3g} µm",
+            lower,
+        ),
+        "neighbourhood": (f"neighbours of a weight below {plan.least_weight:.1e} are left out", "use method='direct'"),
+        "quadrature": (f"{samples} are too few", f"take {_LESS_COHERENT[plan.coherence.kind]}"),
+    }
+    if plan.rings_per_octave:
+        remedy = "use method='auto', in pictures with lights of angular_diameter_deg=0"
+        sources["quadrature"] = (sources["quadrature"][0], remedy)
+    worst_percentile = max(sources, key=plan.predicted_errors.__getitem__)
+    (why, remedy), largest = sources[worst_percentile], plan.predicted_errors[worst_percentile]
+    digits = ", so that no digit need be right" if largest >= 1.0 else ""
+    how = f"measured on {plan.validation_size} directions" if plan.is_measured else "by its bound"
+    message = (
+        f"the {LABELS[plan.method]} cannot reach tolerance={plan.tolerance:g}: {why}, an error of {largest:.1e} {how}"
+        f"{digits}; {remedy}, or ask for a larger tolerance"
+    )
+    if strict:
+        raise ValueError(message + "; strict=False computes it all the same")
+    warn(message)
+
+
+def _warn_of_aliasing(direction_range: DirectionRange, pitch_um: float, radius: float) -> None:
+    """Warn where the directions ask for frequencies beyond what the pitch can carry.
+
+    Neighbours beyond it repeat those within, but for the phase of a window that lies between samples: their radius
+    [1/µm] must be within as well.
+    """
+    if pitch_um == 0.0:
+        return
+    supported = max(0.0, direction_range.lambda_min_nm * 1e-3 * (1.0 / (2.0 * pitch_um) - radius))
+    if direction_range.max_uv > supported * (1.0 + 1e-9):
+        warn(
+            f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at {direction_range.lambda_min_nm:g} nm, and "
+            f"directions up to {direction_range.max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer "
+            "pitch, or use HeightField.resampled() where the surface is known to be smooth"
+        )

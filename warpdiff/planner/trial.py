@@ -1,0 +1,315 @@
+"""Plans tried on a call's directions: what they make of pilots and of a jury, against what is true of these.
+
+A search may try what it likes on the pilots; the jury is not looked at before it judges what was found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.device.devices import load
+from warpdiff.device.kernel_calls import launch
+from warpdiff.diffraction import coefficient_basis
+from warpdiff.optics.materials import reflectances
+from warpdiff.planner import validation_directions
+from warpdiff.request.directions import order_rate
+from warpdiff.request.plan import MOST_W_BASIS
+from warpdiff.tables import coefficient_table, colour_table
+from warpdiff.tables.lookup import ColourLookup
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.request.directions import DirectionRange, DirectionSample
+    from warpdiff.request.evaluation import Request
+    from warpdiff.request.plan import Plan
+
+# Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
+_LUCKY_BRIGHTEST = 4
+# Light that is this weak against a mirror's is darkness, whatever else a call sees.
+DARK = 1e-10
+# A picture's floor, as a share of its brightness.
+_FLOOR_SHARE = 1e-3
+# Neighbours' share of what a truth may leave out.
+_TRUTH_NEIGHBOUR_SHARE = 0.25
+# Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
+TRUTH = "jacobi-anger"
+_SPECTRAL_SAMPLES = 64
+# Directions are few and dear: a launch is cut into slices that keep every thread busy.
+_DIRECTIONS_OF_SLICE = 8
+
+
+class Group:
+    """Directions on a device, how much each of them weighs, and what is true of them.
+
+    Attributes:
+        sample: The directions and their weights.
+        exact: What the finest plan makes of them, once it has been asked; shape as of ``Trial.run``.
+        scale: What errors are relative to, (rows, n), a row for each illuminant and floor.
+        above: Whether they are bright, (rows, n).
+    """
+
+    def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
+        self.sample = sample
+        # A spectrum's points are its pixels.
+        self.weights = np.repeat(sample.weights, points)
+        self.scattering_vectors = wp.array(sample.scattering_vectors, dtype=wp.vec3d, device=device)
+        self.to_lights = wp.array(sample.to_lights.astype(np.float32), dtype=wp.vec3f, device=device)
+        self.gains = wp.array(sample.gains.astype(np.float32), dtype=wp.float32, device=device)
+        self.exact: NDArray[np.float64] | None = None
+        self.scale: NDArray[np.float64]
+        self.above: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+    def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
+        """Find what errors are relative to, as the README defines them, for floors of shape (illuminants, m)."""
+        self.exact, rows = exact, floors.reshape(-1, 1)
+        self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
+        self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
+
+    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The error of each direction, shape (rows, n)."""
+        moved = np.linalg.norm(values - against, axis=2)
+        return np.asarray(np.repeat(moved, len(self.scale) // len(moved), axis=0) / self.scale)
+
+
+class Trial:
+    """Trial of plans on some directions of a call, against what the finest plan makes of these.
+
+    Args of its constructor: the plan from bounds, the request, the range of the call, a sample of its directions, and
+    the plan from bounds for a tolerance so large that it only tells what is bright.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        request: Request,
+        direction_range: DirectionRange,
+        sample: DirectionSample,
+        *,
+        coarse: Plan,
+    ) -> None:
+        self.heightfield, self._scope, self._device, self._threads = (
+            request.heightfield,
+            direction_range,
+            request.device,
+            request.threads,
+        )
+        heightfield, device, threads, wavelengths_nm = (
+            request.heightfield,
+            request.device,
+            request.threads,
+            request.wavelengths_nm,
+        )
+        self._lit = request.illuminated
+        self._wavenumbers, self._points = None, 1
+        self.integrates = wavelengths_nm is None
+        if wavelengths_nm is not None:
+            self._points = min(_SPECTRAL_SAMPLES, len(wavelengths_nm))
+            some = np.linspace(0, len(wavelengths_nm) - 1, self._points).astype(int)
+            self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
+        self._gain = float(np.percentile(sample.gains, 99.0))
+        terms = coefficient_basis.series_terms(heightfield, direction_range.kappas)
+        self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms)
+        tried = ((TRUTH, terms), (plan.method, min(plan.terms, coefficient_table.LANES)))
+        kernels = [coefficient_table.kernels_for(method, plan.coherence, count) for method, count in tried]
+        load([each.integrate if self.integrates else each.sample for each in kernels], device)
+
+        seen, suspect = validation_directions.candidates(heightfield, direction_range, sample, coarse, threads=threads)
+        self._watched = self._group(seen)
+        self._sees_all = len(seen) == round(seen.weights.sum())
+        luminance = _luminance(self.run(coarse, self._watched))
+        self._find_floors(luminance)
+        # Of a spectrum's points the brightest tells.
+        brightest = luminance[0].reshape(len(seen), -1).max(axis=1)
+        is_measured, judging = validation_directions.sampled(seen, suspect, brightest, float(self._floors[0].min()))
+        self.training_set = self._watched if is_measured is seen else self._group(is_measured)
+        self.validation_set = self._watched if judging is seen else self._group(judging)
+        self.order_rate = order_rate(
+            heightfield, plan.coherence, self.training_set.sample.scattering_vectors, self.training_set.sample.to_lights
+        )
+        self.w = np.abs(self.training_set.sample.scattering_vectors[:, 2])
+        self.refine_reference(plan)
+
+    @property
+    def any_light(self) -> bool:
+        """Whether any of the directions sees more than darkness."""
+        return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
+
+    @property
+    def bright(self) -> tuple[float, float]:
+        """How many of the jury are bright, by the highest floor and by the lowest; infinite where all are judged."""
+        if len(self.validation_set) == len(self._watched):
+            return math.inf, math.inf
+        self.exact(self.validation_set)
+        counts = np.count_nonzero(self.validation_set.above, axis=1).reshape(self._floors.shape)
+        return float(counts.min()), float(counts.max(axis=1).min())
+
+    @property
+    def max_order_rate(self) -> float:
+        """The largest lateral of the call, to which bounds need not reach."""
+        return self._scope.max_order_rate
+
+    @property
+    def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Lateral, |w| and weight of what is watched, as the call's cost depends on them."""
+        seen = self._watched.sample
+        reaches = order_rate(self.heightfield, self.finest.coherence, seen.scattering_vectors, seen.to_lights)
+        return reaches, np.abs(seen.scattering_vectors[:, 2]), seen.weights
+
+    def _group(self, sample: DirectionSample) -> Group:
+        return Group(sample, self._device, self._points)
+
+    def _find_floors(self, luminance: NDArray[np.float64]) -> None:
+        """Find the floors of each illuminant from luminances (illuminants, n) of what is watched.
+
+        Where that is a part of the call, its few brightest directions may be luck: errors are to be small by a floor
+        with them and by one without.
+        """
+        order = np.argsort(luminance[0])
+        kept = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
+        weights = self._watched.weights
+        bright = [
+            [reference_luminance(each[some], weights[some], with_median=self.integrates) for some in kept]
+            for each in luminance
+        ]
+        self._floors = np.maximum(_FLOOR_SHARE * np.asarray(bright), DARK)
+
+    def refine_reference(self, plan: Plan) -> None:
+        """Judge by twice the wavelengths of a plan."""
+        if plan.coherence.adds_powers:
+            # The mirror's coefficient, of power 1, must not show in what is far darker.
+            needed = _TRUTH_NEIGHBOUR_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
+            self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
+        if self.integrates:
+            self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
+        for group in (self.training_set, self.validation_set):
+            group.exact = None
+
+    def update_floors(self, plan: Plan) -> None:
+        """See with a plan that is nearly right how bright the call is, which errors are relative to."""
+        self._find_floors(_luminance(self.run(plan, self._watched)))
+        for group in (self.training_set, self.validation_set):
+            if group.exact is not None:
+                group.weigh(group.exact, self._floors)
+
+    def exact(self, group: Group) -> NDArray[np.float64]:
+        """Colours of directions by the finest plan, which stands for the truth."""
+        if group.exact is None:
+            group.weigh(self.run(self.finest, group), self._floors)
+        return np.asarray(group.exact)
+
+    def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
+        """Colours of directions, the pilots, by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        group = self.training_set if on is None else on
+        seen = group.scattering_vectors, group.to_lights, group.gains
+        if self._wavenumbers is not None:
+            table = coefficient_table.table_for(
+                self.heightfield, plan, self._scope, device=self._device, threads=self._threads
+            )
+            values = wp.empty((len(group), self._points), dtype=wp.float32, device=self._device)
+            launch(
+                table.sample, len(group), [table.arguments, *seen, self._wavenumbers], [values], device=self._device,
+                threads=self._threads, slice_size=_DIRECTIONS_OF_SLICE,
+            )  # fmt: skip
+            found = np.asarray(values.numpy(), dtype=np.float64)
+            found = found * reflectances(
+                self._lit[0].material, group.sample.scattering_vectors, 1e3 / self._wavenumbers.numpy()
+            )
+            return np.asarray(found).reshape(1, -1, 1)
+        lookup = ColourLookup(self.heightfield, plan, self._scope, device=self._device, threads=self._threads)
+        results = []
+        for each in self._lit:
+            xyz = wp.zeros(len(group), dtype=wp.vec3f, device=self._device)
+            lookup.add(*seen, each, xyz, slice_size=_DIRECTIONS_OF_SLICE)
+            results.append(xyz.numpy())
+        return np.asarray(results, dtype=np.float64)
+
+    def with_functions(self, plan: Plan, more: int = 0) -> Plan:
+        """A plan that says how many functions of w its table has, those for its tolerance or some more."""
+        options: dict[str, Any] = {"device": self._device, "threads": self._threads}
+        counts = [
+            colour_table.function_count(self.heightfield, plan, self._scope, each, **options) for each in self._lit
+        ]
+        return dataclasses.replace(plan, w_basis_size=min(max(counts) + more, MOST_W_BASIS))
+
+    def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
+        """The coefficients of a plan with a fitted basis."""
+        found, _, _ = coefficient_table.coefficients_for(
+            self.heightfield, plan.method, plan.coherence, self._scope, coefficient_table.neighbour_extent(plan, self.heightfield), terms=plan.terms,
+            threads=self._threads,
+        )  # fmt: skip
+        return found
+
+    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The error of each pilot, shape (rows, n)."""
+        self.exact(self.training_set)
+        return self.training_set.errors(values, against)
+
+    def error(self, values: NDArray[np.float64], against: NDArray[np.float64] | None = None) -> float:
+        """Percentile 99 of the pilots' errors, of bright ones or of dim ones, whichever is larger."""
+        exact = self.exact(self.training_set)
+        return worst_percentile(self.errors(values, exact if against is None else against), self.training_set)
+
+    def validation_size(self, plan: Plan) -> float:
+        """The worst of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
+        exact = self.exact(self.validation_set)
+        errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
+        seen = self.validation_set.sample
+        # Where bounds were cut short for a source at the horizon, a table is right and the truth is not.
+        resolved = (
+            order_rate(self.heightfield, plan.coherence, seen.scattering_vectors, seen.to_lights)
+            <= self.finest.max_order_rate
+        )
+        return worst_percentile(
+            errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
+        )
+
+    def passes(self, errors: NDArray[np.float64], most: float) -> NDArray[np.bool_]:
+        """Whether percentile 99 of pilots' errors (…, rows, n) is at most so much, shape (…)."""
+        fine = errors <= most
+        result = np.ones(errors.shape[:-2], dtype=bool)
+        for index in range(errors.shape[-2]):
+            for mask in (self.training_set.above[index], ~self.training_set.above[index]):
+                weights = np.where(mask, self.training_set.weights, 0.0)
+                result &= fine[..., index, :] @ weights >= (0.99 - 1e-9) * weights.sum()
+        return result
+
+
+def reference_luminance(
+    luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True
+) -> float:
+    """How bright a call is: percentile 99 of Y, or the luminance-weighted median of Y if that is larger."""
+    bright = _percentile(luminance, weights, 0.99)
+    return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright
+
+
+def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+    """The least value that so large a share of all weight does not exceed; 0 of nothing."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    if not len(total) or not total[-1] > 0.0:
+        return 0.0
+    return float(values[order[min(np.searchsorted(total, (share - 1e-9) * total[-1]), len(order) - 1)]])
+
+
+def worst_percentile(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | None = None) -> float:
+    """Percentile 99 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
+    kept = np.ones(errors.shape[1], dtype=bool) if some is None else some
+    return max(
+        _percentile(each[mask & kept], group.weights[mask & kept], 0.99)
+        for each, above in zip(errors, group.above, strict=True)
+        for mask in (above, ~above)
+    )
+
+
+def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Y of XYZ (..., 3), or ρ of (..., 1)."""
+    return np.asarray(values[..., 1 if values.shape[-1] == 3 else 0])

@@ -1,0 +1,184 @@
+"""The range of a call's directions, and a sample of them to try plans on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+
+# Directions of a call that a plan looks at, ...
+_MOST_SAMPLED = 8192
+# ... and from how many on it leaves half of them unseen.
+_SAMPLED_FROM = 4096
+_SEED = 2
+
+
+@dataclass(frozen=True)
+class DirectionSample:
+    """Lit directions of a call.
+
+    Attributes:
+        scattering_vectors: (u, v, w), shape (n, 3), float64.
+        to_lights: Unit vectors in the local frame, shape (n, 3), float64.
+        gains: Factor between ⟨|P|²⟩ and the result, shape (n,).
+        weights: For how many of the call's directions each stands, shape (n,).
+    """
+
+    scattering_vectors: NDArray[np.float64]
+    to_lights: NDArray[np.float64]
+    gains: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.gains)
+
+    @classmethod
+    def among(
+        cls, scattering_vectors: NDArray[np.float64], to_lights: NDArray[Any], gains: NDArray[Any], parts: int = 1
+    ) -> DirectionSample:
+        """Some of the lit ones among directions, spread over their order; ``parts`` passes share a call's sample."""
+        illuminated = np.flatnonzero(gains > 0.0)
+        places = illuminated[sample_ranks(len(illuminated), parts)]
+        weights = np.full(len(places), len(illuminated) / max(len(places), 1))
+        return cls(
+            scattering_vectors[places].astype(np.float64), to_lights[places].astype(np.float64), gains[places].astype(float),
+            weights,
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
+        """Join the samples of several passes."""
+        weights = np.concatenate([each.weights for each in parts])
+        return cls(
+            np.concatenate([each.scattering_vectors for each in parts]), np.concatenate([each.to_lights for each in parts]),
+            np.concatenate([each.gains for each in parts]), weights,
+        )  # fmt: skip
+
+    def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
+        """Take the directions at some places, with weights of their own."""
+        return DirectionSample(self.scattering_vectors[places], self.to_lights[places], self.gains[places], weights)
+
+
+def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
+    """Which of so many lit directions a plan looks at, where ``parts`` passes share the sample."""
+    # Of as many passes as many lights have, each gives one at least.
+    most = max(min(_MOST_SAMPLED // parts, count // 2), 1)
+    return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
+
+
+def stratified(count: int, most: int) -> NDArray[np.int64]:
+    """At most ``most`` of ``count`` indices, ascending: one at a random place of each of as many equal runs.
+
+    A fixed stride would meet a picture's rows always at the same place, or all on one diagonal.
+    """
+    if count <= most:
+        return np.arange(count)
+    places = np.arange(most) + np.random.default_rng(_SEED).uniform(size=most)
+    return np.unique((places * (count / most)).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class DirectionRange:
+    """Range of the lit directions and of the wavelengths of a call.
+
+    Attributes:
+        max_uv: Largest |(u, v)|.
+        max_order_rate: Largest of :func:`lateral`.
+        min_w: Smallest |w|.
+        max_w: Largest |w|.
+        lambda_min_nm: Shortest wavelength [nm].
+        lambda_max_nm: Longest wavelength [nm].
+    """
+
+    max_uv: float
+    max_order_rate: float
+    min_w: float
+    max_w: float
+    lambda_min_nm: float = LAMBDA_MIN_NM
+    lambda_max_nm: float = LAMBDA_MAX_NM
+
+    @classmethod
+    def of(
+        cls,
+        heightfield: HeightField,
+        coherence: Coherence,
+        scattering_vectors: NDArray[np.float64],
+        to_lights: NDArray[Any],
+        illuminated: NDArray[np.bool_],
+        wavelengths_nm: NDArray[np.float64] | None = None,
+    ) -> DirectionRange:
+        """The scope of lit ones among deflections and directions to the light, both of shape (n, 3)."""
+        band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
+        if wavelengths_nm is not None:
+            band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
+        if not illuminated.all():
+            scattering_vectors, to_lights = scattering_vectors[illuminated], to_lights[illuminated]
+        if not len(scattering_vectors):
+            return cls(0.0, 0.0, 0.0, 0.0, *band)
+        u, v, w = scattering_vectors.T
+        max_uv = max_order_rate = math.sqrt(float(np.max(u * u + v * v)))
+        if coherence.sigma_um is None:
+            max_order_rate = float(np.max(order_rate(heightfield, coherence, scattering_vectors, to_lights)))
+        return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
+
+    def joined(self, other: DirectionRange) -> DirectionRange:
+        """The scope of both; one without lit directions adds nothing."""
+        if other.max_w == 0.0:
+            return self
+        if self.max_w == 0.0:
+            return other
+        return DirectionRange(
+            max(self.max_uv, other.max_uv),
+            max(self.max_order_rate, other.max_order_rate),
+            min(self.min_w, other.min_w),
+            max(self.max_w, other.max_w),
+            min(self.lambda_min_nm, other.lambda_min_nm),
+            max(self.lambda_max_nm, other.lambda_max_nm),
+        )
+
+    @property
+    def kappas(self) -> tuple[float, float]:
+        """The range of |κ| = |w|/λ [1/µm]."""
+        return 1e3 * self.min_w / self.lambda_max_nm, 1e3 * self.max_w / self.lambda_min_nm
+
+
+def order_rate(
+    heightfield: HeightField,
+    coherence: Coherence,
+    scattering_vectors: NDArray[np.float64],
+    to_lights: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """How fast coefficients pass by as 1/λ changes, in units that depend on the coherence, shape (n,).
+
+    |(u, v)| for a window; for a source with (u, v) stretched along the light's tangent, in which it is foreshortened;
+    |(u Lx, v Ly)| for copies [µm].
+    """
+    u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
+    if coherence.kind == "replicas":
+        return np.hypot(u * heightfield.size_um[1], v * heightfield.size_um[0])
+    if coherence.kind == "source":
+        along = (u * to_lights[:, 0] + v * to_lights[:, 1]) / np.maximum(to_lights[:, 2], 1e-6)
+        return np.asarray(np.sqrt(u**2 + v**2 + along**2))
+    return np.hypot(u, v)
+
+
+def hemisphere_pairs(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Random pairs of unit vectors above the horizon, uniform over the hemisphere, shapes (count, 3)."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(0.0, 1.0, (2, count))
+    phi = rng.uniform(0.0, 2.0 * math.pi, (2, count))
+    s = np.sqrt(1.0 - z * z)
+    pairs = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1)
+    return pairs[0], pairs[1]

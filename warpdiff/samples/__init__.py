@@ -1,0 +1,5 @@
+"""Synthetic height fields and sample bodies, public as ``wd.gratings`` and ``wd.meshes``.
+
+In: periods, depths, sizes, seeds.
+Out: height fields and meshes.
+"""

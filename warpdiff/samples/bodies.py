@@ -1,0 +1,207 @@
+"""Sample bodies with texture coordinates whose u axis is the height field's x, the direction of dispersion."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import allocations, free_memory, validation
+from warpdiff.samples.corn_snake import snake
+
+if TYPE_CHECKING:
+    import trimesh
+    from numpy.typing import NDArray
+
+__all__ = ["disc", "snake", "tube"]
+
+
+@allocations.as_memory_error("a body of so many faces", "take fewer segments")
+def tube(
+    *,
+    radius: float = 0.12,
+    length: float = 3.0,
+    bend_deg: float = 50.0,
+    waves: float = 1.5,
+    tangent: str = "around",
+    segments_along: int = 256,
+    segments_around: int = 96,
+) -> trimesh.Trimesh:
+    """A snake's body: a round tube that winds from side to side, with a blunt head and a tapering tail.
+
+    It lies in the xz plane about the origin, from the head at −x to the tail at +x, with its back towards +y. The
+    centre line is the meander of heading ``bend_deg`` · cos(2π ``waves`` s / ``length``). The texture's seam runs
+    along the belly.
+
+    With ``tangent="around"`` t runs around the body, as on a snake, whose fingers are long along the body and follow
+    each other across it: the colours are bands along the body. With ``"along"`` t runs from head to tail and the bands
+    lie across the body.
+
+    Args:
+        radius: Of the body at its thickest.
+        length: Of the centre line; at least 5 radii.
+        bend_deg: Greatest angle between the centre line and the x axis [degrees]; 0 is a straight body.
+        waves: Number of periods of the meander.
+        tangent: ``"around"`` or ``"along"``.
+        segments_along: Rings of quadrilaterals from head to tail, at least 12.
+        segments_around: Quadrilaterals in a ring, at least 3.
+
+    Returns:
+        A mesh with texture coordinates and vertex normals, 2 · (segments_along − 1) · segments_around faces, closed
+        but for the seam, at which vertices are doubled.
+    """
+    validation.positive(radius, "radius")
+    validation.positive(length, "length")
+    validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
+    validation.number(waves, "waves", least=0.0)
+    validation.choice(tangent, "tangent", ("around", "along"))
+    validation.count(segments_along, "segments_along", least=12)
+    validation.count(segments_around, "segments_around", least=3)
+    free_memory.require_faces(
+        2 * segments_along * segments_around, "take {share} of segments_along, or of segments_around"
+    )
+    if length < 5.0 * radius:
+        raise ValueError(f"length must be at least 5 radii ({5.0 * radius:g}), got {length:g}")
+    bend = math.radians(bend_deg)
+    curvature = bend * 2.0 * math.pi * waves / length
+    if curvature * radius > 0.9:
+        raise ValueError(
+            f"bend_deg and waves must leave the bends wider than the body: their sharpest has a radius of "
+            f"{1.0 / curvature:g}, the body one of {radius:g}"
+        )
+
+    # Rings: half ellipses for head and tail, spaced evenly in the ellipse's angle, which resolves their tips.
+    head, tail = 2.0 * radius, max(2.0 * radius, 0.4 * length)
+    at_head, at_tail = segments_along // 8, segments_along // 3
+    head_angle = np.linspace(0.0, math.pi / 2.0, at_head + 1)
+    tail_angle = np.linspace(math.pi / 2.0, 0.0, at_tail + 1)
+    middle = np.linspace(head, length - tail, segments_along - at_head - at_tail + 1)
+    s = np.concatenate([head * (1.0 - np.cos(head_angle)), middle[1:-1], length - tail * (1.0 - np.cos(tail_angle))])
+    angle = np.concatenate([head_angle, np.full(len(middle) - 2, math.pi / 2.0), tail_angle])
+    semi_axis = np.where(s <= head, head, -tail)
+    rings_radius = radius * np.sin(angle)
+    rings_radius[[0, -1]] = 0.0
+
+    centre, theta, bending = _meander(s, bend, 2.0 * math.pi * waves / length)
+    forward = np.stack([np.cos(theta), np.zeros_like(s), np.sin(theta)], axis=1)
+    sideways = np.stack([np.sin(theta), np.zeros_like(s), -np.cos(theta)], axis=1)
+
+    # Around the body from the belly, u growing so that (around, forward, outward) is right-handed.
+    turn = np.arange(segments_around + 1) / segments_around
+    phi = 2.0 * math.pi * turn - math.pi / 2.0
+    phi[-1] = phi[0]  # the doubled vertices are at the very same position
+    out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
+    vertices = centre[:, None, :] + rings_radius[:, None, None] * out
+    # n ∝ ds/dψ · stretch · out − dr/dψ · forward in the ellipse's angle ψ, finite at the tips; d(heading)/ds turns
+    # `forward` away from `sideways`, and what lies inside a bend is shorter than the centre line.
+    stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
+    ds = semi_axis * np.sin(angle)
+    dr = radius * np.cos(angle)
+    normals = np.sign(semi_axis)[:, None, None] * (
+        (ds[:, None] * stretch)[:, :, None] * out - dr[:, None, None] * forward[:, None, :]
+    )
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+
+    ring = s / length
+    around, along = np.meshgrid(turn, ring)
+    # A tip's vertices lie half a step on, over the middle of their triangles.
+    around[[0, -1]] += 0.5 / segments_around
+    uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=2)
+    faces = _grid_faces(len(s), segments_around + 1)
+    # The rings at the two tips have no radius: their quadrilaterals are triangles.
+    columns = segments_around + 1
+    last = (len(s) - 1) * columns
+    i = np.arange(segments_around)
+    inner = faces[np.all((faces >= columns) & (faces < last), axis=1)]
+    first_cap = np.stack([i, columns + i + 1, columns + i], axis=1)
+    last_cap = np.stack([last + i, last - columns + i, last - columns + i + 1], axis=1)
+    return _mesh(vertices, np.concatenate([first_cap, inner, last_cap]), normals, uvs)
+
+
+@allocations.as_memory_error("a body of so many faces", "take fewer segments")
+def disc(
+    *, inner_radius: float = 0.4, outer_radius: float = 1.0, segments: int = 512, rings: int = 24
+) -> trimesh.Trimesh:
+    """A flat ring in the xy plane about the origin that faces +z: an optical disc.
+
+    t runs radially outwards, for the tracks run around; the texture's u grows from the inner to the outer rim, v
+    around it counter-clockwise as seen from +z. The seam is on the +x axis.
+
+    Args:
+        inner_radius: Of the hole, at least 0: a disc without one is a ring with a hole of radius 0.
+        outer_radius: Of the rim.
+        segments: Quadrilaterals around, at least 3.
+        rings: Quadrilaterals from rim to rim, at least 1; several keep t radial within each.
+
+    Returns:
+        A mesh with texture coordinates and vertex normals, 2 · segments · rings faces (one ring's worth of
+        triangles fewer where there is no hole).
+    """
+    validation.number(inner_radius, "inner_radius", least=0.0)
+    validation.positive(outer_radius, "outer_radius")
+    if inner_radius >= outer_radius:
+        raise ValueError(f"inner_radius must be below outer_radius ({outer_radius:g}), got {inner_radius:g}")
+    validation.count(segments, "segments", least=3)
+    validation.count(rings, "rings", least=1)
+    free_memory.require_faces(2 * segments * rings, "take {share} of segments, or of rings")
+    turn = np.arange(segments + 1) / segments
+    phi = 2.0 * math.pi * turn
+    phi[-1] = 0.0
+    share = np.arange(rings + 1) / rings
+    r = inner_radius + share * (outer_radius - inner_radius)
+    vertices = np.stack([r * np.cos(phi)[:, None], r * np.sin(phi)[:, None], np.zeros((segments + 1, rings + 1))], 2)
+    v, u = np.meshgrid(turn, share, indexing="ij")
+    faces = _grid_faces(segments + 1, rings + 1)
+    if inner_radius == 0.0:
+        # Faces with two corners in the middle have no area; the others' middle is half a step on, as at a tube's tip.
+        v[:, 0] += 0.5 / segments
+        column = np.arange(segments) * (rings + 1)
+        fan = np.stack([column, column + 1, column + rings + 2], axis=1)
+        faces = np.concatenate([fan, faces[np.all(faces % (rings + 1) != 0, axis=1)]])
+    normals = np.broadcast_to([0.0, 0.0, 1.0], vertices.shape)
+    return _mesh(vertices, faces, normals, np.stack([u, v], axis=2))
+
+
+def _meander(
+    s: NDArray[np.float64], bend: float, frequency: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Points (k, 3), headings (k,) and curvatures (k,) at the arc lengths ``s`` of the curve of a tube's centre."""
+    # The midpoint rule, far finer than the rings.
+    parts = 16
+    step = np.diff(s)[:, None] / parts
+    fine = bend * np.cos(frequency * (s[:-1, None] + step * (np.arange(parts) + 0.5)))
+    x = np.concatenate([[0.0], np.cumsum(np.sum(np.cos(fine) * step, axis=1))])
+    z = np.concatenate([[0.0], np.cumsum(np.sum(np.sin(fine) * step, axis=1))])
+    points = np.stack([x, np.zeros_like(x), z], axis=1)
+    points -= (points.min(axis=0) + points.max(axis=0)) / 2.0
+    return points, bend * np.cos(frequency * s), -bend * frequency * np.sin(frequency * s)
+
+
+def _grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
+    """Two triangles a cell of a grid of vertices, whose (column, row) axes are right-handed.
+
+    The diagonals alternate from cell to cell, so that sums over a vertex's faces favour no side.
+    """
+    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
+    a = (row * columns + column).ravel()
+    b, c, d = a + 1, a + columns, a + columns + 1
+    even = ((row + column) % 2 == 0).ravel()[:, None]
+    first = np.where(even, np.stack([a, b, d], axis=1), np.stack([a, b, c], axis=1))
+    second = np.where(even, np.stack([a, d, c], axis=1), np.stack([b, d, c], axis=1))
+    return np.stack([first, second], axis=1).reshape(-1, 3)
+
+
+def _mesh(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
+) -> trimesh.Trimesh:
+    """A mesh of grids of vertices, (rows, columns, 3) each; process=False keeps the seam."""
+    import trimesh
+
+    return trimesh.Trimesh(
+        vertices=vertices.reshape(-1, 3),
+        faces=faces,
+        vertex_normals=normals.reshape(-1, 3),
+        visual=trimesh.visual.TextureVisuals(uv=uvs.reshape(-1, 2)),
+        process=False,
+    )

@@ -1,0 +1,612 @@
+"""A snake: a body of overlapping scales on the ground, with the pattern of a corn snake (*Pantherophis guttatus*).
+
+Everything is laid out on the unrolled skin, in lattice coordinates (x, τ): x counts rows of scales across the back,
+from one edge of the belly to the other, τ counts scales from the neck to the tail. A scale is the rhombus of half
+diagonals (1, ½) about its middle; a and b, from 0 to 1, run from its front corner along its two front edges. Neighbours
+in x lie half a scale on. The half rhombi at the edges of the belly are the ends of the ventral scutes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from warpdiff.core import free_memory, validation
+
+if TYPE_CHECKING:
+    import trimesh
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+
+# Outlines. Of the head by its length, of the body by the rest, in radii of the body: half width, height above the
+# centre line, depth below it, and the exponent of the cross section (2 is an ellipse, more is squarer).
+_HEAD_LENGTH, _LONGEST = 2.5, 1e3
+_HEAD = np.array(
+    [
+        [0.00, 0.36, 0.22, 0.16, 2.4],
+        [0.25, 0.47, 0.32, 0.22, 2.6],
+        [0.50, 0.60, 0.41, 0.27, 2.7],
+        [0.75, 0.71, 0.46, 0.33, 2.6],
+        [0.90, 0.68, 0.46, 0.35, 2.4],
+    ]
+)
+_BODY = np.array(
+    [
+        [0.02, 0.55, 0.46, 0.39, 2.2],
+        [0.06, 0.56, 0.52, 0.42, 2.2],
+        [0.20, 0.80, 0.78, 0.60, 2.3],
+        [0.40, 1.00, 0.96, 0.72, 2.4],
+        [0.60, 0.98, 0.94, 0.70, 2.4],
+        [0.78, 0.72, 0.68, 0.54, 2.3],
+        [0.90, 0.38, 0.36, 0.30, 2.1],
+        [1.00, 0.06, 0.06, 0.06, 2.0],
+    ]
+)
+# On the head, (share of its length, share of the way around from the middle of the back): middles of the shields of one
+# side, from the rostral to the gulars, as they are on colubrids; the eyes; the slit of the mouth.
+_SHIELDS = np.array(
+    [(0.0, 0.0), (0.10, 0.05), (0.23, 0.055), (0.42, 0.0), (0.43, 0.095), (0.66, 0.06), (0.88, 0.0), (0.90, 0.06)]
+    + [(0.07, 0.15), (0.15, 0.16), (0.25, 0.165), (0.33, 0.15), (0.54, 0.155), (0.64, 0.17), (0.77, 0.16), (0.89, 0.13)]
+    + [(0.97, 0.03), (0.97, 0.095), (0.97, 0.16), (0.90, 0.19), (0.97, 0.23), (0.90, 0.25), (0.97, 0.30), (0.92, 0.32)]
+    + [(at, 0.235) for at in (0.03, 0.12, 0.21, 0.31, 0.41, 0.52, 0.65, 0.79)]
+    + [(at, 0.325) for at in (0.03, 0.13, 0.24, 0.35, 0.46, 0.58, 0.70, 0.82)]
+    + [(at, 0.42) for at in (0.12, 0.32, 0.50, 0.66, 0.80, 0.93)]
+)
+_EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
+_HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])  # what these shares are [radii]
+_SNOUT, _TIP = 0.4, 0.3  # lengths of the rounded ends [radii]
+_BELLY = 0.15  # share of the way around from the middle of the belly to its edge
+
+# Scales, in lengths of a scale: how far the free rear end stands off and reaches over the next ones, the dome on top;
+# how far edges are bowed to the rear and, in rows, to the sides; the scales over which all that comes and goes.
+_STAND_OFF, _OVERHANG, _DOME = 0.10, 0.10, 0.035
+_BOW, _BOW_SIDEWAYS = 0.07, 0.10
+_FADE = 2.0
+_RISER = 0.05  # of a scale in the texture
+
+# sRGB.
+_GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 0.07)
+_BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
+# Of the texture: the head's length in scales, the tip's, and texels a scale or row.
+_HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
+_TEXELS = 8
+
+
+class _Patch(NamedTuple):
+    """Vertices on the skin; positions and texture part where scales overlap.
+
+    Attributes:
+        x: Place around the body [rows], shape (k,).
+        tau: Place along it [scales], shape (k,).
+        shift: How far the vertex is moved to the rear [scales], shape (k,).
+        rise: How far it stands off [scales], shape (k,).
+        u, v: ``x`` and ``tau`` in the texture, shape (k,).
+        wall: Whether the vertex belongs to what lies under a free edge, shape (k,).
+        faces: Vertex indices, shape (m, 3).
+    """
+
+    x: Floats
+    tau: Floats
+    shift: Floats
+    rise: Floats
+    u: Floats
+    v: Floats
+    wall: NDArray[np.bool_]
+    faces: NDArray[np.int64]
+
+
+@np.errstate(under="ignore")
+def snake(
+    *,
+    radius: float = 0.12,
+    length: float = 4.6,
+    bend_deg: float = 95.0,
+    waves: float = 1.75,
+    tangent: str = "around",
+    scale_rows: int = 27,
+    ventrals: int = 130,
+    segments: int = 4,
+    seed: int = 0,
+) -> trimesh.Trimesh:
+    """A corn snake on the plane y = 0: overlapping scales, shields on its head, saddles on its back.
+
+    It lies about the y axis, from the head at −x to the tail at +x, with its back towards +y. The centre line is the
+    meander of heading ``bend_deg`` · cos(2π ``waves`` s), s from 0 to 1 behind the head. Every scale overlaps the next
+    ones towards the tail, with a free edge at which the surface and its normals step; all of it is one closed surface.
+    The texture is the pattern of *Pantherophis guttatus*, which follows the scales; its seam runs along the belly.
+
+    As on ``tube``, t runs around the body with ``tangent="around"``, across the nano-fingers, which are long along the
+    body, and from head to tail with ``"along"``.
+
+    Args:
+        radius: Half the width of the body at its thickest.
+        length: Of the centre line; 16 to 1000 radii.
+        bend_deg: Greatest angle between the centre line and the x axis [degrees]; 0 is a straight body.
+        waves: Number of periods of the meander.
+        tangent: ``"around"`` or ``"along"``.
+        scale_rows: Rows of scales across the back, odd and at least 5; a corn snake has 27.
+        ventrals: Scutes of the belly from neck to tail, as many as there are scales in a row, at least 8.
+        segments: Parts of a scale's edge, at least 2; a scale has 2 · segments² faces, its free edge 4 · segments.
+        seed: Seed of the pattern.
+
+    Returns:
+        A mesh with texture coordinates, vertex normals and a texture, some 200,000 faces by default. Vertices are
+        doubled at the seam, at free edges, and where scales meet the head and the end of the tail.
+
+    Raises:
+        ValueError: An argument is out of its range, or the body would meet itself.
+    """
+    validation.positive(radius, "radius")
+    validation.positive(length, "length")
+    validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
+    validation.number(waves, "waves", least=0.0)
+    validation.choice(tangent, "tangent", ("around", "along"))
+    if validation.count(scale_rows, "scale_rows", least=5) % 2 == 0:
+        raise ValueError(f"scale_rows must be odd, a row on the spine and as many on either side, got {scale_rows}")
+    validation.count(ventrals, "ventrals", least=8)
+    validation.count(segments, "segments", least=2)
+    validation.count(seed, "seed", least=0)
+    # As measured, while it is made; the belly is as good as two rows.
+    free_memory.require_memory(
+        (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
+        f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
+        "take {share} of scale_rows or ventrals, or {side} of segments",
+    )
+    # Outlines of the head and of the body are one spline.
+    if not 16.0 * radius <= length <= _LONGEST * radius:
+        raise ValueError(
+            f"length must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), got {length:g}"
+        )
+
+    skin = _Skin(radius, length, math.radians(bend_deg), waves, scale_rows + 1, ventrals)
+    patch = _joined([*_scales(skin, segments), *_scutes(skin, segments), _head(skin, segments), _tip(skin, segments)])
+    vertices = skin.points(patch)
+    vertices[:, 1] -= vertices[:, 1].min()
+    # Where a free edge begins it has no height.
+    edges = vertices[np.roll(patch.faces, -1, axis=1)] - vertices[patch.faces]
+    twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    patch = patch._replace(faces=patch.faces[twice_area > 1e-6 * np.max(np.sum(edges**2, axis=2), axis=1)])
+    around = skin.turn(patch.u)
+    along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
+    uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
+    colours = _pigment(skin, np.random.default_rng(seed))
+    # Rows of texels go down from v = 1.
+    colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
+    return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
+
+
+class _Skin:
+    """Where points of the unrolled skin are in space.
+
+    Attributes:
+        radius: Half the width of the body.
+        breadth: Of the back, in rows: x of its far edge.
+        belly: Half the breadth of the belly, in rows.
+        count: Scales from the neck to the end of the tail, where τ is ``count``.
+    """
+
+    def __init__(self, radius: float, length: float, bend: float, waves: float, breadth: int, count: int) -> None:
+        self.radius, self.breadth, self.count = radius, breadth, count
+        self.belly = breadth * _BELLY / (1.0 - 2.0 * _BELLY)
+        head, last = _HEAD_LENGTH * radius, length - _TIP * radius
+        self._length = length
+        self._stations = np.concatenate([_HEAD[:, 0] * head, head + _BODY[:, 0] * (length - head)])
+        self._outline = np.concatenate([_HEAD[:, 1:], _BODY[:, 1:]]) * [radius, radius, radius, 1.0]
+        self._s = s = np.linspace(0.0, length, 4097)
+        width = self.outline(s)[:, 0]
+
+        # The head is stiff: bends begin behind it. All of the belly touches the ground.
+        frequency = 2.0 * math.pi * waves / (length - head)
+        if bend * frequency * radius > 0.8:
+            raise ValueError(
+                f"bend_deg and waves must leave the bends wider than the body: their sharpest has a radius of "
+                f"{1.0 / (bend * frequency):g}, the body one of {radius:g}"
+            )
+        heading = bend * np.cos(frequency * np.maximum(s - head, 0.0))
+        y = _hermite(s, self._stations, self._outline)[:, 2]
+        slope = np.gradient(y, s)
+        level = np.sqrt(1.0 - slope**2)
+        x, z = _integral(s, level * np.cos(heading)), _integral(s, level * np.sin(heading))
+        x, z = (each - (each.min() + each.max()) / 2.0 for each in (x, z))
+        self._centre = np.stack([x, y, z], axis=1)
+        self._forward = np.stack([level * np.cos(heading), slope, level * np.sin(heading)], axis=1)
+        self._side = np.stack([np.sin(heading), np.zeros_like(s), -np.cos(heading)], axis=1)
+        some = slice(None, None, 16)
+        gap = np.hypot(x[some, None] - x[some], z[some, None] - z[some]) - 1.05 * (width[some, None] + width[some])
+        if np.any((gap < 0.0) & (np.abs(s[some, None] - s[some]) > 4.0 * radius)):
+            raise ValueError(
+                f"bend_deg must leave the bends apart, got {math.degrees(bend):g}; make it less, or the body thinner"
+            )
+
+        # Scales are as long as the body is thick there, but for the thinnest part of the tail.
+        density = np.where((s < head) | (s > last), 0.0, 1.0 / np.maximum(width, 0.25 * radius))
+        tau = _integral(s, density)
+        tau *= count / tau[-1]
+        tau = np.where(s < head, (s / head - 1.0) * _HEAD_SCALES, tau)
+        self._tau = np.where(s > last, count + (s - last) / (length - last) * _TIP_SCALES, tau)
+        self._scale = np.gradient(s, self._tau)
+
+    def outline(self, s: Floats) -> Floats:
+        """Half width, height, depth and exponent at ``s``, shape (k, 4); closed at the ends."""
+        found = _hermite(s, self._stations, self._outline)
+        snout = np.clip(1.0 - s / (_SNOUT * self.radius), 0.0, 1.0)
+        tip = np.clip((s - self._length) / (_TIP * self.radius) + 1.0, 0.0, 1.0)
+        found[:, :3] *= np.sqrt((1.0 - snout**2) * (1.0 - tip**2))[:, None]
+        return found
+
+    def turn(self, x: Floats) -> Floats:
+        """Share of the way around from the middle of the belly."""
+        return (x + self.belly) / (self.breadth + 2.0 * self.belly)
+
+    def points(self, patch: _Patch) -> Floats:
+        """Positions in space, shape (k, 3)."""
+        s = np.interp(patch.tau + patch.shift, self._tau, self._s)
+        # Rises are away from the centre line, which is close enough to the normal.
+        width, height, depth, power = self.outline(s).T
+        # Both sides of the seam at the very same place.
+        phi = 2.0 * math.pi * (self.turn(patch.x) % 1.0) - math.pi / 2.0
+        c, d = np.cos(phi), np.sin(phi)
+        square = (np.abs(c) ** power + np.abs(d) ** power) ** (-1.0 / power)
+        c, d = c * square * width, d * square * np.where(d > 0.0, height, depth)
+        rise = patch.rise * np.interp(s, self._s, self._scale)
+        factor = 1.0 + rise / np.maximum(np.hypot(c, d), 1e-9 * self.radius)
+
+        def at(values: Floats) -> Floats:
+            return np.stack([np.interp(s, self._s, values[:, k]) for k in range(3)], axis=1)
+
+        side, forward = at(self._side), at(self._forward)
+        across = (c * factor)[:, None] * side + (d * factor)[:, None] * np.cross(forward, side)
+        return np.asarray(at(self._centre) + across)
+
+
+def _integral(s: Floats, values: Floats) -> Floats:
+    """The integral of ``values`` from the first of the places ``s`` to each, by the trapezoidal rule."""
+    return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(s))])
+
+
+def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
+    """Cubic interpolation of the rows of ``values`` with the slopes of neighbouring stations."""
+    slopes = np.gradient(values, stations, axis=0)
+    i = np.clip(np.searchsorted(stations, s) - 1, 0, len(stations) - 2)
+    step = (stations[i + 1] - stations[i])[:, None]
+    t = (s - stations[i])[:, None] / step
+    return np.asarray(
+        (1.0 + 2.0 * t) * (1.0 - t) ** 2 * values[i]
+        + t * (1.0 - t) ** 2 * step * slopes[i]
+        + t * t * (3.0 - 2.0 * t) * values[i + 1]
+        + t * t * (t - 1.0) * step * slopes[i + 1]
+    )
+
+
+def _smoothstep(t: Floats) -> Floats:
+    """From 0 to 1 as t does, level at both ends."""
+    t = np.clip(t, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+def _fade(skin: _Skin, tau: Floats) -> Floats:
+    """How much of a scale's shape there is: none at the neck and at the end of the tail."""
+    return _smoothstep(tau / _FADE) * _smoothstep((skin.count - tau) / _FADE)
+
+
+def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The x, τ, shift and rise of the points (a, b) of scales about (x, tau), broadcast.
+
+    Shift and rise are linear from the front corner to the rear one, so that steps have the same height all along free
+    edges and what meets at a corner fits.
+    """
+    rear = (a + b) / 2.0
+    x, tau = np.asarray(x) + a - b, np.asarray(tau) - 0.5 + rear
+    fade = _fade(skin, tau)
+    bow_a, bow_b = np.sin(math.pi * a), np.sin(math.pi * b)
+    dome = 16.0 * a * (1.0 - a) * b * (1.0 - b)
+    return (
+        x + fade * _BOW_SIDEWAYS * (bow_b - bow_a),
+        tau + fade * _BOW * (bow_a + bow_b),
+        fade * _OVERHANG * rear,
+        fade * (_STAND_OFF * rear + _DOME * dome),
+    )
+
+
+def _patches(
+    corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
+) -> _Patch:
+    """Like patches (m, k) of vertices with the ``faces`` of one."""
+    m, k = np.broadcast_shapes(*(each.shape for each in corners))
+    x, tau, shift, rise, u, v = (np.broadcast_to(each, (m, k)).ravel() for each in (*corners, *texture))
+    return _Patch(
+        x, tau, shift, rise, u, v, np.full(m * k, wall), (k * np.arange(m)[:, None, None] + faces).reshape(-1, 3)
+    )
+
+
+def _joined(patches: list[_Patch]) -> _Patch:
+    """Join patches to one."""
+    start = np.cumsum([0, *(len(patch.x) for patch in patches)])
+    shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
+    return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))
+
+
+def _grid(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
+    """Two triangles a cell of a grid whose (column, row) axes are right-handed; ``rising`` diagonals join a and d."""
+    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
+    a = (row * columns + column).ravel()
+    b, c, d = a + 1, a + columns, a + columns + 1
+    two = [[a, b, d], [a, d, c]] if rising else [[a, b, c], [b, d, c]]
+    return np.stack([np.stack(one, axis=1) for one in two], axis=1).reshape(-1, 3)
+
+
+def _scales(skin: _Skin, n: int) -> list[_Patch]:
+    """The rhombic scales with their free edges, cut at the neck and the end of the tail and at the belly."""
+    step = np.arange(n + 1) / n
+    b, a = (each.ravel() for each in np.meshgrid(step, step, indexing="ij"))
+    odd, even = np.arange(1, skin.breadth, 2), np.arange(2, skin.breadth, 2)
+    middles = np.arange(skin.count) + 0.5
+    # Rows, places along them, the part of the rhombus that is there, and which of its free edges are. Where a scale is
+    # cut the diagonals of its cells lie along the cut.
+    kinds: list[tuple[ArrayLike, ArrayLike, NDArray[np.bool_], tuple[bool, bool], bool]] = [
+        (odd, np.arange(1, skin.count), a < 2.0, (True, True), False),
+        (even, middles, a < 2.0, (True, True), False),
+        (odd, 0, a + b > 1.0 - 1e-9, (True, True), False),
+        (odd, skin.count, a + b < 1.0 + 1e-9, (False, False), False),
+        (0, middles, a > b - 1e-9, (True, False), True),
+        (skin.breadth, middles, a < b + 1e-9, (False, True), True),
+    ]
+    made = []
+    for rows, along, there, free, rising in kinds:
+        x, tau = (each.reshape(-1, 1) for each in np.meshgrid(rows, along))
+        at = _plate(skin, x, tau, a, b)
+        faces = _grid(n + 1, n + 1, rising=rising)
+        made.append(_patches(at, at[:2], faces[np.all(there[faces], axis=1)]))
+        # From a free edge down to the front edge of the scale beneath, whose texture continues this one's.
+        one, none = np.ones(n + 1), np.zeros(n + 1)
+        if free[0]:
+            top, low = _plate(skin, x, tau, one, step), _plate(skin, x + 1, tau + 0.5, none, step)
+            made.append(_wall(top, low, _RISER, _grid(n + 1, 2)[:, ::-1]))
+        if free[1]:
+            top, low = _plate(skin, x, tau, step, one), _plate(skin, x - 1, tau + 0.5, step, none)
+            made.append(_wall(top, low, -_RISER, _grid(n + 1, 2)))
+    return made
+
+
+def _wall(top: tuple[Floats, ...], low: tuple[Floats, ...], u: float, faces: NDArray[np.int64]) -> _Patch:
+    """Strips between edges, ``u`` rows and half as many scales wide in the texture."""
+    corners = tuple(np.concatenate(pair, axis=1) for pair in zip(top, low, strict=True))
+    texture = (
+        np.concatenate([top[0], top[0] + u], axis=1),
+        np.concatenate([top[1], top[1] + abs(u) / 2.0], axis=1),
+    )
+    return _patches(corners, texture, faces, wall=True)
+
+
+def _belly_columns(skin: _Skin, n: int) -> list[Floats]:
+    """The x of the vertices across both halves of the belly, from the seam and to it."""
+    part = np.arange(n + 1) / n * skin.belly
+    return [part - skin.belly, skin.breadth + part]
+
+
+def _scutes(skin: _Skin, n: int) -> list[_Patch]:
+    """The ventral scutes, which overlap like the scales."""
+    made = []
+    step = np.arange(n + 1) / n
+    tau0 = np.arange(skin.count)[:, None] + 0.5
+    for columns in _belly_columns(skin, n):
+        t, x = (each.ravel() for each in np.meshgrid(step, columns, indexing="ij"))
+        _, *rest = _plate(skin, 0.0, tau0, t, t)
+        made.append(_patches((x[None], *rest), (x[None], rest[0]), _grid(n + 1, n + 1)))
+        one, none = np.ones(n + 1), np.zeros(n + 1)
+        top, low = _plate(skin, 0.0, tau0[:-1], one, one), _plate(skin, 0.0, tau0[1:], none, none)
+        # In two steps, for a scale's corner lies halfway up.
+        three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
+        x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
+        made.append(_patches((x, *three[1:]), (x, v), _grid(n + 1, 3), wall=True))
+    return made
+
+
+def _ring(skin: _Skin, n: int) -> Floats:
+    """The x of the vertices all around, where scales end."""
+    left, right = _belly_columns(skin, n)
+    back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
+    return np.concatenate([left[:-1], back, right[1:]])
+
+
+def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
+    """Rings of vertices, the first or the last of which is a point."""
+    rows, columns = len(tau), len(x)
+    u, v = np.tile(x, rows), np.repeat(tau, columns)
+    faces = _grid(columns, rows, rising=not first)
+    at = 0 if first else (rows - 1) * columns
+    # A tip's vertices lie half a step on, over the middle of their triangles.
+    u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
+    return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, np.zeros(len(v), np.bool_), faces)
+
+
+def _head(skin: _Skin, n: int) -> _Patch:
+    """The head, twice as fine as the ring of scales at which it ends."""
+    coarse = _ring(skin, n)
+    x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
+    q = np.linspace(0.0, 1.0, 14 * n + 1)
+    f = np.where(q < 0.5, 0.75 * q * (q + 0.5), 0.0) + np.where(q < 0.5, 0.0, 0.375 + 1.25 * (q - 0.5))
+    border, eye, mouth = _head_marks(f[:, None], skin.turn(x) - 0.5)
+    rise = -0.015 * np.exp(-((border / 0.04) ** 2)) * (eye > 1.2) - 0.012 * np.exp(-((mouth / 0.06) ** 2))
+    rise += 0.07 * np.clip(1.0 - eye**2, 0.0, None)
+    rise *= (_smoothstep(f / 0.06) * _smoothstep((1.0 - f) / 0.1))[:, None]
+    patch = _cap(x, (f - 1.0) * _HEAD_SCALES, rise * (_HEAD_SCALES / _HEAD_LENGTH), first=True)
+    # The last strip leads from all columns to every other one.
+    columns = len(x)
+    last = (len(f) - 2) * columns + np.arange(0, columns - 1, 2)
+    c = last + columns
+    fan = [[last, last + 1, c], [last + 1, c + 2, c], [last + 1, last + 2, c + 2]]
+    inner = patch.faces[np.all(patch.faces < last[0] + columns, axis=1)]
+    faces = np.concatenate([inner, *(np.stack(each, axis=1) for each in fan)])
+    return patch._replace(faces=faces)
+
+
+def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
+    """Distances on the head from the borders of its shields, from the eyes in their radii, and from the mouth [radii].
+
+    Args:
+        f: Share of the way from the snout to the neck.
+        across: Share of the way around from the middle of the back, −0.5 to 0.5.
+    """
+    f, across = np.broadcast_arrays(f, np.abs(across))
+    nearest = np.full(f.shape, np.inf)
+    second = nearest.copy()
+    # A shield in the middle has no twin.
+    for seed in (*_SHIELDS, *(_SHIELDS * [1.0, -1.0])[_SHIELDS[:, 1] > 0.0]):
+        away = np.hypot((f - seed[0]) * _HEAD_SPREAD[0], (across - seed[1]) * _HEAD_SPREAD[1])
+        np.minimum(second, np.maximum(nearest, away), out=second)
+        np.minimum(nearest, away, out=nearest)
+    eye = np.hypot((f - _EYE[0]) * _HEAD_SPREAD[0], (across - _EYE[1]) * _HEAD_SPREAD[1]) / _EYE_RADIUS
+    mouth = np.where(f < 0.85, np.abs(across - _MOUTH) * _HEAD_SPREAD[1], 1.0)
+    return (second - nearest) / 2.0, eye, mouth
+
+
+def _tip(skin: _Skin, n: int) -> _Patch:
+    """The end of the tail, a smooth cone."""
+    x = _ring(skin, n)
+    q = np.linspace(0.0, 1.0, n + 1)
+    tau = skin.count + (1.0 - (1.0 - q) ** 2) * _TIP_SCALES
+    return _cap(x, tau, np.zeros((len(tau), len(x))), first=False)
+
+
+def _normals(vertices: Floats, patch: _Patch, skin: _Skin) -> Floats:
+    """Area-weighted means over the faces of each vertex, and across the seam, the neck and the end of the tail."""
+    corners = vertices[patch.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    index = patch.faces.ravel()
+    total = np.stack([np.bincount(index, np.repeat(normal[:, k], 3), len(vertices)) for k in range(3)], axis=1)
+    ends = np.isin(patch.x, (-skin.belly, skin.breadth + skin.belly)) | np.isin(patch.tau, (0.0, skin.count))
+    joined = np.flatnonzero(ends)
+    place = np.column_stack([np.round(vertices[joined] / (1e-7 * skin.radius)), patch.wall[joined]])
+    _, group = np.unique(place, axis=0, return_inverse=True)
+    for k in range(3):
+        total[joined, k] = np.bincount(group.ravel(), total[joined, k])[group.ravel()]
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300))
+
+
+def _pigment(skin: _Skin, rng: np.random.Generator) -> Floats:
+    """The skin's texture in sRGB, rows from the snout to the tail, columns around; shape (h, w, 3)."""
+    height = round(_TEXELS * (_HEAD_SCALES + skin.count + _TIP_SCALES))
+    width = round(_TEXELS * (skin.breadth + 2.0 * skin.belly))
+    around = (np.arange(width) + 0.5) / width
+    tau = (np.arange(height) + 0.5) / _TEXELS - _HEAD_SCALES
+    body = tau > 0.0
+    x = around * (skin.breadth + 2.0 * skin.belly) - skin.belly
+    head = _head_pigment((1.0 + tau[~body, None] / _HEAD_SCALES), around - 0.5)
+    return np.asarray(np.clip(np.concatenate([head, _body_pigment(skin, x, tau[body, None], rng)]), 0.0, 1.0))
+
+
+def _mix(colour: Floats, other: tuple[float, float, float], share: Floats) -> Floats:
+    """From one sRGB colour to another."""
+    return colour + share[..., None] * (np.array(other) - colour)
+
+
+def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator) -> Floats:
+    """Scales at (tau, x) in sRGB: saddles on the back, smaller blotches on the flanks, a checkered belly."""
+    x, tau = np.broadcast_arrays(x, tau)
+    belly = (x < 0.0) | (x > skin.breadth)
+    # Undo the bows of the edges, by iteration, to find each texel's scale and its place there.
+    fade = _fade(skin, tau)
+    x0, tau0 = x, tau
+    for _ in range(4):
+        bow_a, bow_b = np.abs(np.sin(math.pi * (tau0 + x0 / 2.0))), np.abs(np.sin(math.pi * (tau0 - x0 / 2.0)))
+        x0, tau0 = x - fade * _BOW_SIDEWAYS * (bow_b - bow_a), tau - fade * _BOW * (bow_a + bow_b)
+    x0 = np.clip(x0, 0.0, skin.breadth)
+    a, b = tau0 + x0 / 2.0, tau0 - x0 / 2.0
+    cell_a, cell_b = np.floor(a).astype(np.int64), np.floor(b).astype(np.int64)
+    a, b = a - cell_a, b - cell_b
+    # Mostly one colour a scale: a pattern's outline follows the scales'.
+    share = 0.65
+    across = np.abs((1.0 - share) * x0 + share * (cell_a - cell_b) - skin.breadth / 2.0) * (28.0 / skin.breadth)
+    along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
+
+    blotches = max(2, round(skin.count / 6.2))
+    # The first one begins on the neck.
+    phase = along / skin.count * blotches + 0.4
+    period = skin.count / blotches
+
+    def blotch(
+        at: Floats, offset: float, middle: float, half_length: float, half_width: float, spread: float
+    ) -> Floats:
+        """1 at the edge of a blotch, less inside."""
+        which = np.floor(at - offset).astype(np.int64)
+        jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, which + 1]
+        back = (at - offset - which - 0.5) * period - jitter[0]
+        long = half_length * (1.0 + 0.4 * jitter[1]) * (1.0 + 0.25 * ((across - middle) / half_width) ** 2)
+        wide = half_width * (1.0 + 0.2 * jitter[2])
+        return np.asarray(np.cbrt(np.abs(back / long) ** 3 + np.abs((across - middle) / wide) ** 3))
+
+    marks = [
+        blotch(phase, 0.0, 0.0, 1.75, 5.6, 0.25),
+        blotch(phase, 0.5, 8.9, 1.3, 2.2, 0.3),
+        blotch(phase, 0.0, 12.2, 1.0, 1.5, 0.3),
+    ]
+    level = np.min(marks, axis=0)
+    tone = rng.normal(0.0, 1.0, (skin.count + skin.breadth, 2 * skin.breadth + skin.count))
+    tone = np.clip(tone, -2.0, 2.0)[cell_a % len(tone), cell_b % tone.shape[1]]
+    flank = _smoothstep((across - 5.0) / 9.0)
+    colour = _mix(np.broadcast_to(_GROUND, (*x.shape, 3)), _FLANK, flank)
+    colour = colour * (1.0 + 0.07 * tone[..., None])
+    colour = _mix(colour, _BLACK, _smoothstep((1.16 - level) / 0.08))
+    red = np.array(_SADDLE) * (1.0 + 0.10 * tone[..., None])
+    inside = _smoothstep((0.90 - level) / 0.10)
+    colour = colour + inside[..., None] * (red - colour)
+    # The front of a scale lies in the others' shade, and skin shows dark between them.
+    edge = np.minimum(np.minimum(1.0 - a, 1.0 - b), np.minimum(a, b))
+    colour = colour * (0.72 + 0.28 * _smoothstep((a + b) / 0.9) * _smoothstep(edge / 0.10 + 0.35))[..., None]
+    # Scutes: cream with black squares, more of them towards their ends.
+    scute = np.floor(tau).astype(np.int64)
+    column = np.floor((x % (skin.breadth + 2.0 * skin.belly)) / 3.0).astype(np.int64)
+    black = rng.random((skin.count + 2, 64))[scute // 2 + column % 2, column % 64] < 0.5
+    cream = _mix(np.broadcast_to(_CREAM, (*x.shape, 3)), _BLACK, 0.95 * black)
+    cream = cream * (0.75 + 0.25 * _smoothstep((tau % 1.0) / 0.2))[..., None]
+    return np.where(belly[..., None], cream, colour)
+
+
+def _head_pigment(f: Floats, across: Floats) -> Floats:
+    """The head in sRGB: a spearhead that points between the eyes, a bar before them, a stripe from eye to jaw."""
+    border, eye, mouth = _head_marks(f, across)
+    f, across = np.broadcast_arrays(f, np.abs(across))
+
+    # Two prongs from the first saddle, which meet between the eyes; all as distances from the edge.
+    prong = 0.095 * np.clip((f - 0.36) / 0.40, 0.0, 1.0) ** 0.8
+    stripe = _EYE[1] + 0.14 * (f - _EYE[0])
+    red = np.minimum.reduce(
+        [
+            np.where(f > 0.38, np.abs(across - prong), 1.0) - 0.030,
+            np.where(across < 0.17, 0.6 * np.abs(f - 0.31 - 0.5 * across), 1.0) - 0.028,
+            np.where(f > _EYE[0], np.abs(across - stripe), 1.0) - 0.024,
+            np.maximum(0.6 * (0.95 - f), across - 0.16),
+        ]
+    )
+    lips = _smoothstep((across - 0.19) / 0.03)
+    colour = _mix(np.broadcast_to(_GROUND, (*f.shape, 3)), _CREAM, lips)
+    colour = _mix(colour, _BLACK, _smoothstep((0.016 - red) / 0.010))
+    colour = _mix(colour, _SADDLE, _smoothstep(-red / 0.010))
+    colour = colour * (0.55 + 0.45 * _smoothstep((border - 0.008) / 0.03))[..., None]
+    colour = colour * (1.0 - 0.85 * np.exp(-((mouth / 0.025) ** 2)))[..., None]
+    nostril = np.hypot((f - 0.07) * _HEAD_SPREAD[0], (across - 0.13) * _HEAD_SPREAD[1])
+    colour = _mix(colour, _BLACK, _smoothstep((0.07 - nostril) / 0.03) + _smoothstep((1.15 - eye) / 0.1))
+    colour = _mix(colour, _IRIS, _smoothstep((0.95 - eye) / 0.1))
+    return _mix(colour, _BLACK, _smoothstep((0.62 - eye) / 0.1))
+
+
+def _mesh(vertices: Floats, faces: NDArray[np.int64], normals: Floats, uvs: Floats, colours: Floats) -> trimesh.Trimesh:
+    """A mesh of the vertices in use with a texture; process=False keeps the seam and the free edges."""
+    import PIL.Image
+    import trimesh
+
+    used = np.zeros(len(vertices), dtype=np.bool_)
+    used[faces] = True
+    image = PIL.Image.fromarray(np.round(255.0 * colours).astype(np.uint8))
+    material = trimesh.visual.material.SimpleMaterial(image=image)
+    return trimesh.Trimesh(
+        vertices=vertices[used],
+        faces=(np.cumsum(used) - 1)[faces],
+        vertex_normals=normals[used],
+        visual=trimesh.visual.TextureVisuals(uv=uvs[used], material=material),
+        process=False,
+    )

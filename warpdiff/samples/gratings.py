@@ -1,0 +1,339 @@
+"""Synthetic height fields, each exactly one period of a periodic surface.
+
+One-dimensional gratings vary along x and have one row. Depths and heights are peak to valley. Whatever is random takes
+a ``seed``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import free_memory, validation
+from warpdiff.heightfield.field import HeightField
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_COARSEST_PITCH_UM = 0.04
+# Of a finger, in ridges: what reaches further is below 1e-40 of what does not.
+_RIDGE_REACH = 4.0
+
+
+def sinusoidal(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
+    """Return a sine grating, h = depth/2 · cos(2πx / period).
+
+    Args:
+        period_um: Period along x [µm].
+        depth_um: Peak to valley [µm], >= 0; met exactly for an even number of samples.
+        samples: Samples a period, at least 2; None takes 64, or more for a pitch of 0.04 µm at most.
+
+    Returns:
+        One period, shape (1, samples), of equal pitch along x and y.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+    period, depth, n = _one_dimensional(period_um, depth_um, samples)
+    return HeightField.of_known_scale(0.5 * depth * np.cos(2.0 * np.pi * np.arange(n) / n)[None, :], period / n)
+
+
+def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: int | None = None) -> HeightField:
+    """Return a rectangular grating: the first round(duty · samples) samples at ``depth_um``, the others at 0.
+
+    Args:
+        period_um: Period along x [µm].
+        depth_um: Peak to valley [µm], >= 0.
+        duty: Share of the period that is high, between 0 and 1.
+        samples: Samples a period, at least 2; None takes 64, or more for a pitch of 0.04 µm at most.
+
+    Returns:
+        One period, shape (1, samples), of equal pitch along x and y.
+
+    Raises:
+        ValueError: An argument is out of its range, or the duty rounds to no sample or to all of them.
+    """
+    period, depth, n = _one_dimensional(period_um, depth_um, samples)
+    duty = validation.number(duty, "duty", above=0.0, most=1.0)
+    high = round(duty * n)
+    if not 0 < high < n:
+        raise ValueError(
+            f"duty must leave at least one of {n} samples high and one low, got {duty:g}; change it or raise samples"
+        )
+    return HeightField.of_known_scale(np.where(np.arange(n) < high, depth, 0.0)[None, :], period / n)
+
+
+def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
+    """Return a sawtooth grating that rises with x, h_j = depth · j / samples, and falls back at the period's end.
+
+    Args:
+        period_um: Period along x [µm].
+        depth_um: Peak to valley of the continuous sawtooth [µm], >= 0; that of the samples is less by 1/samples.
+        samples: Samples a period, at least 2; None takes 64, or more for a pitch of 0.04 µm at most.
+
+    Returns:
+        One period, shape (1, samples), of equal pitch along x and y.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+    period, depth, n = _one_dimensional(period_um, depth_um, samples)
+    return HeightField.of_known_scale((depth * np.arange(n) / n)[None, :], period / n)
+
+
+def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> tuple[float, float, int]:
+    """Return period, depth and number of samples, checked."""
+    period = validation.positive(period_um, "period_um")
+    depth = validation.number(depth_um, "depth_um", least=0.0)
+    if samples is None:
+        # An even number has a sample in every valley of a sine.
+        samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
+    samples = validation.count(samples, "samples", least=2)
+    free_memory.require_samples(1, samples, "take {share} of period_um, or of samples")
+    return validation.number(period, "period_um", least=samples * validation.LEAST), depth, samples
+
+
+@dataclass(frozen=True)
+class _DiscFormat:
+    track_pitch_um: float
+    pit_width_um: float
+    pit_depth_um: float
+    channel_bit_um: float
+    shortest_run: int
+    longest_run: int
+    growth: float
+    """Base λ of the run lengths' probabilities λ^−n at the code's capacity log2 λ."""
+
+
+_DISCS = {
+    "CD": _DiscFormat(1.6, 0.5, 0.126, 0.278, 3, 11, 1.456),
+    "DVD": _DiscFormat(0.74, 0.32, 0.105, 0.1333, 3, 11, 1.456),
+    "Blu-ray": _DiscFormat(0.32, 0.13, 0.063, 0.0745, 2, 8, 1.601),
+}
+
+
+def disc(
+    kind: str = "CD",
+    *,
+    tracks: int | None = None,
+    length_um: float = 25.6,
+    pitch_um: float = _COARSEST_PITCH_UM,
+    seed: int = 0,
+) -> HeightField:
+    """Return a patch of an optical disc, x radial and y along the tracks, with random data in its pits.
+
+    Pits are stadium-shaped, their walls one sample wide. Runs of pit and land last n channel bits, n random with the
+    probabilities λ^−n of a run-length-limited code at its capacity (Immink 2004, *Codes for Mass Data Storage
+    Systems*, ch. 4: 0.5418 bits for 3 to 11, 0.6793 for 2 to 8). Depths are a quarter wave inside the plastic,
+    λ/(4n).
+
+    ======= =========== ========= ========= =========== ======== ==============================================
+    kind    track pitch pit width pit depth channel bit runs     source
+    ======= =========== ========= ========= =========== ======== ==============================================
+    CD      1.6 µm      0.5 µm    126 nm    278 nm      3T–11T   ECMA-130: 1.2 m/s at 4.3218 Mbit/s, 780 nm, n = 1.55
+    DVD     0.74 µm     0.32 µm   105 nm    133 nm      3T–11T   ECMA-267: 650 nm, n = 1.55
+    Blu-ray 0.32 µm     0.13 µm   63 nm     74.5 nm     2T–8T    Blu-ray Disc Association, white paper 1.C: 25 GB
+                                                                 layer, 405 nm, n = 1.6
+    ======= =========== ========= ========= =========== ======== ==============================================
+
+    Pit widths are not standardised; these are typical of pressed discs.
+
+    Args:
+        kind: "CD", "DVD" or "Blu-ray".
+        tracks: Number of tracks across the patch; None takes about 25.6 µm of them.
+        length_um: Extent along the tracks [µm], at least four of the longest runs.
+        pitch_um: Largest distance of the samples [µm]; a track gets a whole number of them.
+        seed: Seed of the random data.
+
+    Returns:
+        Heights from −depth (pits) to 0 (land), periodic in both directions.
+
+    Raises:
+        ValueError: An argument is out of its range, or the pitch is too coarse for the pits.
+    """
+    form = _DISCS[validation.choice(kind, "kind", tuple(_DISCS))]
+    track_count = round(25.6 / form.track_pitch_um) if tracks is None else validation.count(tracks, "tracks")
+    pitch = validation.positive(pitch_um, "pitch_um")
+    if pitch > 0.5 * form.pit_width_um:
+        raise ValueError(
+            f"pitch_um must be at most half of a pit's width, {0.5 * form.pit_width_um:g} for {kind}, got {pitch:g}"
+        )
+    least = 4.0 * form.longest_run * form.channel_bit_um
+    length = validation.number(length_um, "length_um", least=least)
+    rng = _generator(seed)
+    across = math.ceil(form.track_pitch_um / pitch - 1e-9)
+    along = math.ceil(length / pitch - 1e-9)
+    bits = round(length / form.channel_bit_um)
+    free_memory.require_samples(
+        along, track_count * across, "take {share} of tracks, of length_um, or a larger pitch_um"
+    )
+    dx, dy, bit = form.track_pitch_um / across, length / along, length / bits
+    x = (np.arange(across) - across // 2) * dx
+    y = np.arange(along) * dy
+    heights = np.zeros((along, track_count * across))
+    radius = 0.5 * form.pit_width_um
+    for track in range(track_count):
+        runs = _run_lengths(rng, bits, form)
+        edges = np.concatenate([[0], np.cumsum(runs)]) * bit + rng.uniform(0.0, length)
+        coverage = np.zeros((along, across))
+        for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
+            half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
+            # Of a long track hardly any rows are near; there are more than these.
+            first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
+            rows = np.arange(first, last + 1) % along
+            beside = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
+            near = np.abs(beside) < half + dy
+            rows, beside = rows[near], beside[near]
+            # The axis of a stadium is shorter than the pit by its two round ends; a pit shorter than wide is a disc.
+            beyond = np.maximum(np.abs(beside) - max(half - radius, 0.0), 0.0)
+            distance = np.hypot(beyond[:, None], x) - min(radius, half)
+            coverage[rows] = np.maximum(coverage[rows], np.clip(0.5 - distance / pitch, 0.0, 1.0))
+        heights[:, track * across : (track + 1) * across] = -form.pit_depth_um * coverage
+    return HeightField.of_known_scale(heights, (dy, dx))
+
+
+def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
+    """Return an even number of run lengths, pit and land in turn, that add up to ``bits``."""
+    lengths = np.arange(form.shortest_run, form.longest_run + 1)
+    weights = form.growth ** -lengths.astype(np.float64)
+    weights /= weights.sum()
+    runs = rng.choice(lengths, size=2 * round(0.5 * bits / float(weights @ lengths)), p=weights)
+    # Single bits are added or taken at random until the track closes.
+    while (missing := bits - int(runs.sum())) != 0:
+        step = 1 if missing > 0 else -1
+        free = np.nonzero((runs + step >= form.shortest_run) & (runs + step <= form.longest_run))[0]
+        runs[rng.choice(free)] += step
+    return np.asarray(runs, dtype=np.int64)
+
+
+def bumps(
+    *,
+    height_um: float = 0.15,
+    width_um: float = 0.5,
+    length_um: float = 1.0,
+    spacing_um: float | tuple[float, float] = (2.0, 1.0),
+    pitch_um: float = _COARSEST_PITCH_UM,
+) -> HeightField:
+    """Return one cell of a lattice of bumps, of the size Stam (1999, *Diffraction Shaders*) gives for a disc's.
+
+    Each is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where that is positive.
+
+    Args:
+        height_um: Height [µm], >= 0.
+        width_um: Extent along x [µm].
+        length_um: Extent along y [µm].
+        spacing_um: Lattice spacing [µm], one number or a pair (y, x), at least the bump's extent.
+        pitch_um: Largest distance of the samples [µm]; a cell gets a whole number of them, at least two.
+
+    Returns:
+        One cell with the bump at its middle sample, heights from 0.
+
+    Raises:
+        ValueError: An argument is out of its range, or the bump does not fit into the cell.
+    """
+    height = validation.number(height_um, "height_um", least=0.0)
+    extent = validation.positive(length_um, "length_um"), validation.positive(width_um, "width_um")
+    spacing = validation.pair(spacing_um, "spacing_um")
+    pitch = validation.positive(pitch_um, "pitch_um")
+    for axis, name in enumerate(("length_um", "width_um")):
+        if spacing[axis] < extent[axis]:
+            raise ValueError(f"spacing_um[{axis}] must be at least {name} = {extent[axis]:g}, got {spacing[axis]:g}")
+    ny, nx = (max(2, math.ceil(side / pitch - 1e-9)) for side in spacing)
+    free_memory.require_samples(ny, nx, "take {side} of spacing_um, or a larger pitch_um")
+    y = (np.arange(ny) - ny // 2) * (spacing[0] / ny)
+    x = (np.arange(nx) - nx // 2) * (spacing[1] / nx)
+    cap = 1.0 - (2.0 * y[:, None] / extent[0]) ** 2 - (2.0 * x / extent[1]) ** 2
+    return HeightField.of_known_scale(height * np.maximum(cap, 0.0), (spacing[0] / ny, spacing[1] / nx))
+
+
+@np.errstate(under="ignore")
+def fingers(
+    *,
+    size_um: float | tuple[float, float] = 25.6,
+    pitch_um: float | tuple[float, float] = 0.05,
+    period_um: float = 1.1,
+    length_um: float = 3.0,
+    height_um: float = 0.3,
+    seed: int = 0,
+) -> HeightField:
+    """Return quasi-periodic nano-fingers like those on a snake's shed skin.
+
+    Ridges stand side by side along x, each a chain of fingers that widen along +y from a narrow tip to the tip of the
+    next one, while the grooves beside them narrow and deepen; tips of neighbouring ridges form wavy rows. Positions,
+    lengths and heights are jittered. Proportions were taken by eye from atomic force microscope scans of *Elaphe
+    guttata*.
+
+    Args:
+        size_um: Extent [µm], one number or a pair (y, x).
+        pitch_um: The pitch wanted [µm], one number or a pair (dy, dx); the actual one divides the size.
+        period_um: Mean distance of the ridges along x [µm]; the actual one divides the size.
+        length_um: Mean distance of the tips along y [µm]; the actual one divides the size.
+        height_um: Highest minus lowest height [µm], met exactly, >= 0.
+        seed: Seed of the jitter.
+
+    Returns:
+        Heights of zero mid-range, periodic in both directions.
+
+    Raises:
+        ValueError: An argument is out of its range, or the patch holds less than one finger or 8 samples a period.
+    """
+    size = validation.pair(size_um, "size_um")
+    pitch = validation.pair(pitch_um, "pitch_um")
+    period = validation.positive(period_um, "period_um")
+    length = validation.positive(length_um, "length_um")
+    height = validation.number(height_um, "height_um", least=0.0)
+    if size[0] < length or size[1] < period:
+        raise ValueError(f"size_um must be at least one finger, (y, x) = ({length:g}, {period:g}), got {size}")
+    if pitch[0] > length / 8.0 or pitch[1] > period / 8.0:
+        raise ValueError(
+            f"pitch_um must be at most an eighth of a finger, ({length / 8.0:g}, {period / 8.0:g}) (y, x), got {pitch}"
+        )
+    rng = _generator(seed)
+    ny, nx = (round(side / step) for side, step in zip(size, pitch, strict=True))
+    free_memory.require_samples(ny, nx, "take {side} of size_um, or a larger pitch_um")
+    dy, dx = size[0] / ny, size[1] / nx
+    ridges, rows = round(size[1] / period), round(size[0] / length)
+    # Lengths below are in units of the actual period and the actual length.
+    x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
+    waves = np.arange(1, 4)
+    angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))
+    row_phase = (np.sin(angles) * rng.uniform(0.1, 0.3, size=3)).sum(axis=1)
+    top = np.zeros((ny, nx))
+    ground = np.zeros((ny, nx))
+    weights = np.zeros((ny, nx))
+    for ridge in range(ridges):
+        tips = np.arange(rows) + row_phase[ridge] + rng.normal(0.0, 0.07, size=rows) + rng.normal(0.0, 0.12)
+        position = rng.normal(0.0, 0.05) + rng.normal(0.0, 0.025, size=rows)
+        rise = rng.normal(1.0, 0.05, size=rows)
+        breadth = rng.normal(1.0, 0.07, size=rows)
+        # For every y, the finger that it lies on and how far behind that one's tip, from 0 to 1.
+        past = (y[:, None] - tips) % rows
+        finger = np.argmin(past, axis=1)
+        behind = past[np.arange(ny), finger]
+        behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
+        # Further away a ridge is no more than rounding.
+        beside = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
+        aside = (x[beside] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
+        half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]
+        crest = (rise[finger] * (0.88 + 0.12 * np.sin(np.pi * behind)))[:, None]
+        top[:, beside] = np.maximum(top[:, beside], crest * np.exp(-((np.abs(aside) / half_width) ** 2.3)))
+        near = np.exp(-8.0 * aside**2)
+        ground[:, beside] += near * (0.5 - 0.45 * behind**1.3)[:, None]
+        weights[:, beside] += near
+    ground /= weights
+    heights = ground + (1.0 - ground) * top
+    # A blunt tip, of the scanning needle as of the real fingers.
+    spread = 0.06 * period
+    factor_y = np.exp(-2.0 * (np.pi * spread * np.fft.fftfreq(ny, dy)) ** 2)
+    factor_x = np.exp(-2.0 * (np.pi * spread * np.fft.rfftfreq(nx, dx)) ** 2)
+    heights = np.fft.irfft2(np.fft.rfft2(heights) * factor_y[:, None] * factor_x, (ny, nx))
+    heights -= 0.5 * (heights.max() + heights.min())
+    return HeightField.of_known_scale(heights * (height / np.ptp(heights)), (dy, dx))
+
+
+def _generator(seed: int) -> np.random.Generator:
+    """Return a random generator for ``seed``."""
+    return np.random.default_rng(validation.count(seed, "seed", least=0))

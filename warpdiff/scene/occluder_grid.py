@@ -1,0 +1,83 @@
+"""Grids by which shadow rays find the few faces that may hide a light."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.device.kernel_calls import launch
+from warpdiff.kernels import shadow_rays
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpdiff.scene.device_mesh import SceneArrays
+    from warpdiff.scene.mesh_import import Surface
+
+# Cells that a face's box overlaps on average, and faces in the lists that faces are in, beyond which a hierarchy is
+# faster: large faces lie one above the other, or small ones close together.
+_MOST_CELLS, _MOST_LISTED = 16, 48
+# Faces of a slice.
+_SLICE = 4096
+
+
+def no_grid(scene: SceneArrays) -> Any:
+    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
+    grid = shadow_rays.ShadowGrid()
+    grid.mesh_id = scene.with_hierarchy().mesh_id
+    return grid
+
+
+def grid_for(
+    surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
+) -> Any:
+    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` of a surface under a light on the CPU, made or found again.
+
+    That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
+    """
+    make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
+    return scene.grids.get_or_make(tuple(to_light), make)
+
+
+def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:
+    towards = np.array(to_light)
+    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
+    across /= np.linalg.norm(across)
+    up = np.cross(towards, across)
+    with single_threaded_blas():
+        seen = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
+    # What a kernel rounds otherwise is within a step or two.
+    low, high = np.floor(seen.min(axis=1)) - 2.0, np.ceil(seen.max(axis=1)) + 2.0
+    wide, tall = high - low
+    faces = len(surface.faces)
+    # As many cells as faces.
+    side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
+    grid = shadow_rays.ShadowGrid()
+    grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
+    grid.low_x, grid.low_y, grid.per_step = low[0], low[1], 1.0 / side
+    grid.columns, grid.rows = int(wide / side) + 1, int(tall / side) + 1
+    grid.is_closed = surface.is_closed
+    grid.corners = wp.empty(faces, dtype=wp.mat33f, device=device)
+    options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _SLICE, "in_runs": True}
+    spans = wp.empty(faces, dtype=wp.int32, device=device)
+    launch(shadow_rays.project, faces, [grid, scene.bare.positions, scene.bare.faces], [spans], **options)
+    listed = int(spans.numpy().sum(dtype=np.int64))
+    if listed > _MOST_CELLS * faces:
+        return no_grid(scene)
+    counts = wp.zeros(grid.columns * grid.rows, dtype=wp.int32, device=device)
+    launch(shadow_rays.count, faces, [grid], [counts], **options)
+    found = counts.numpy().astype(np.int64)
+    if found @ found > _MOST_LISTED * listed:
+        return no_grid(scene)
+    starts = np.concatenate([[0], np.cumsum(found)]).astype(np.int32)
+    grid.faces = wp.empty(listed, dtype=wp.int32, device=device)
+    grid.tops = wp.empty(listed, dtype=wp.float32, device=device)
+    counts.assign(starts[:-1])
+    launch(shadow_rays.fill, faces, [grid], [counts], **options)
+    grid.starts = wp.array(starts, dtype=wp.int32, device=device)
+    return grid

@@ -1,0 +1,179 @@
+"""Colours of deflections on a device, by the integration that a plan names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpdiff.device.kernel_calls import ELEMENTS_OF_SLICE, KernelCall, launch_pipeline
+from warpdiff.kernels import colour_lookup
+from warpdiff.kernels.structs import Footprint
+from warpdiff.tables import coefficient_table, colour_table, polar_grid
+from warpdiff.tables.footprint_weights import footprint_taps
+from warpdiff.tables.sky_cells import sky_table
+
+if TYPE_CHECKING:
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.materials import IlluminatedMaterial
+    from warpdiff.request.directions import DirectionRange
+    from warpdiff.request.plan import Plan
+
+# Look-ups of a slice.
+_LOOK_UPS_OF_SLICE = 2048
+
+
+class ColourLookup:
+    """The kernel of a plan with what it reads, made or found again."""
+
+    def __init__(
+        self,
+        heightfield: HeightField,
+        plan: Plan,
+        direction_range: DirectionRange,
+        *,
+        zeroth_order: bool = True,
+        device: wp.Device,
+        threads: int,
+    ) -> None:
+        """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
+        self._hf, self._plan, self._device, self._threads = heightfield, plan, device, threads
+        self._scope, self._zeroth_order = direction_range, zeroth_order
+        self._colours: dict[IlluminatedMaterial, Any] = {}
+        self._quadratures: dict[IlluminatedMaterial, Any] = {}
+        self._sky_tables: dict[Any, Any] = {}
+        self._table: coefficient_table.Table | None = None
+        if plan.rings_per_octave:
+            self._taps = footprint_taps(device.alias, is_line_spectrum=plan.coherence.kind == "source")
+            self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
+
+    def add(
+        self,
+        scattering_vectors: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminated: IlluminatedMaterial,
+        xyz: wp.array,
+        *,
+        footprints: wp.array | None = None,
+        unserved_gain: wp.array | None = None,
+        among: range | None = None,
+        **options: Any,
+    ) -> None:
+        """Add the XYZ of deflections (n,) to those in ``xyz``.
+
+        Args:
+            scattering_vectors: (u, v, w).
+            to_lights: Directions to the light in the local frame.
+            gains: Their factors.
+            illuminated: The illuminant, and the material that it falls on.
+            xyz: What is added to.
+            footprints: What each pixel's filter does to (u, v), for a plan with footprints.
+            unserved_gain: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
+            among: Which of them, from a whole run on; None is all.
+            options: Of ``launch_pipeline``, ``slice_size`` and ``progress``.
+        """
+        options.setdefault("slice_size", self.slice_size)
+        steps = self.steps(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)
+        launch_pipeline(
+            steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
+        )
+
+    def sky_table(self, illuminated: tuple[tuple[IlluminatedMaterial, ...], ...], directions: int) -> Any:
+        """The struct ``SkyTable`` for so many directions, of spectra by material, made or found again."""
+        key = illuminated, directions
+        if key not in self._sky_tables:
+            # Of their own: colours of an environment's spectra are asked for here alone, and are far larger.
+            with_all, without = (
+                ColourLookup(
+                    self._hf, self._plan, self._scope, zeroth_order=each, device=self._device, threads=self._threads
+                )
+                for each in (True, False)
+            )
+            lobe_uv = polar_grid.blur(self._plan.coherence) * polar_grid.MIDDLE_UM
+            self._sky_tables[key] = sky_table(
+                (with_all, without), illuminated, directions, self._hf.height_range_um, lobe_uv, device=self._device
+            )
+        return self._sky_tables[key]
+
+    @property
+    def slice_size(self) -> int:
+        """How many directions of a picture or a call go through the kernels together."""
+        return _LOOK_UPS_OF_SLICE if self._plan.rings_per_octave and not self.needs_sampling else ELEMENTS_OF_SLICE
+
+    @property
+    def needs_sampling(self) -> bool:
+        """Whether a table leaves out some directions, as those of a source do."""
+        return bool(self._plan.rings_per_octave) and self._plan.coherence.kind == "source"
+
+    @property
+    def uses_footprints(self) -> bool:
+        """Whether a table takes means over footprints."""
+        return self._plan.uses_footprints
+
+    def steps(
+        self,
+        scattering_vectors: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminated: IlluminatedMaterial,
+        xyz: wp.array,
+        footprints: wp.array | None = None,
+        unserved_gain: wp.array | None = None,
+    ) -> list[KernelCall]:
+        """The kernel calls of ``add``."""
+        if not self._plan.rings_per_octave:
+            return [self._sample(scattering_vectors, to_lights, gains, illuminated, xyz)]
+        if unserved_gain is None:
+            unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self._device)
+        steps = [self._look_up(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)]
+        if self.needs_sampling:
+            steps.append(self._sample(scattering_vectors, to_lights, unserved_gain, illuminated, xyz))
+        return steps
+
+    def _look_up(
+        self,
+        scattering_vectors: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminated: IlluminatedMaterial,
+        xyz: wp.array,
+        footprints: wp.array | None,
+        unserved_gain: wp.array,
+    ) -> KernelCall:
+        """Add what a table serves."""
+        if illuminated not in self._colours:
+            kernel, table = colour_table.table_for(
+                self._hf, self._plan, self._scope, illuminated, device=self._device, threads=self._threads
+            )
+            self._colours[illuminated] = (
+                kernel,
+                table if self._zeroth_order else colour_table.without_zeroth_order(table, self._plan.coherence),
+            )
+        kernel, table = self._colours[illuminated]
+        seen = self._no_footprints if footprints is None else footprints
+        run = colour_lookup.RUN if self._device.is_cpu else 1
+        inputs = [table, scattering_vectors, to_lights, gains, seen, self._taps, run]
+        return KernelCall(kernel, inputs, [unserved_gain, xyz], block=run)
+
+    def _sample(
+        self,
+        scattering_vectors: wp.array,
+        to_lights: wp.array,
+        gains: wp.array,
+        illuminated: IlluminatedMaterial,
+        xyz: wp.array,
+    ) -> KernelCall:
+        """Add the sums over wavelengths."""
+        given: dict[str, Any] = {"device": self._device}
+        # Others may have taken its place among those that are kept.
+        if self._table is None:
+            self._table = coefficient_table.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
+            if not self._zeroth_order:
+                self._table = coefficient_table.without_zeroth_order(self._table)
+        if illuminated not in self._quadratures:
+            self._quadratures[illuminated] = coefficient_table.quadrature_for(
+                self._hf, self._plan, illuminated, **given
+            )
+        inputs = [self._table.arguments, scattering_vectors, to_lights, gains, self._quadratures[illuminated]]
+        return KernelCall(self._table.integrate, inputs, [xyz])
