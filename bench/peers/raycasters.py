@@ -18,7 +18,7 @@ from bench.truth import brute_force
 from warpdiff.device.devices import resolve_device
 from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels import bvh, compile_options
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 from warpdiff.scene import device_mesh
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -158,7 +158,7 @@ def _warp_query(rays: Rays) -> Caster:
 
 
 def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
-    frame = Frame(rays.surface, rays.view, device_driven=not covers, device=resolve_device(None), threads=1)
+    frame = Picture(rays.surface, rays.view, device_driven=not covers, device=resolve_device(None), threads=1)
 
     def trace(threads: int) -> None:
         frame.rays.options["threads"] = threads

@@ -35,7 +35,7 @@ from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner import strategy
-from warpdiff.render.picture import Frame as Picture
+from warpdiff.render.picture import Picture
 from warpdiff.request.directions import DirectionRange, DirectionSample
 from warpdiff.request.evaluation import Request
 from warpdiff.scene.mesh_import import prepare_surface

@@ -25,7 +25,7 @@ from warpdiff.diffraction import fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def stam_picture(
 ) -> NDArray[np.float32]:
     """XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
     window, normal = wd.Coherence(), reflectance_factors.normal_reflectance(1.5)
-    frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
+    frame = Picture(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
     frame.set_lights(lobes_of(light), window, 1.0, normal=normal)
     frame.measure_directions(heightfield, window)
     scattering_vectors, _, gains = frame.directions()

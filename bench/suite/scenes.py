@@ -14,7 +14,7 @@ from warpdiff import meshes
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics import reflectance_factors
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def seen(
     mesh: Any, light: wd.DirectionalLight, view: wd.View, heightfield: wd.HeightField, coherence: wd.Coherence
 ) -> tuple[Directions, np.ndarray]:
     """What the lit pixels of a picture see, and which pixels (n,) these are."""
-    frame = Frame(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
+    frame = Picture(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
     frame.set_lights(lobes_of(light), coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
     frame.measure_directions(heightfield, coherence)
     scattering_vectors, to_lights, gains = frame.directions()

@@ -20,7 +20,7 @@ import warpdiff as wd
 from warpdiff.device.devices import resolve_device
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class SkySums:
     def __init__(self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
         """Cast the rays."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
-        frame = Frame(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
+        frame = Picture(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
         frame.cast(0)
         pixels, shape = frame.seen.pixels, (fine.height, fine.width)
         self._hit = pixels.hit.numpy().reshape(shape) != 0

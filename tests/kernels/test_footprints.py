@@ -15,7 +15,7 @@ from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels.structs import Footprint
 from warpdiff.lights.light_types import lobes_of
 from warpdiff.optics.materials import IlluminatedMaterial
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
 from warpdiff.tables.footprint_weights import footprint_taps
@@ -231,7 +231,7 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
         "far": wd.View((500.0, 1600.0, 3100.0), (0.0, 0.0, 0.0), fov_y_deg=0.03, **size),
     }[place]
     surface, deviation = prepare_surface(tube), 0.4
-    frame = Frame(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
+    frame = Picture(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
     frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
     frame.deflect(0, 0)
     rays, pixels, found = frame.rays, frame.seen.pixels, frame.seen.footprints

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 
 if TYPE_CHECKING:
     import warp as wp
@@ -30,7 +30,7 @@ def layers_of(
     surface: Surface, view: View, names: tuple[str, ...], *, smooth: bool, device: wp.Device, threads: int
 ) -> dict[str, NDArray[Any]]:
     """The layers of a picture by name, see :attr:`warpdiff.Image.layers`."""
-    hit, face, place, normal = Frame(surface, view, smooth=smooth, device=device, threads=threads).met()
+    hit, face, place, normal = Picture(surface, view, smooth=smooth, device=device, threads=threads).met()
     hit, face, place = hit != 0, face[hit != 0], place[hit != 0].astype(np.float64)
     shape = (view.height, view.width)
     result: dict[str, NDArray[Any]] = {}

@@ -66,7 +66,7 @@ def load_kernels(device: wp.Device) -> None:
     load([primary_hits.intersect_known_faces, light_samples.scattering_vectors, trace_shadow_rays], device)
 
 
-class Frame:
+class Picture:
     """A picture of a surface: seen by a view, lit, and filled with colours; then by another view, or lit otherwise."""
 
     def __init__(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpdiff.render.gbuffer import TileBuffers
-    from warpdiff.render.picture import Frame
+    from warpdiff.render.picture import Picture
     from warpdiff.tables.lookup import ColourLookup
 
 # Pixels of a slice.
@@ -40,7 +40,7 @@ class LightRefinement:
         refine: Whether any are split further.
     """
 
-    frame: Frame
+    frame: Picture
     lookup: ColourLookup
     lobes: range
     colours: wp.array

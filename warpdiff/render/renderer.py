@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_types import Lobe
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
-    from warpdiff.render.picture import Frame
+    from warpdiff.render.picture import Picture
     from warpdiff.request.plan import Plan
     from warpdiff.scene.mesh_import import Surface
 
@@ -126,7 +126,7 @@ class Renderer:
                 request.heightfield, self.plan, direction_range, device=request.device, threads=request.threads
             )
             self._recorded = records(request.device)
-            self._mine = _Picture(
+            self._mine = _ThreadPicture(
                 functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
                 wanted.lobes,
                 view,
@@ -237,7 +237,7 @@ class Renderer:
             return image
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
-    def _on_the_way(self, mine: _Picture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
+    def _on_the_way(self, mine: _ThreadPicture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
         """Checked tolerances, the largest first, with what is called at each."""
         if previews is not None and not isinstance(previews, Mapping):
             raise TypeError(f"coarser must be a mapping from tolerances to callables, got {type(previews).__name__}")
@@ -264,7 +264,7 @@ class Renderer:
 
     def _launch(
         self,
-        mine: _Picture,
+        mine: _ThreadPicture,
         progress: Callable[[float], None] | None = None,
         on_the_way: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
@@ -274,7 +274,7 @@ class Renderer:
             previews=on_the_way,
         )  # fmt: skip
 
-    def _replay(self, mine: _Picture) -> None:
+    def _replay(self, mine: _ThreadPicture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
         needed = (*mine.frame.launches_depend_on, *(name for each in mine.lights for name in each.illuminants))
         if mine.graph is not None and mine.graph_is_for == needed:
@@ -301,7 +301,7 @@ def _again(
     return result
 
 
-class _Picture(threading.local):
+class _ThreadPicture(threading.local):
     """A thread's picture, made when it first asks for it.
 
     Attributes:
@@ -315,7 +315,7 @@ class _Picture(threading.local):
         graph_is_for: What these depend on.
     """
 
-    def __init__(self, make: Callable[[], Frame], lights: list[Lobe], view: View) -> None:
+    def __init__(self, make: Callable[[], Picture], lights: list[Lobe], view: View) -> None:
         self.frame, self.lights, self.view, self.drawn, self.tolerance = make(), lights, view, False, 0.0
         self.is_drawing = False
         self.graph: Any = None

@@ -17,7 +17,7 @@ from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.strategy import directions_of, plan_for, warn_outside
 from warpdiff.render.layers import check_layers, layers_of
-from warpdiff.render.picture import Frame, load_kernels
+from warpdiff.render.picture import Picture, load_kernels
 from warpdiff.request.evaluation import Request
 from warpdiff.request.plan import AUTOMATIC, has_table
 from warpdiff.scene.camera import View
@@ -242,11 +242,11 @@ class PictureRequest:
         """The lobes of the lights."""
         return lobes_for(self.lights, self.request, refine=self.refine)
 
-    def frame(self, surface: Surface, view: View, **options: Any) -> Frame:
+    def frame(self, surface: Surface, view: View, **options: Any) -> Picture:
         """The arrays of a picture."""
         # Cells beyond its edge are in the filters of its outermost pixels.
         margin = int(self.request.footprint and (self.refine or self.samples > 1))
-        return Frame(
+        return Picture(
             surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint, margin=margin,
             materials_of_faces=self.materials_of_faces(surface), device=self.request.device,
             threads=self.request.threads, **options,
@@ -286,7 +286,7 @@ class PictureRequest:
                 )
         return request.with_energy(plan)
 
-    def set_lights(self, picture: Frame, lights: list[Lobe]) -> None:
+    def set_lights(self, picture: Picture, lights: list[Lobe]) -> None:
         """Set a picture's lights."""
         request, energy = self.request, self.request.energy_factors
         picture.set_lights(

@@ -10,7 +10,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.core import disk_cache
-from warpdiff.render.picture import Frame
+from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import Surface, prepare_surface
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def local_directions(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
     )  # fmt: skip
-    seen = Frame(surface, one, smooth=smooth, device=device, threads=threads)
+    seen = Picture(surface, one, smooth=smooth, device=device, threads=threads)
     seen.set_view(one)
     seen.cast(0)
     pixels = seen.seen.pixels
