@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.core.file_writing import atomic_write, check_folder
+from warpdiff.core.files import atomic_write, check_folder
 from warpdiff.device.devices import resolve_device, resolve_threads
 
 # Modules with measure(setting), numbers(found) and chart(found, folder), in the order of the report.

@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import warpdiff as wd
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.planner import strategy
 from warpdiff.scene.mesh_import import prepare_surface
 

@@ -112,8 +112,8 @@ def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
 @pytest.mark.permanent(ROW)
 def test_what_killed_processes_leave_is_swept_once_it_is_old(folder, tries):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
-    kill = "import os, signal; from pathlib import Path; from warpdiff.core.file_writing import replacing\n"
-    kill += f"with replacing(Path({str(folder)!r}, 'a'), suffix='.part'): os.kill(os.getpid(), signal.SIGKILL)"
+    kill = "import os, signal; from pathlib import Path; from warpdiff.core.files import atomic_write\n"
+    kill += f"with atomic_write(Path({str(folder)!r}, 'a'), suffix='.part'): os.kill(os.getpid(), signal.SIGKILL)"
     for _ in tries.of(range(count(1, 5))):
         for _one_old_and_one_young in range(2):
             subprocess.run([sys.executable, "-c", kill], check=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpdiff.core.thread_pool import parallel_for
+from warpdiff.core.threads import parallel_for
 from warpdiff.device.devices import resolve_device
 from warpdiff.device.kernel_calls import KernelCall, Pipeline, launch, launch_pipeline
 from warpdiff.kernels import compile_options

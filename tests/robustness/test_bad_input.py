@@ -12,7 +12,7 @@ import trimesh
 import warp as wp
 
 import warpdiff as wd
-from warpdiff.core import free_memory
+from warpdiff.core import memory
 
 UP = [0.0, 0.0, 1.0]
 HF = wd.HeightField(np.zeros((8, 8)), 0.05)
@@ -502,7 +502,7 @@ def test_the_direct_method_checks_what_it_has_no_use_for(option):
 @pytest.mark.usefixtures("no_kernel")
 def test_arguments(call, error, message, tmp_path, monkeypatch):
     # Of systems that do not tell as well.
-    monkeypatch.setattr(free_memory, "available", lambda: 4e9)
+    monkeypatch.setattr(memory, "available", lambda: 4e9)
     with pytest.raises(error, match=message):
         call(tmp_path)
 

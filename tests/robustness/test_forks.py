@@ -21,7 +21,7 @@ import warp
 
 import warpdiff as wd
 from warpdiff.core import forks
-from warpdiff.core.thread_pool import parallel_for
+from warpdiff.core.threads import parallel_for
 from warpdiff.device import devices
 
 if not hasattr(os, "fork"):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import warpdiff as wd
 from warpdiff.apps import cli
-from warpdiff.core import free_memory
+from warpdiff.core import memory
 
 SMALL = ["--tolerance", "0.1", "--sigma-um", "3"]
 # Beside each, what makes it quick.
@@ -51,7 +51,7 @@ def test_evil_arguments_end_as_documented(command, tries, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
     # So that what asks for too much is refused wherever the tests run.
-    monkeypatch.setattr(free_memory, "available", lambda: 5e8)
+    monkeypatch.setattr(memory, "available", lambda: 5e8)
     # Of a window that takes seconds less to plan for.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")

@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 
 import warpdiff as wd
-from warpdiff.core import allocations, free_memory
+from warpdiff.core import memory
 
 SETTING = """
 import resource, time
@@ -91,11 +91,11 @@ shade(900)
 
 UNFORESEEN = """
 import dataclasses
-from warpdiff.core import free_memory
+from warpdiff.core import memory
 
 plan = wd.plan(heightfield, coherence=short, method="low-rank/table", tolerance=0.2)
 wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=plan)
-free_memory.require_memory = lambda *_: None
+memory.require_memory = lambda *_: None
 fine = dataclasses.replace(plan, azimuths_per_width=300.0)
 taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 limit(taken + (1 << 28))
@@ -122,17 +122,17 @@ def test_what_does_not_fit_is_refused_at_once(code, tmp_path):
 
 def test_allocations_that_fail_are_told_in_the_librarys_words():
     said = r"it takes another \S+ GB at once, and \S+ GB are free: take less"
-    with pytest.raises(MemoryError, match=said), allocations.as_memory_error("it", "take less"):
+    with pytest.raises(MemoryError, match=said), memory.as_memory_error("it", "take less"):
         np.empty(10**15)
-    with pytest.raises(MemoryError, match=said), allocations.as_memory_error("it", "take less"):
+    with pytest.raises(MemoryError, match=said), memory.as_memory_error("it", "take less"):
         wp.empty((2**30, 2**20), dtype=wp.float32, device="cpu")
     with (
         pytest.raises(MemoryError, match="it takes more memory than there is"),
-        allocations.as_memory_error("it", "take less"),
+        memory.as_memory_error("it", "take less"),
     ):
         raise MemoryError
     for error in (MemoryError("a picture takes about 9 GB, and 1 GB are free"), RuntimeError("failed")):
-        with pytest.raises(type(error)) as raised, allocations.as_memory_error("it", "take less"):
+        with pytest.raises(type(error)) as raised, memory.as_memory_error("it", "take less"):
             raise error
         assert raised.value is error
 
@@ -146,7 +146,7 @@ def test_absurd_sizes_are_refused():
 
 def test_bodies_that_do_not_fit_after_all_say_so(monkeypatch):
     """Their bytes are known about."""
-    monkeypatch.setattr(free_memory, "require_faces", lambda *_: None)
+    monkeypatch.setattr(memory, "require_faces", lambda *_: None)
     for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):
         with pytest.raises(MemoryError, match=r"a body of so many faces takes another .* GB are free: take fewer"):
             call()
@@ -156,7 +156,7 @@ def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=3)
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
     fine = dataclasses.replace(plan, rings_per_octave=2 * plan.rings_per_octave)
-    monkeypatch.setattr(free_memory, "available", lambda: 1e5)
+    monkeypatch.setattr(memory, "available", lambda: 1e5)
     with pytest.raises(MemoryError, match=f"table of rings_per_octave={fine.rings_per_octave}"):
         wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
 
@@ -181,7 +181,7 @@ def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
     plan = wd.plan(
         heightfield, (0, 0, 1), (0.3, 0, 1), coherence=wd.Coherence("replicas", periods=(1, 100)), tolerance=0.2
     )
-    monkeypatch.setattr(free_memory, "available", lambda: 1e9)
+    monkeypatch.setattr(memory, "available", lambda: 1e9)
     many = dataclasses.replace(plan, wavelengths=10**8)
     with pytest.raises(MemoryError, match=r"a quadrature of \d+ wavelengths takes .* copies"):
         wd.reflectance(heightfield, (0, 0, 1), (0.3, 0, 1), plan=many)
@@ -206,17 +206,17 @@ def test_what_a_container_may_take_is_what_there_is(own, folder, files, tmp_path
     (tmp_path / folder).mkdir(exist_ok=True)
     for name, content in files.items():
         (tmp_path / folder / f"memory.{name}").write_text(str(content))
-    monkeypatch.setattr(free_memory, "_OWN_GROUPS", tmp_path / "own")
-    monkeypatch.setattr(free_memory, "_GROUPS", tmp_path)
-    free_memory._limits_of_groups.cache_clear()
+    monkeypatch.setattr(memory, "_OWN_GROUPS", tmp_path / "own")
+    monkeypatch.setattr(memory, "_GROUPS", tmp_path)
+    memory._limits_of_groups.cache_clear()
     try:
-        assert free_memory.available() == 900.0
+        assert memory.available() == 900.0
         with pytest.raises(MemoryError, match=r"heights_um of 20 × 20 .* are free: take 0\.16 of the area"):
             wd.HeightField(np.zeros((20, 20)), 0.05)
     finally:
-        free_memory._limits_of_groups.cache_clear()
+        memory._limits_of_groups.cache_clear()
 
 
 def test_systems_that_do_not_tell_have_enough(monkeypatch):
     monkeypatch.setattr(Path, "read_text", lambda _: "")
-    assert free_memory.available() == math.inf
+    assert memory.available() == math.inf

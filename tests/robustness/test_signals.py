@@ -80,9 +80,9 @@ STUBBORN = """
 import sys, time
 from pathlib import Path
 from warpdiff import __main__; from warpdiff.apps import cli
-from warpdiff.core.file_writing import replacing
+from warpdiff.core.files import atomic_write
 def command():
-    with replacing(Path("picture.png")) as unfinished:
+    with atomic_write(Path("picture.png")) as unfinished:
         unfinished.write_text("half")
         try:
             print("begun", flush=True)

@@ -11,7 +11,7 @@ import trimesh
 
 from warpdiff import gratings, meshes
 from warpdiff.apps.data_folder import data_folder
-from warpdiff.core import file_writing, validation
+from warpdiff.core import files, validation
 from warpdiff.evaluate.reflectance import reflectance_map
 from warpdiff.heightfield.field import HeightField
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
@@ -188,7 +188,7 @@ def run(
     validation.choice(gamut, "gamut", tuple(GAMUTS))
     inputs = data_folder(data)
     folder.mkdir(parents=True, exist_ok=True)
-    file_writing.check_folder(folder, "output")
+    files.check_folder(folder, "output")
     if inputs is None or not (inputs / SCAN).is_file():
         say(f"{SCAN} not found: synthetic gratings only; --data or WARPDIFF_DATA names the folder with the scan")
     written = []

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from warpdiff.apps import standard_streams
-from warpdiff.core import file_writing
+from warpdiff.core import files
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,7 +79,7 @@ class Interruption:
     def _leave(self, code: int) -> NoReturn:
         """End the process, whatever other threads are doing, after its unfinished files are deleted."""
         try:
-            file_writing.discard_unfinished()
+            files.discard_unfinished()
             for folder in self._folders():
                 shutil.rmtree(folder, ignore_errors=True)
         finally:

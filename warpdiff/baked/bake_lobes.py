@@ -13,8 +13,8 @@ from warpdiff.baked import quantisation
 from warpdiff.baked.interpolation import PolarGrid
 from warpdiff.baked.lobe_table import LARGEST_KAPPA, LARGEST_W, MOST_W_BASIS, BakedLobes
 from warpdiff.baked.zeroth_order import zeroth_powers
-from warpdiff.core import allocations, free_memory, validation
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import memory, validation
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.diffraction import chebyshev
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -114,7 +114,7 @@ def bake(
             f"heightfield has heights over {heightfield.height_range_um:.3g} µm, and lobes are baked of up to {_MOST_HEIGHT_UM:g} µm: "
             "take a part of it"
         )
-    with allocations.as_memory_error("bake()", "take a larger tolerance, or a smaller sigma_um"):
+    with memory.as_memory_error("bake()", "take a larger tolerance, or a smaller sigma_um"):
         return _Bakery(request, illuminant, tolerance).baked(progress or (lambda _: None))
 
 
@@ -182,7 +182,7 @@ class _Bakery:
         progress: Callable[[float], None],
     ) -> BakedLobes:
         """A table with the nodes of a grid, judged."""
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_A_NODE * grid.nodes, f"a table of {grid.nodes} nodes",
             "take a larger tolerance, or a smaller sigma_um",
         )  # fmt: skip

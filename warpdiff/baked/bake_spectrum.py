@@ -9,7 +9,7 @@ import numpy as np
 
 from warpdiff.baked.spectrum_table import BakedSpectrum
 from warpdiff.baked.zeroth_order import zeroth_powers
-from warpdiff.core import allocations, free_memory, validation
+from warpdiff.core import memory, validation
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.request.evaluation import Request
 from warpdiff.tables import coefficient_table
@@ -62,14 +62,14 @@ def bake_spectrum(
         raise ValueError(f"coherence must be of kind 'averaged' for a spectrum, got {window.kind!r}")
     if not _LEAST_SIZE <= validation.count(size, "size") <= _MOST_SIZE:
         raise ValueError(f"size must be {_LEAST_SIZE} to {_MOST_SIZE}, got {size}")
-    with allocations.as_memory_error("bake_spectrum()", "take a smaller size"):
+    with memory.as_memory_error("bake_spectrum()", "take a smaller size"):
         direction_range, sample, _ = directions_of(request)
         plan = plan_for(request, direction_range, sample, float(len(sample)))
         table = coefficient_table.table_for(
             heightfield, plan, direction_range, device=request.device, threads=request.threads
         )
         found, terms = table.coefficients, min(plan.terms, table.coefficients.terms)
-        free_memory.require_memory(
+        memory.require_memory(
             8.0 * size * size * terms, f"a spectrum of {size} × {size} cells", "take {side} of the size"
         )
         reached = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))

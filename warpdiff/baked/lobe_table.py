@@ -10,7 +10,7 @@ import numpy as np
 
 from warpdiff.baked import quantisation, table_files
 from warpdiff.baked.interpolation import PolarGrid
-from warpdiff.core import forks, free_memory, validation
+from warpdiff.core import forks, memory, validation
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import check_reflection
@@ -145,7 +145,7 @@ class BakedLobes:
         if given.shape[1] != 3:
             raise ValueError(f"deflections must have shape (n, 3), got {given.shape}")
         validation.flag(zeroth_order, "zeroth_order")
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_A_LOOK_UP * len(given), f"a look-up of {len(given)} deflections", "take at most {share} of them"
         )
         at_uv = self.grid.interpolated(self.coefficients, given[:, :2])
@@ -167,7 +167,7 @@ class BakedLobes:
         """
         if not 2 <= validation.count(size, "size") <= _MOST_SIZE:
             raise ValueError(f"size must be 2 to {_MOST_SIZE}, got {size}")
-        free_memory.require_memory(
+        memory.require_memory(
             4.0 * size * size * self.coefficients[0].size, f"a grid of size={size}", "take at most {side} of it"
         )
         axis = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * LARGEST_W

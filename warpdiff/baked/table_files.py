@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import file_writing, free_memory, validation
-from warpdiff.core.file_reading import naming_file
+from warpdiff.core import files, memory, validation
+from warpdiff.core.files import naming_file
 
 if TYPE_CHECKING:
     import os
@@ -22,8 +22,8 @@ def save(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> Path:
     target = validation.path(path, "path")
     if target.suffix.lower() != ".npz":
         raise ValueError(f"path must end in .npz, got {str(path)!r}")
-    file_writing.check_folder(target.parent, "path")
-    with file_writing.atomic_write(target) as temporary, temporary.open("rb+") as file:
+    files.check_folder(target.parent, "path")
+    with files.atomic_write(target) as temporary, temporary.open("rb+") as file:
         np.savez_compressed(file, **arrays)
     return target
 
@@ -41,7 +41,7 @@ def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[
         with naming_file(source), source.open("rb") as file:
             with zipfile.ZipFile(file) as archive:
                 size = sum(each.file_size for each in archive.infolist())
-            free_memory.require_memory(size, f"path: {str(path)!r}", "take a smaller one")
+            memory.require_memory(size, f"path: {str(path)!r}", "take a smaller one")
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}

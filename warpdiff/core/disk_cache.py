@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core.file_writing import atomic_write
+from warpdiff.core.files import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpdiff.core import forks, validation
-from warpdiff.core.thread_pool import cores
+from warpdiff.core.threads import cores
 from warpdiff.core.warnings import warn
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpdiff.core.thread_pool import parallel_for
+from warpdiff.core.threads import parallel_for
 from warpdiff.device.devices import load_now, resolve_device
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import free_memory
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import memory
+from warpdiff.core.threads import single_threaded_blas
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,7 +134,7 @@ def _check_orders(heightfield: HeightField, cut: float) -> None:
         for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
     )
     ny, nx = heightfield.shape
-    free_memory.require_memory(
+    memory.require_memory(
         _BYTES_A_NUMBER * (rows * ny + columns * nx + rows * columns + ny * nx),
         f"the direct sum of {rows:.3g} × {columns:.3g} coefficients of {ny} × {nx} samples",
         "take another method, a larger sigma_um of coherence, or {share} of heightfield's area",

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.blas_threads import single_threaded_blas
 from warpdiff.core.caching import LruCache
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.diffraction import chebyshev
 from warpdiff.diffraction.phase_series import check_cycles
 from warpdiff.kernels.thresholds import HORIZON, LOWEST, TINY

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import free_memory, validation
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import memory, validation
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.diffraction import chebyshev, energy_normalisation
 from warpdiff.heightfield.field import check_whole
@@ -109,7 +109,7 @@ def order_efficiencies(
         )
     samples, lines = heightfield.shape[0] * heightfield.shape[1], math.prod(end - begin for begin, end in ranges)
     terms = _term_count(math.pi * heightfield.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
-    free_memory.require_memory(
+    memory.require_memory(
         _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
         f"a cell of {heightfield.shape[0]} × {heightfield.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
         "take at most {share} of the area, or fewer wavelengths at a time",

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from warpdiff.core import forks, free_memory, openimageio, validation
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import forks, memory, openimageio, validation
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.heightfield import inpainting, periods, scalar_validity, unit_check
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
@@ -132,7 +132,7 @@ class HeightField:
         """Check and keep the arguments."""
         if isinstance(heights_um, np.ndarray) and heights_um.ndim == 2:
             ny, nx = heights_um.shape
-            free_memory.require_memory(
+            memory.require_memory(
                 _BYTES_MADE * ny * nx,
                 f"heights_um of {ny} × {nx} samples",
                 "take {share} of the area, or a coarser pitch",
@@ -283,7 +283,7 @@ class HeightField:
         Returns:
             The field without gaps, of the same shape; samples that are not missing keep their values exactly.
         """
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_A_GAP * self._missing_count, f"filled() of {self._missing_count} missing samples",
             "take {share} of the field, by cropped(), or a coarser pitch",
         )  # fmt: skip
@@ -444,7 +444,7 @@ class HeightField:
             if wanted < 1:
                 raise ValueError(f"pitch_um along {name} must be at most the size {size:.4g}, got {pitch[axis]:.6g}")
             if wanted != have:
-                free_memory.require_samples(
+                memory.require_samples(
                     heights.size // have, wanted, f"take a pitch_um along {name} that is larger by 1/{{share}}"
                 )
                 heights = _resampled_axis(heights, wanted, axis)
@@ -604,7 +604,7 @@ class HeightField:
     def _require_memory(self, method: str) -> None:
         """Refuse what takes more than there is."""
         ny, nx = self.shape
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_A_SAMPLE[method] * ny * nx, f"{method}() of a field of {ny} × {nx} samples",
             "take {share} of its area, by cropped(), or a coarser pitch",
         )  # fmt: skip
@@ -709,7 +709,7 @@ def _shape_of_npy(stream: BinaryIO) -> tuple[int, ...]:
 def _require_for_file(file: Path, shape: tuple[int, ...]) -> None:
     """Refuse a file of more samples than there is memory for."""
     if len(shape) == 2:
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_READ * math.prod(shape), f"path: {str(file)!r} of {shape[0]} × {shape[1]} samples",
             "take {share} of its area, or save it at a coarser pitch",
         )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.threads import single_threaded_blas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

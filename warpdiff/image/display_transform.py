@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import openimageio
-from warpdiff.core.blas_threads import single_threaded_blas
-from warpdiff.core.thread_pool import cores, parallel_for
+from warpdiff.core.threads import cores, parallel_for, single_threaded_blas
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:

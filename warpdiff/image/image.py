@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import file_writing, openimageio, validation
+from warpdiff.core import files, openimageio, validation
 from warpdiff.image import display_transform
 from warpdiff.kernels.thresholds import FLOOR, TINY
 from warpdiff.optics import colorimetry
@@ -319,7 +319,7 @@ def check_target(path: Any, name: str = "path") -> Path:
     target = validation.path(path, name)
     if target.suffix.lower() not in _FORMATS:
         raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
-    file_writing.check_folder(target.parent, name)
+    files.check_folder(target.parent, name)
     if target.is_dir():
         raise IsADirectoryError(f"{name}: {target} is a folder; name a file")
     return target
@@ -328,7 +328,7 @@ def check_target(path: Any, name: str = "path") -> Path:
 def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
     """Write a file, and make sure of it: the PNG writer reports success on a full disk, the EXR writer at times."""
     # The temporary name ends in the same suffix, which is how the writer of the format is found.
-    with openimageio.in_use() as oiio, file_writing.atomic_write(target, suffix=target.suffix.lower()) as temporary:
+    with openimageio.in_use() as oiio, files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None or not output.open(str(temporary), spec):
             reason = oiio.geterror() if output is None else output.geterror()

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import forks, free_memory, openimageio, validation
-from warpdiff.core.file_reading import check_there
+from warpdiff.core import forks, memory, openimageio, validation
+from warpdiff.core.files import check_there
 from warpdiff.lights.light_types import MOST_POWER, DirectionalLight, Lobe, PointLight, orthonormal_pair
 from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, linear, maps_of
 from warpdiff.optics import colorimetry
@@ -100,7 +100,7 @@ class Environment:
                 spec = image.spec()
                 if spec.nchannels < 3:
                     raise ValueError(f"path: {str(file)!r} has {spec.nchannels} channels; give one of R, G and B")
-                free_memory.require_memory(
+                memory.require_memory(
                     _BYTES_PER_PIXEL * spec.width * spec.height, f"path: {str(file)!r} of {spec.width} × {spec.height}",
                     "take {share} of its pixels",
                 )  # fmt: skip
@@ -122,7 +122,7 @@ class Environment:
         normal incidence, go with a ``scale`` divided by that.
         """
         validation.instance(view, View, "view")
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_SEEN * view.width * view.height, f"view of {view.width} × {view.height} pixels",
             "take {share} of its pixels",
         )  # fmt: skip

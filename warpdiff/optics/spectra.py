@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.core.file_reading import text_of
+from warpdiff.core.files import text_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import warp as wp
 
-from warpdiff.core.thread_pool import parallel_for
+from warpdiff.core.threads import parallel_for
 from warpdiff.kernels import refinement_levels
 from warpdiff.kernels.colour_lookup import RUN
 from warpdiff.kernels.structs import Footprint, Pixels

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core.thread_pool import subprogress
+from warpdiff.core.threads import subprogress
 from warpdiff.device.devices import load
 from warpdiff.device.kernel_calls import KernelCall, launch_pipeline
 from warpdiff.evaluate.reflectance import direct_colour

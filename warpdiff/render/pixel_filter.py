@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core.thread_pool import slices_of
+from warpdiff.core.threads import slices_of
 from warpdiff.image.image import lengths
 from warpdiff.kernels import structs
 from warpdiff.kernels.refinement_levels import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import allocations, forks, free_memory, validation
+from warpdiff.core import forks, memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.kernels import refinement_levels
 from warpdiff.lights.environment import Environment, Light, lobes_of_sky
@@ -312,7 +312,7 @@ def _takes_footprints(footprint: bool | None, request: Request) -> bool:
 def require_picture_memory(view: View, device: wp.Device) -> None:
     """Refuse a picture that the host has no memory for."""
     if device.is_cpu:
-        free_memory.require_memory(
+        memory.require_memory(
             _BYTES_PER_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
             "take a view of at most {side} times the width and height",
         )  # fmt: skip
@@ -321,7 +321,7 @@ def require_picture_memory(view: View, device: wp.Device) -> None:
 def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
     """A context that names the picture where memory for it fails."""
     remedy = "take a smaller view, mesh or heightfield, fewer samples_per_pixel, or a larger tolerance"
-    return allocations.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
+    return memory.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
 
 
 def warn_unconverged(plan: Plan) -> None:

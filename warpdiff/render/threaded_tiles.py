@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core.thread_pool import subprogress
+from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall, Pipeline, launch_pipeline
 from warpdiff.kernels import refinement_levels, subdivision
 from warpdiff.render import pixel_filter

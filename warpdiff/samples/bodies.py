@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import allocations, free_memory, validation
+from warpdiff.core import memory, validation
 from warpdiff.samples.corn_snake import snake
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["disc", "snake", "tube"]
 
 
-@allocations.as_memory_error("a body of so many faces", "take fewer segments")
+@memory.as_memory_error("a body of so many faces", "take fewer segments")
 def tube(
     *,
     radius: float = 0.12,
@@ -58,7 +58,7 @@ def tube(
     validation.choice(tangent, "tangent", ("around", "along"))
     validation.count(segments_along, "segments_along", least=12)
     validation.count(segments_around, "segments_around", least=3)
-    free_memory.require_faces(
+    memory.require_faces(
         2 * segments_along * segments_around, "take {share} of segments_along, or of segments_around"
     )
     if length < 5.0 * radius:
@@ -119,7 +119,7 @@ def tube(
     return _mesh(vertices, np.concatenate([first_cap, inner, last_cap]), normals, uvs)
 
 
-@allocations.as_memory_error("a body of so many faces", "take fewer segments")
+@memory.as_memory_error("a body of so many faces", "take fewer segments")
 def disc(
     *, inner_radius: float = 0.4, outer_radius: float = 1.0, segments: int = 512, rings: int = 24
 ) -> trimesh.Trimesh:
@@ -144,7 +144,7 @@ def disc(
         raise ValueError(f"inner_radius must be below outer_radius ({outer_radius:g}), got {inner_radius:g}")
     validation.count(segments, "segments", least=3)
     validation.count(rings, "rings", least=1)
-    free_memory.require_faces(2 * segments * rings, "take {share} of segments, or of rings")
+    memory.require_faces(2 * segments * rings, "take {share} of segments, or of rings")
     turn = np.arange(segments + 1) / segments
     phi = 2.0 * math.pi * turn
     phi[-1] = 0.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import free_memory, validation
+from warpdiff.core import memory, validation
 
 if TYPE_CHECKING:
     import trimesh
@@ -150,7 +150,7 @@ def snake(
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
     # As measured, while it is made; the belly is as good as two rows.
-    free_memory.require_memory(
+    memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         "take {share} of scale_rows or ventrals, or {side} of segments",

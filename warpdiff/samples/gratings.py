@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import free_memory, validation
+from warpdiff.core import memory, validation
 from warpdiff.heightfield.field import HeightField
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
         # An even number has a sample in every valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
-    free_memory.require_samples(1, samples, "take {share} of period_um, or of samples")
+    memory.require_samples(1, samples, "take {share} of period_um, or of samples")
     return validation.number(period, "period_um", least=samples * validation.LEAST), depth, samples
 
 
@@ -167,7 +167,7 @@ def disc(
     across = math.ceil(form.track_pitch_um / pitch - 1e-9)
     along = math.ceil(length / pitch - 1e-9)
     bits = round(length / form.channel_bit_um)
-    free_memory.require_samples(
+    memory.require_samples(
         along, track_count * across, "take {share} of tracks, of length_um, or a larger pitch_um"
     )
     dx, dy, bit = form.track_pitch_um / across, length / along, length / bits
@@ -242,7 +242,7 @@ def bumps(
         if spacing[axis] < extent[axis]:
             raise ValueError(f"spacing_um[{axis}] must be at least {name} = {extent[axis]:g}, got {spacing[axis]:g}")
     ny, nx = (max(2, math.ceil(side / pitch - 1e-9)) for side in spacing)
-    free_memory.require_samples(ny, nx, "take {side} of spacing_um, or a larger pitch_um")
+    memory.require_samples(ny, nx, "take {side} of spacing_um, or a larger pitch_um")
     y = (np.arange(ny) - ny // 2) * (spacing[0] / ny)
     x = (np.arange(nx) - nx // 2) * (spacing[1] / nx)
     cap = 1.0 - (2.0 * y[:, None] / extent[0]) ** 2 - (2.0 * x / extent[1]) ** 2
@@ -293,7 +293,7 @@ def fingers(
         )
     rng = _generator(seed)
     ny, nx = (round(side / step) for side, step in zip(size, pitch, strict=True))
-    free_memory.require_samples(ny, nx, "take {side} of size_um, or a larger pitch_um")
+    memory.require_samples(ny, nx, "take {side} of size_um, or a larger pitch_um")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
     # Lengths below are in units of the actual period and the actual length.

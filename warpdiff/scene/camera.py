@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import forks, validation
-from warpdiff.core.free_memory import MOST_ELEMENTS
+from warpdiff.core.memory import MOST_ELEMENTS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import forks, validation
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.optics.colorimetry import srgb_decode
 from warpdiff.scene import mesh_files

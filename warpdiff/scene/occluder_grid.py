@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels import shadow_rays
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core import disk_cache, free_memory
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import disk_cache, memory
 from warpdiff.core.caching import LruCache
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.diffraction import coefficient_basis, fourier_coefficients, gridding_kernel
 from warpdiff.diffraction.coefficient_basis import Coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
@@ -162,7 +162,7 @@ def coefficients_for(
         ny, nx = heightfield.shape
         kept_terms = float(math.prod(block.count) * terms)
         per_sample = _BYTES_A_SAMPLE + _BYTES_OF_THREAD * min(threads, terms)
-        free_memory.require_memory(
+        memory.require_memory(
             max(_BYTES_OF_SERIES * kept_terms + per_sample * math.prod(block.shape),
                 0.0 if method in EXPANSIONS else _BYTES_OF_FIT * kept_terms),
             f"coefficients of heightfield, {ny} × {nx} samples, at {block.count[0]} × {block.count[1]} frequencies",
@@ -322,7 +322,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
         counts.append(fewer)
     if plan.coherence.kind == "replicas":
         counts = [max(count - 1, _FEWEST_INTERVALS) * plan.subdivisions + 1 for count in counts]
-    free_memory.require_memory(
+    memory.require_memory(
         _BYTES_A_WAVELENGTH * sum(counts), f"a quadrature of {sum(counts)} wavelengths",
         "take {share} of plan's wavelengths, of coherence's copies, or a smaller heightfield",
     )  # fmt: skip

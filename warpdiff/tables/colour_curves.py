@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.diffraction import chebyshev
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import VISIBLE_NM, IlluminatedMaterial, reflectance_at

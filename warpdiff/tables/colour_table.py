@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core import free_memory
+from warpdiff.core import memory
 from warpdiff.device.devices import load
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import chebyshev
@@ -120,7 +120,7 @@ def table_for(
         found = held.get(sharp)
         if found is None:
             rows = spectra.get(source.key)
-            free_memory.require_memory(
+            memory.require_memory(
                 1e6 * megabytes(plan) + (source.sampled_bytes if rows is None else 0.0),
                 f"a table of rings_per_octave={plan.rings_per_octave} and azimuths_per_width={plan.azimuths_per_width}",
                 "take a larger tolerance, or a plan with {share} of the nodes",

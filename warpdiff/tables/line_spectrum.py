@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core import free_memory
+from warpdiff.core import memory
 from warpdiff.device.kernel_calls import launch
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def of_table(arguments: Any, highest: float) -> LineSpectrum:
     """The lines up to a frequency [1/µm], of coefficients as the kernels' struct ``Table`` has them."""
     lengths = arguments.length_y, arguments.length_x
     most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
-    free_memory.require_memory(
+    memory.require_memory(
         _BYTES_A_LINE * most, f"a table of {most:.3g} lines", "take method='low-rank', or {share} of heightfield's area"
     )
     s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)

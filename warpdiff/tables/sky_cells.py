@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpdiff.core import free_memory
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import memory
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.diffraction import chebyshev
 from warpdiff.kernels import sky_sum
 from warpdiff.kernels.structs import Footprint
@@ -65,7 +65,7 @@ def sky_table(
     phase = 2.0 * math.pi * height_range_um * 2e3 / LAMBDA_MIN_NM
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
     count = len(nodes) + 1
-    free_memory.require_memory(
+    memory.require_memory(
         _BYTES_A_ROW * count * entries * len(illuminated), f"light: an Environment of {directions} directions",
         "give {share} of them",
     )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.core import file_writing, validation
+from warpdiff.core import files, validation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ def check_target(path: Any, suffixes: Sequence[str]) -> Path:
         raise ValueError(f"animation must end in {', '.join(_WRITERS)}, got {target.name!r}")
     if ".png" not in suffixes:
         raise ValueError("animation is made of PNG frames: take '.png' among formats")
-    file_writing.check_folder(target.parent, "animation")
+    files.check_folder(target.parent, "animation")
     if target.is_dir():
         raise IsADirectoryError(f"animation: {target} is a folder; name a file")
     return target
@@ -36,7 +36,7 @@ def write(target: Path, frames: Sequence[Path], frames_per_second: float) -> Non
     """Write frames that lie in files into one that loops for ever, one frame in memory at a time where that goes."""
     kind, options = _WRITERS[target.suffix.lower()]
     first, *rest = frames
-    with file_writing.atomic_write(target, suffix=target.suffix.lower()) as temporary:
+    with files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
         _opened(first).save(
             temporary, kind, save_all=True, append_images=_Opened(rest), duration=1000.0 / frames_per_second, loop=0,
             **options,

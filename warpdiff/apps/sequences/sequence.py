@@ -15,7 +15,7 @@ from warpdiff.apps.sequences import animation as animated
 from warpdiff.apps.sequences.dask_workers import drawn_by_workers
 from warpdiff.apps.sequences.frames import FrameJob, drawn
 from warpdiff.apps.sequences.shots import Shot
-from warpdiff.core import file_writing, openimageio, validation
+from warpdiff.core import files, openimageio, validation
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS, MEAN_SHOWN
 from warpdiff.image.image import MOST_STOPS, PNG_END
 from warpdiff.render.renderer import Renderer
@@ -105,7 +105,7 @@ def sequence(
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise type(error)(f"folder: {target} cannot be made: {error.strerror}") from None
-    file_writing.check_folder(target, "folder")
+    files.check_folder(target, "folder")
     key = _key(renderer, shots, (suffixes, exposure, how))
     told = _manifest(target, key, overwrite=overwrite)
     factor = told.get("exposure")
@@ -122,9 +122,9 @@ def sequence(
     done = len(shots) - len(missing)
     if progress is not None:
         progress(done / len(shots))
-    for index, files in _draw(job, renderer, shots, missing, client):
+    for index, contents in _draw(job, renderer, shots, missing, client):
         for path in paths[index]:
-            _write(path, files[path.suffix])
+            _write(path, contents[path.suffix])
         done += 1
         if progress is not None:
             progress(done / len(shots))
@@ -282,5 +282,5 @@ def _is_whole(path: Path, shot: Shot) -> bool:
 
 
 def _write(path: Path, data: bytes) -> None:
-    with file_writing.atomic_write(path, suffix=path.suffix) as temporary:
+    with files.atomic_write(path, suffix=path.suffix) as temporary:
         temporary.write_bytes(data)

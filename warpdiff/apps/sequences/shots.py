@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.core.file_reading import naming_file
+from warpdiff.core.files import naming_file
 from warpdiff.lights.light_types import DirectionalLight
 from warpdiff.optics import colorimetry
 from warpdiff.scene.camera import View

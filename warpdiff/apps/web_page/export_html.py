@@ -13,7 +13,7 @@ import numpy as np
 
 from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, mirror_power, normal_reflectance
-from warpdiff.core import allocations, file_writing, validation
+from warpdiff.core import files, memory, validation
 from warpdiff.image import display_transform
 from warpdiff.lights.light_types import MOST_POWER, ONE_LOBE_DEG, DirectionalLight, PointLight, lobes_of
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -108,8 +108,8 @@ def export_html(
         validation.positive(exposure, "exposure")
     if not isinstance(title, str):
         raise TypeError(f"title must be a string, got {type(title).__name__}")
-    file_writing.check_folder(target.parent, "path")
-    with allocations.as_memory_error("export_html()", "take a smaller mesh"):
+    files.check_folder(target.parent, "path")
+    with memory.as_memory_error("export_html()", "take a smaller mesh"):
         surface = prepare_surface(mesh, tangents=tangents)
         _check_places(lights, surface)
         arrays = Arrays()
@@ -130,7 +130,7 @@ def export_html(
             "arrays": arrays.told, "told": _told(lobes),
         }  # fmt: skip
         page = _filled(header, arrays, title)
-        with file_writing.atomic_write(target, suffix=".html") as temporary:
+        with files.atomic_write(target, suffix=".html") as temporary:
             temporary.write_text(page, encoding="utf-8")
     return target
 

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from warpdiff.core.thread_pool import _kept, cores, parallel_for
+from warpdiff.core.threads import _kept, cores, parallel_for
 
 THREADS = (1, 2, 5)
 

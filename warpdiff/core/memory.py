@@ -1,15 +1,23 @@
-"""Whether there is memory for what is asked, before work begins."""
+"""Memory: refusals before work begins, and one error for allocations of NumPy and Warp that fail."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import math
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 # What arrays are indexed by is an int32.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS, _NO_LIMIT = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"), 2**60
+# What NumPy and Warp say, the latter in a RuntimeError.
+_REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
+_UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 # As measured, while sample fields and bodies are made.
 _BYTES_A_SAMPLE, _BYTES_A_FACE = 80.0, 160.0
 
@@ -93,3 +101,38 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
                     if limit < _NO_LIMIT:
                         found.append((limit, folder / f"memory.{taken}", folder / "memory.stat"))
     return found
+
+
+@contextlib.contextmanager
+def as_memory_error(what: str, remedy: str) -> Iterator[None]:
+    """Within it, memory that is not there is told in the words of `require_memory`.
+
+    What takes more than there is, is refused before it begins wherever its bytes are known. Others may take memory
+    meanwhile, and an address space may end before memory does.
+
+    Args:
+        what: What was asked for.
+        remedy: What to do instead.
+
+    Raises:
+        MemoryError: An array did not fit.
+    """
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        found = _REFUSED.search(str(error))
+        if found is None and (error.args or not isinstance(error, MemoryError)):
+            # Another error, or one that says so already.
+            raise
+        raise MemoryError(_told(found, what, remedy)) from error
+
+
+def _told(refused: re.Match[str] | None, what: str, remedy: str) -> str:
+    free = f"{max(available(), 0.0) / 1e9:.2g} GB are free: {remedy}"
+    if refused is None:
+        # Python itself does not say how much it was.
+        return f"{what} takes more memory than there is, and {free}"
+    size = f"{float(refused['size']) * _UNITS[refused['unit']] / 1e9:.2g}"
+    if refused["device"] in (None, "cpu"):
+        return f"{what} takes another {size} GB at once, and {free}"
+    return f"{what} takes another {size} GB at once, more than is free on {refused['device']}: {remedy}"
