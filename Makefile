@@ -35,13 +35,13 @@ test-slow: $(TEST_STAMP) ## run the cases that take too long for make test
 
 test-browser: $(BROWSER_STAMP) ## test pages; needs Chromium (Debian: apt-get install chromium)
 	@test -n "$$CHROMIUM" || command -v chromium google-chrome >/dev/null || { echo "error: there is no Chromium: apt-get install chromium, or name one: make test-browser CHROMIUM=/path/to/chrome" >&2; exit 1; }
-	$(BIN)/python -m pytest -m browser tests/browser
+	$(BIN)/python -m pytest -m browser tests/apps
 
 test-dask: $(DASK_STAMP) ## test frames drawn by the workers of a cluster
-	$(BIN)/python -m pytest -m dask tests/contracts/test_dask.py
+	$(BIN)/python -m pytest -m dask tests/apps/sequences
 
 test-mitsuba: $(MITSUBA_STAMP) ## test the bridge to Mitsuba; needs LLVM, 17 or newer (Debian: libllvm19)
-	$(BIN)/python -m pytest -m mitsuba tests/truth/test_mitsuba.py
+	$(BIN)/python -m pytest -m mitsuba tests/apps/mitsuba
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
 	$(BIN)/python -m bench.dev.soak --minutes $(MINUTES)
@@ -53,10 +53,11 @@ test-lowest: ## run the tests with the lowest versions that are allowed, in an e
 	$(VENV)-lowest/bin/uv pip install --python $(VENV)-lowest/bin/python --resolution lowest-direct -e '.[test]'
 	$(VENV)-lowest/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
-lint: $(LINT_STAMP) ## check style and types
+lint: $(LINT_STAMP) ## check style, types and the layers of imports
 	$(BIN)/python -m ruff check
 	$(BIN)/python -m ruff format --check
 	$(BIN)/python -m mypy
+	$(BIN)/lint-imports --no-cache
 	$(BIN)/clang-format --dry-run --Werror kernels/native/*.h
 	$(BIN)/clang-tidy --quiet kernels/native/*.h -- -x c++ -std=c++17 -include builtin.h \
 	    -isystem "$$($(BIN)/python -c 'import warp; print(warp.__path__[0])')/native"
