@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+_E = TypeVar("_E", bound=Exception)
 
 _BEGIN, _VALUE, _END = "\ue000", "\ue001", "\ue002"
 _MARKED = re.compile(f"{_BEGIN}([^{_VALUE}{_END}]*)(?:{_VALUE}([^{_END}]*))?{_END}")
@@ -57,6 +59,13 @@ class ArgumentValueError(_MarkedError, ValueError):
 
 class ArgumentTypeError(_MarkedError, TypeError):
     """Raised for an argument of a type that is not accepted."""
+
+
+def marked(kind: type[_E], message: str) -> _E:
+    """Return an error of another class, such as ``MemoryError``, whose message marks arguments by :func:`ref`."""
+    error = kind(spelled(message))
+    error.__dict__["marked"] = message
+    return error
 
 
 class ToleranceError(ArgumentValueError):
