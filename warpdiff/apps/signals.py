@@ -12,6 +12,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -20,6 +21,9 @@ from warpdiff.core import files
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+# Attempts to delete folders that other threads still write into; 0.1 s in total.
+_SWEEPS, _BETWEEN_SWEEPS_S = 20, 0.005
 
 
 class Interruption:
@@ -80,14 +84,22 @@ class Interruption:
         """End the process, whatever other threads are doing, after its unfinished files are deleted."""
         try:
             files.discard_unfinished()
-            for folder in self._folders():
-                shutil.rmtree(folder, ignore_errors=True)
+            # A thread that compiles may write into a folder while it is deleted.
+            for _ in range(_SWEEPS):
+                folders = self._folders()
+                for folder in folders:
+                    shutil.rmtree(folder, ignore_errors=True)
+                if not folders:
+                    break
+                time.sleep(_BETWEEN_SWEEPS_S)
         finally:
             os._exit(code)
 
     def _folders(self) -> list[Path]:
-        """Temporary folders of this process."""
+        """Temporary folders of this process that still exist."""
         found = [Path(self._temporary.name)] if self._temporary is not None else []
         # Warp builds in folders that it names after the process.
         kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
-        return [*found, *Path(kernels).glob(f"*_p{os.getpid()}_t*")] if kernels else found
+        if kernels:
+            found += Path(kernels).glob(f"*_p{os.getpid()}_t*")
+        return [folder for folder in found if folder.exists()]
