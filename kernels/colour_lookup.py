@@ -230,7 +230,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{functions}, {str(source).lower()}, {RUN}, {MOST_PARTS}>(table, taps, "
-        f"{{{DEVIATIONS}f, {1.0 / variance_before(DEVIATIONS):.8f}f}}, deflections, to_lights, gains, footprints, "
+        f"{{{DEVIATIONS}f, {1.0 / variance_before(DEVIATIONS):.8f}f}}, scattering_vectors, to_lights, gains, footprints, "
         "begin, end, unserved_gain, xyz_out);"
     )
     def look_up_footprints(

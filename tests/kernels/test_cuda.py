@@ -32,7 +32,7 @@ ARCHITECTURES = [slow(80), SM]
 # Modules of functions alone are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"footprints", "atomics", "compile_options", "structs", "shading_frames"}
 # Numbers that hosts need, too.
-WITHOUT_WARP = {"cell_levels", "limits", "quadratic_spline"}
+WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
     "bvh": {"trace_bvh"},
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
@@ -45,7 +45,7 @@ KERNELS = {
         "add_light_rotation",
         "add_light_extent",
     },
-    "sky_light": {"add_sky", "mirror_directions"},
+    "sky_sum": {"add_sky", "mirror_directions"},
     "subdivision": {
         "accumulate",
         "any_occluded",
@@ -65,7 +65,7 @@ KERNELS = {
         "compact_marks",
         "dilate_marks",
         "mark_interior",
-        "take",
+        "copy_batch",
         "luminance_histogram",
     },
     "colour_lookup": {"blur", "integrate", "interpolate"},

@@ -39,11 +39,11 @@ _STEPS_PER_RADIAN = 16
 _FEWEST_STEPS = 64
 # What is left out of the series that fitted bases are made from, and the least of what is kept of them: float32.
 _SERIES_TOLERANCE = 1e-7
-_LEAST_LEFT_OUT = 1e-7
+_LEAST_TRUNCATION_ERROR = 1e-7
 # The largest coefficients count as much as all others together: the mirror direction is one of a million.
-_STRONGEST = 64
+_STRONGEST_ROWS = 64
 # Residuals are measured on this many coefficients, and this share of them may exceed the figure.
-_JUDGED = 20_000
+_SAMPLED_ROWS = 20_000
 _PERCENTILE = 99.9
 # Powers this far below the mirror's are the transforms' rounding and weigh no more than it.
 _NOISE_POWER = 1e-26
@@ -100,7 +100,7 @@ class Coefficients:
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
         parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))
         powers = parts[..., 0] if parts.shape[2] == 1 else np.sum(parts.astype(np.float64) ** 2, axis=2)
-        most = min(_STRONGEST, powers.size)
+        most = min(_STRONGEST_ROWS, powers.size)
         places = np.argpartition(powers.ravel(), -most)[-most:]
         places = places[np.argsort(-powers.ravel()[places], kind="stable")]
         return places, powers.ravel()[places].astype(np.float64)
@@ -188,22 +188,22 @@ def fitted(
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
     noise = weights.max() * (_NOISE_POWER if powers else math.sqrt(_NOISE_POWER))
     scales = np.maximum(scales, noise)[:, None, None]
-    strongest = np.argsort(-scales[:, 0, 0])[:_STRONGEST]
+    strongest = np.argsort(-scales[:, 0, 0])[:_STRONGEST_ROWS]
     if method == "power":
         principal = chebyshev.to_series(count)
         back = chebyshev.terms(count)
     else:
-        functions = _principal_functions(values, weights, scales, strongest)
-        principal = weights[:, None] * functions
-        back = functions.T / weights
-    validation_size = np.union1d(strongest, np.arange(0, len(values), math.ceil(len(values) / _JUDGED)))
-    sample = (values[validation_size] / scales[validation_size]).astype(np.float64).reshape(-1, count)
-    unserved_gain = _left_out(sample, principal, back, weights)
-    kept = int(np.argmax(unserved_gain <= _LEAST_LEFT_OUT)) if unserved_gain.min() <= _LEAST_LEFT_OUT else count
-    kept = min(max(kept, 1), MAX_TERMS)
-    basis = chebyshev.cardinals(table_kappas, first, last, count) @ back[:kept].T
-    rows = values.reshape(-1, count) @ principal[:, :kept].astype(np.float32)
-    return Coefficients(rows.reshape(shape), basis.astype(np.float32), kappas[0], step, unserved_gain[: kept + 1])
+        principal_functions = _principal_functions(values, weights, scales, strongest)
+        principal = weights[:, None] * principal_functions
+        back = principal_functions.T / weights
+    sampled = np.union1d(strongest, np.arange(0, len(values), math.ceil(len(values) / _SAMPLED_ROWS)))
+    sampled_values = (values[sampled] / scales[sampled]).astype(np.float64).reshape(-1, count)
+    errors = _truncation_errors(sampled_values, principal, back, weights)
+    terms = int(np.argmax(errors <= _LEAST_TRUNCATION_ERROR)) if errors.min() <= _LEAST_TRUNCATION_ERROR else count
+    terms = min(max(terms, 1), MAX_TERMS)
+    basis = chebyshev.cardinals(table_kappas, first, last, count) @ back[:terms].T
+    rows = values.reshape(-1, count) @ principal[:, :terms].astype(np.float32)
+    return Coefficients(rows.reshape(shape), basis.astype(np.float32), kappas[0], step, errors[: terms + 1])
 
 
 def _radians_per_kappa(heightfield: HeightField) -> float:
@@ -252,7 +252,7 @@ def _principal_functions(
     return np.asarray(np.linalg.eigh(gram)[1][:, ::-1])
 
 
-def _left_out(
+def _truncation_errors(
     sample: NDArray[np.float64],
     principal: NDArray[np.float64],
     back: NDArray[np.float64],
@@ -265,6 +265,6 @@ def _left_out(
     for n in range(rows.shape[1]):
         remaining -= rows[:, n : n + 1] * back[n]
         result.append(float(np.percentile(np.abs(remaining * weights).max(axis=1), _PERCENTILE)))
-        if result[-1] <= _LEAST_LEFT_OUT:
+        if result[-1] <= _LEAST_TRUNCATION_ERROR:
             break
     return np.asarray(result)

@@ -14,6 +14,7 @@ import numpy as np
 
 from warpdiff.core import memory
 from warpdiff.core.threads import single_threaded_blas
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 _WIDTHS = 8.0
 # While phases and coefficients are made, as counted.
-_BYTES_A_NUMBER = 64.0
+_BYTES_PER_NUMBER = 64.0
 
 
 def window_power(
@@ -51,26 +52,26 @@ def window_power(
         Shape (n, m), float64; 1 for a flat surface at u = v = 0.
     """
     if coherence.kind == "source" and to_lights is None:
-        raise ValueError("to_lights must be given for kind='source': its spread depends on the direction of the light")
+        raise ArgumentValueError(f"{ref('to_lights')} must be given for a source, whose spread depends on it")
     if coherence.kind != "replicas":
-        _check_orders(heightfield, max((_cut(coherence, float(each)) for each in wavelengths_um), default=0.0))
+        _check_orders(heightfield, max((_cutoff(coherence, float(length)) for length in wavelengths_um), default=0.0))
     result = np.zeros((len(scattering_vectors), len(wavelengths_um)))
     for i, scattering_vector in enumerate(scattering_vectors):
         for k, wavelength in enumerate(wavelengths_um):
             q, kappa = scattering_vector[:2] / wavelength, scattering_vector[2] / wavelength
             field = np.exp(2j * math.pi * kappa * heightfield.heights_um)
             if coherence.kind == "replicas":
-                result[i, k] = _copies(heightfield, coherence, field, q)
+                result[i, k] = _periods_power(heightfield, coherence, field, q)
             else:
                 to_light = to_lights[i] if coherence.kind == "source" and to_lights is not None else None
-                result[i, k] = _coefficients(heightfield, coherence, field, q, float(wavelength), to_light)
+                result[i, k] = _coefficient_sum(heightfield, coherence, field, q, float(wavelength), to_light)
         if progress is not None:
             progress((i + 1) / len(scattering_vectors))
     return result
 
 
 @single_threaded_blas()
-def _coefficients(
+def _coefficient_sum(
     heightfield: HeightField,
     coherence: Coherence,
     field: NDArray[np.complex128],
@@ -84,14 +85,14 @@ def _coefficients(
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
-    falloff, cut = _falloff(coherence, wavelength), _cut(coherence, wavelength)
+    falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
     # Along an axis the Gaussian's standard deviation is √(1 − t²) times as much.
-    cut_x, cut_y = (cut * math.sqrt(1.0 - t**2) for t in tangential)
+    cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
     qx, qy = q
-    r = np.arange(math.ceil((qx - cut_x) * length_x), math.floor((qx + cut_x) * length_x) + 1)
-    s = np.arange(math.ceil((qy - cut_y) * length_y), math.floor((qy + cut_y) * length_y) + 1)
+    r = np.arange(math.ceil((qx - cutoff_x) * length_x), math.floor((qx + cutoff_x) * length_x) + 1)
+    s = np.arange(math.ceil((qy - cutoff_y) * length_y), math.floor((qy + cutoff_y) * length_y) + 1)
     # An axis of one sample is constant: it has no order but 0.
     r = r if nx > 1 else r[r == 0]
     s = s if ny > 1 else s[s == 0]
@@ -121,28 +122,28 @@ def _falloff(coherence: Coherence, wavelength: float) -> float:
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
-def _cut(coherence: Coherence, wavelength: float) -> float:
+def _cutoff(coherence: Coherence, wavelength: float) -> float:
     """Distance in frequency [1/µm] of the coefficients that are summed."""
     # exp(−a q²) has the standard deviation 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
 
-def _check_orders(heightfield: HeightField, cut: float) -> None:
+def _check_orders(heightfield: HeightField, cutoff: float) -> None:
     """Refuse coefficients that do not fit."""
     rows, columns = (
-        2.0 * cut * length + 1.0 if n > 1 else 1.0
+        2.0 * cutoff * length + 1.0 if n > 1 else 1.0
         for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
     )
     ny, nx = heightfield.shape
     memory.require_memory(
-        _BYTES_A_NUMBER * (rows * ny + columns * nx + rows * columns + ny * nx),
+        _BYTES_PER_NUMBER * (rows * ny + columns * nx + rows * columns + ny * nx),
         f"the direct sum of {rows:.3g} × {columns:.3g} coefficients of {ny} × {nx} samples",
         "take another method, a larger sigma_um of coherence, or {share} of heightfield's area",
     )
 
 
 @single_threaded_blas()
-def _copies(
+def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:
     """|P|² of a number of copies: the patch's own sum at q, times how the copies along each axis add up."""
@@ -151,11 +152,11 @@ def _copies(
     along_x = np.exp(2j * math.pi * q[0] * pitch_x * np.arange(nx))
     along_y = np.exp(2j * math.pi * q[1] * pitch_y * np.arange(ny))
     power = float(abs(along_y @ field @ along_x / (ny * nx)) ** 2)
-    copies_y, copies_x = coherence.periods or (1, 1)
+    periods_y, periods_x = coherence.periods or (1, 1)
     return (
         power
-        * _interference(q[0] * heightfield.size_um[1], copies_x)
-        * _interference(q[1] * heightfield.size_um[0], copies_y)
+        * _interference(q[0] * heightfield.size_um[1], periods_x)
+        * _interference(q[1] * heightfield.size_um[0], periods_y)
     )
 
 

@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 MOST_EXACT = 600
 FORMS = ("stam", "normalised")
 # That grid: from the normal and around it, and how wide orders that go together are, in parts of directions.
-_POLAR, _AROUND, _BIN = 16, 16, 0.08
-_SWEEPS, _SETTLED = 200, 1e-10
+_ELEVATIONS, _AZIMUTHS, _BIN = 16, 16, 0.08
+_SWEEPS, _CONVERGENCE = 200, 1e-10
 # Entries over |κ| for each half radian that a power turns by, between which it is a parabola.
 _PER_RADIAN = 6.0
-_KEPT = 8
+_CACHED = 8
 # Of colours: lights that factors are of, their shortest and longest wavelength [nm]; the ratio of Roberts' recurrence.
-_LIGHTS, _SEEN_NM, _PLASTIC = 4096, (400.0, 700.0), 1.22074408460575947536
+_LIGHTS, _VISIBLE_RANGE_NM, _PLASTIC = 4096, (400.0, 700.0), 1.22074408460575947536
 # Up to which angle from the normal it is told what factors leave out.
-_STEEPEST_TOLD = math.radians(80.0)
+_STEEPEST = math.radians(80.0)
 # Factors of single wavelengths are linear between so many nodes of a band [nm], or of another one in the same ratio
 # beside it: they do not depend on what else is asked for.
 _NODES, _BAND_NM = 5, (380.0, 780.0)
@@ -67,7 +67,7 @@ class Powers:
         # An even number of samples has an order as far out as any on one side, which is on the other as well.
         counts = [n + 1 - n % 2 if n > 1 else 1 for n in heightfield.shape]
         starts = [
-            _around(n, max(1, min(round(bin_um * length), n)))
+            _block_starts(n, max(1, min(round(bin_um * length), n)))
             for length, n in zip(heightfield.size_um, counts, strict=True)
         ]
         sums = []
@@ -84,10 +84,10 @@ class Powers:
         ]
         v, u = np.meshgrid(*places, indexing="ij")
         # As |(u, v)| and |w| are at most 2, no order beyond the largest |κ| is ever seen.
-        seen = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
-        self.frequencies = np.stack([u.ravel()[seen], v.ravel()[seen]], axis=1)
+        reachable = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
+        self.frequencies = np.stack([u.ravel()[reachable], v.ravel()[reachable]], axis=1)
         cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
-        self._values = np.maximum(cardinals @ np.stack(sums)[:, seen], 0.0).astype(np.float32)
+        self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
         """Powers of some bins, each at a |κ| of its own."""
@@ -98,7 +98,7 @@ class Powers:
         return np.asarray(np.maximum(at + 0.5 * t * (after - before) + 0.5 * t * t * (after - 2.0 * at + before), 0.0))
 
 
-def _around(n: int, block: int) -> NDArray[np.int64]:
+def _block_starts(n: int, block: int) -> NDArray[np.int64]:
     """Where blocks of indices begin, one of which lies around the middle, n // 2: the mean plane's."""
     first = (n // 2 - block // 2) % block
     return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
@@ -148,11 +148,11 @@ class AchromaticFactors:
 
     def between(self, lights: NDArray[np.float64], views: NDArray[np.float64]) -> NDArray[np.float64]:
         """a(ωi) a(ωr) of pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
-        found = []
+        factors = []
         for directions in (lights, views):
             nodes, weights = grid_weights(directions)
-            found.append(np.sum(weights * self.values.ravel()[nodes], axis=1))
-        return np.asarray(found[0] * found[1])
+            factors.append(np.sum(weights * self.values.ravel()[nodes], axis=1))
+        return np.asarray(factors[0] * factors[1])
 
 
 @single_threaded_blas()
@@ -162,18 +162,18 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
     Sums from single directions jump where orders pass the horizon, so that the grid's are means over lights from
     everywhere, each of a wavelength and shared out to the nodes around it, as what leaves is.
     """
-    check_cycles(heightfield, 2e3 / _SEEN_NM[0])
+    check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
     def make() -> AchromaticFactors:
-        lights, wavelengths_um = _seen_lights()
+        lights, wavelengths_um = _sample_lights()
         powers = Powers(heightfield, 2.0 / float(wavelengths_um.min()), _BIN / float(wavelengths_um.max()))
         nodes, weights = grid_weights(lights)
-        entering = np.zeros((len(lights), _POLAR * _AROUND))
+        entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
         # The normal is one direction, whatever the angle around it.
         entering, leaving = (
-            np.column_stack([each[:, :_AROUND].sum(axis=1), each[:, _AROUND:]])
-            for each in (entering, _shared_out(powers, lights, wavelengths_um))
+            np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
+            for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
         # dω cos θ of each light.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
@@ -181,15 +181,15 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         exchanged = incoming.T @ leaving
         factors = _balanced((exchanged + exchanged.T) / (2.0 * incoming.sum(axis=0)[:, None]))
         sent = (entering @ factors) * (leaving @ factors)
-        told = lights[:, 2] > math.cos(_STEEPEST_TOLD)
-        spread = math.sqrt(np.average((sent[told] - 1.0) ** 2, weights=flux[told]))
-        values = np.concatenate([np.full(_AROUND, factors[0]), factors[1:]]).reshape(_POLAR, _AROUND)
+        is_counted = lights[:, 2] > math.cos(_STEEPEST)
+        spread = math.sqrt(np.average((sent[is_counted] - 1.0) ** 2, weights=flux[is_counted]))
+        values = np.concatenate([np.full(_AZIMUTHS, factors[0]), factors[1:]]).reshape(_ELEVATIONS, _AZIMUTHS)
         return AchromaticFactors(values.astype(np.float32), spread)
 
-    return _kept_achromatic.get_or_make(_key_of(heightfield), make)
+    return _achromatic_cache.get_or_make(_cache_key(heightfield), make)
 
 
-def _key_of(heightfield: HeightField) -> tuple[object, ...]:
+def _cache_key(heightfield: HeightField) -> tuple[object, ...]:
     """What factors depend on; a hash of the heights, which may be large."""
     return (
         hashlib.sha256(np.ascontiguousarray(heightfield.heights_um).data).digest(),
@@ -198,7 +198,7 @@ def _key_of(heightfield: HeightField) -> tuple[object, ...]:
     )
 
 
-def _seen_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Directions that fill the hemisphere evenly by both angles, (n, 3), and a wavelength of each [µm], (n,).
 
     By the additive recurrence of Roberts (2018) in three dimensions; wavelengths are as many as is seen of them. Each
@@ -209,14 +209,14 @@ def _seen_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
     sine = np.sin(polar)
     lights = np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=1)
-    return np.concatenate([lights, lights * (-1.0, -1.0, 1.0)]), np.tile(1e-3 * _seen_nm(places[:, 2]), 2)
+    return np.concatenate([lights, lights * (-1.0, -1.0, 1.0)]), np.tile(1e-3 * _visible_nm(places[:, 2]), 2)
 
 
-def _seen_nm(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+def _visible_nm(shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """Wavelengths [nm] up to which such shares of all that is seen lie, of all three channels together, (n,)."""
-    seen = np.cumsum(colorimetry.colour_products().sum(axis=1))
-    nm = np.interp(shares, seen / seen[-1], np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1.0))
-    return np.asarray(np.clip(nm, *_SEEN_NM))
+    visible = np.cumsum(colorimetry.colour_products().sum(axis=1))
+    nm = np.interp(shares, visible / visible[-1], np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1.0))
+    return np.asarray(np.clip(nm, *_VISIBLE_RANGE_NM))
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -225,21 +225,21 @@ def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
     Rows are even in √(1 − cos θ), nearly so in θ, columns in the share that y has of |x| + |y|, quadrant by quadrant.
     """
     x, y, z = directions.T
-    row = np.sqrt(np.clip((1.0 - z) / (1.0 - LOWEST), 0.0, 1.0)) * (_POLAR - 1)
+    row = np.sqrt(np.clip((1.0 - z) / (1.0 - LOWEST), 0.0, 1.0)) * (_ELEVATIONS - 1)
     share = y / np.maximum(np.abs(x) + np.abs(y), TINY)
-    column = np.where(x < 0.0, 2.0 - share, share) % 4.0 / 4.0 * _AROUND
-    r = np.minimum(row.astype(np.int64), _POLAR - 2)
-    c = np.minimum(column.astype(np.int64), _AROUND - 1)
+    column = np.where(x < 0.0, 2.0 - share, share) % 4.0 / 4.0 * _AZIMUTHS
+    r = np.minimum(row.astype(np.int64), _ELEVATIONS - 2)
+    c = np.minimum(column.astype(np.int64), _AZIMUTHS - 1)
     s, t = row - r, column - c
-    nodes = np.stack([r * _AROUND + c, r * _AROUND + (c + 1) % _AROUND], axis=1)
+    nodes = np.stack([r * _AZIMUTHS + c, r * _AZIMUTHS + (c + 1) % _AZIMUTHS], axis=1)
     weights = np.stack([(1.0 - s) * (1.0 - t), (1.0 - s) * t, s * (1.0 - t), s * t], axis=1)
-    return np.concatenate([nodes, nodes + _AROUND], axis=1), weights
+    return np.concatenate([nodes, nodes + _AZIMUTHS], axis=1), weights
 
 
 def _grid() -> NDArray[np.float64]:
     """The grid's directions, (n, 3), with each also its mirror direction."""
-    z = 1.0 - (1.0 - LOWEST) * (np.arange(_POLAR)[:, None] / (_POLAR - 1.0)) ** 2
-    turn = 4.0 * np.arange(_AROUND) / _AROUND
+    z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
+    turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
     # The inverse of ``grid_weights``: y's share of |x| + |y|, and x's.
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
@@ -247,7 +247,7 @@ def _grid() -> NDArray[np.float64]:
     return np.stack([level * x, level * y, z + 0.0 * x], axis=-1).reshape(-1, 3)
 
 
-def _leaving(
+def _outgoing(
     powers: Powers, light: NDArray[np.float64], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where bins of orders leave from a light, unit vectors (n, 3), and their K, (n,)."""
@@ -257,8 +257,8 @@ def _leaving(
     live = np.flatnonzero(upward2 > HORIZON**2)
     cosines = np.sqrt(upward2[live])
     views = np.column_stack([tangential[live], cosines])
-    found = powers.at(live, (light[2] + cosines) / wavelength_um)
-    return views, found * stam(np.full_like(cosines, light[2]), cosines, views[:, :2] @ light[:2])
+    power = powers.at(live, (light[2] + cosines) / wavelength_um)
+    return views, power * stam(np.full_like(cosines, light[2]), cosines, views[:, :2] @ light[:2])
 
 
 @single_threaded_blas()
@@ -272,25 +272,25 @@ def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFact
     def make() -> EnergyFactors:
         powers = Powers(heightfield, 2e3 / nodes[0], 1e3 * _BIN / nodes[-1])
         grid = _grid()
-        values = [_balanced(_shared_out(powers, grid, np.full(len(grid), each))) for each in 1e-3 * nodes]
-        return EnergyFactors(nodes, np.stack(values).reshape(-1, _POLAR, _AROUND))
+        values = [_balanced(_distributed(powers, grid, np.full(len(grid), node))) for node in 1e-3 * nodes]
+        return EnergyFactors(nodes, np.stack(values).reshape(-1, _ELEVATIONS, _AZIMUTHS))
 
-    return _kept.get_or_make((*_key_of(heightfield), band), make)
-
-
-_kept: LruCache[EnergyFactors] = LruCache(_KEPT)
-_kept_achromatic: LruCache[AchromaticFactors] = LruCache(_KEPT)
+    return _factors_cache.get_or_make((*_cache_key(heightfield), band), make)
 
 
-def _shared_out(
+_factors_cache: LruCache[EnergyFactors] = LruCache(_CACHED)
+_achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
+
+
+def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """K from lights (n, 3), of a wavelength each, to the grid's directions, which orders are shared out to, (n, m)."""
-    result = np.empty((len(lights), _POLAR * _AROUND))
+    result = np.empty((len(lights), _ELEVATIONS * _AZIMUTHS))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
-        views, found = _leaving(powers, light, wavelength_um)
+        views, efficiencies = _outgoing(powers, light, wavelength_um)
         nodes, weights = grid_weights(views)
-        result[row] = np.bincount(nodes.ravel(), (weights * found[:, None]).ravel(), result.shape[1])
+        result[row] = np.bincount(nodes.ravel(), (weights * efficiencies[:, None]).ravel(), result.shape[1])
     return result
 
 
@@ -301,7 +301,7 @@ def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
         before = first
         first = 1.0 / np.maximum(matrix @ second, _LEAST_SUM)
         second = 1.0 / np.maximum(matrix.T @ first, _LEAST_SUM)
-        if np.max(np.abs(first / before - 1.0)) < _SETTLED:
+        if np.max(np.abs(first / before - 1.0)) < _CONVERGENCE:
             break
     return 1.0 / np.maximum(matrix @ second, _LEAST_SUM), second
 
@@ -311,7 +311,7 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     factors = np.ones(len(matrix))
     for _ in range(_SWEEPS):
         before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))
-        if np.max(np.abs(factors / before - 1.0)) < _SETTLED:
+        if np.max(np.abs(factors / before - 1.0)) < _CONVERGENCE:
             break
     return factors
 
@@ -322,8 +322,8 @@ def sums_from(
     """Σ K a(ωr) over all orders, which lie apart, of each light (n, 3), shape (n,)."""
     result = np.ones(len(lights))
     for row, light in enumerate(lights):
-        views, found = _leaving(powers, light, 1e-3 * wavelength_nm)
-        result[row] = max(float(found @ factors.at(views, wavelength_nm)), _LEAST_SUM)
+        views, efficiencies = _outgoing(powers, light, 1e-3 * wavelength_nm)
+        result[row] = max(float(efficiencies @ factors.at(views, wavelength_nm)), _LEAST_SUM)
     return result
 
 

@@ -91,7 +91,7 @@ class Block:
 
     @classmethod
     def covering(cls, grid: Grid, frequency: float, neighbour_extent: tuple[int, int]) -> Block:
-        """The block that holds every coefficient within ``reach`` of a frequency up to ``frequency`` [1/µm].
+        """The block that holds every coefficient within ``neighbour_extent`` of a frequency up to ``frequency`` [1/µm].
 
         Where that takes more coefficients than there are, all are kept and looked up periodically, as the sum over
         samples is periodic.
@@ -99,18 +99,18 @@ class Block:
         count, origin = [], []
         for samples, length, extra in zip(grid.shape, grid.lengths_um, neighbour_extent, strict=True):
             half = math.ceil(frequency * length) + extra
-            whole = 2 * half + 1 >= samples
-            count.append(samples if whole else 2 * half + 1)
-            origin.append(0 if whole else half)
+            is_complete = 2 * half + 1 >= samples
+            count.append(samples if is_complete else 2 * half + 1)
+            origin.append(0 if is_complete else half)
         return cls((count[0], count[1]), (origin[0], origin[1]), grid.shape)
 
     def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The integers s and r of the rows and columns, each in −n/2 … (n−1)/2 [shapes (my,), (mx,)]."""
-        found = []
+        orders = []
         for count, origin, samples in zip(self.count, self.origin, self.shape, strict=True):
             order = np.arange(count, dtype=np.int64) - origin
-            found.append((order + samples // 2) % samples - samples // 2)
-        return found[0], found[1]
+            orders.append((order + samples // 2) % samples - samples // 2)
+        return orders[0], orders[1]
 
 
 def series_coefficients(
@@ -164,5 +164,5 @@ def series_coefficients(
         # A few at a time, so that the polynomials of a large field do not lie in memory all at once.
         for first in range(0, terms, max(1, threads)):
             batch = [(n, next(polynomials)) for n in range(first, min(terms, first + max(1, threads)))]
-            list(pool.map(lambda each: transform(*each), batch))
+            list(pool.map(lambda task: transform(*task), batch))
     return result

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core.wording import ArgumentValueError, ref
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -34,9 +36,10 @@ def check_cycles(heightfield: HeightField, kappa: float) -> None:
     """
     cycles = kappa * heightfield.height_range_um
     if cycles > _MOST_CYCLES:
-        raise ValueError(
-            f"heightfield has a height range of {heightfield.height_range_um:.3g} µm, which is {cycles:.2g} wavelengths of path; "
-            "heights are in µm: check height_range_um or the heights' unit"
+        raise ArgumentValueError(
+            f"{ref('heightfield')} has a height range of {heightfield.height_range_um:.3g} µm, which is {cycles:.2g} "
+            f"wavelengths of path, and at most {_MOST_CYCLES:g} are supported: heights are in µm, check "
+            f"{ref('height_range_um')} or the unit of the heights"
         )
 
 

@@ -157,12 +157,12 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
             break
         if best is None:
             trial.update_floors(tried)
-        error = trial.validation_size(tried)
+        error = trial.validation_error(tried)
         if target < error <= _MENDED_BY_FUNCTIONS * target and not functions:
             # What more nodes do not mend may be more functions of w.
             functions = tried.w_basis_size
             richer = trial.with_functions(tried, W_BASIS_STEP)
-            if richer.w_basis_size > functions and (left := trial.validation_size(richer)) < _WORTH_FUNCTIONS * error:
+            if richer.w_basis_size > functions and (left := trial.validation_error(richer)) < _WORTH_FUNCTIONS * error:
                 tried, error, functions = richer, left, richer.w_basis_size
         told = _told(error, plan, trial)
         if error < least:
@@ -184,7 +184,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         # Pilots may have missed what takes more terms.
         longer = more_terms(plan, trial)
         if longer is not None and by_terms is None:
-            by_terms = trial.validation_size(plan)
+            by_terms = trial.validation_error(plan)
         if longer is not None and by_terms is not None and by_terms > _TERMS_SHARE * target:
             plan, truncation, by_terms = longer, by_terms, None
             likely.insert(0, (nodes, azimuths_per_width))
@@ -222,7 +222,7 @@ def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
 
     def left_by(terms: int) -> float:
         tried = dataclasses.replace(plan, terms=terms, wavelengths=trial.finest.wavelengths)
-        return trial.validation_size(dataclasses.replace(tried, least_weight=trial.finest.least_weight))
+        return trial.validation_error(dataclasses.replace(tried, least_weight=trial.finest.least_weight))
 
     if plan.method in EXPANSIONS:
         return _fewest_terms(plan, plan.terms, share, left_by)
@@ -241,16 +241,16 @@ def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
 def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
     """The plan with so much more of what it lacks that the jury finds it within the target, and its error there."""
     trial.update_floors(plan)
-    error = trial.validation_size(plan)
+    error = trial.validation_error(plan)
     for _ in range(_REPAIRS):
         if error <= target:
             break
-        tried = [(trial.validation_size(each), each) for each in _repairs(plan, trial)]
+        tried = [(trial.validation_error(each), each) for each in _repairs(plan, trial)]
         least, best = min(tried, key=lambda each: each[0])
         if least >= _WORTH_A_REPAIR * error:
             # What none of them mends alone may be two of them.
             best = _repairs(_repairs(plan, trial)[0], trial)[-1]
-            least = trial.validation_size(best)
+            least = trial.validation_error(best)
             if least >= error:
                 break
         plan, error = best, least

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.request.directions import DirectionRange, DirectionSample
-    from warpdiff.request.evaluation import Request
+    from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
 # Of what is watched, so many of the brightest do not tell how bright a call is that has more directions.
@@ -90,7 +90,7 @@ class Trial:
     def __init__(
         self,
         plan: Plan,
-        request: Request,
+        request: Evaluation,
         direction_range: DirectionRange,
         sample: DirectionSample,
         *,
@@ -258,7 +258,7 @@ class Trial:
         exact = self.exact(self.training_set)
         return worst_percentile(self.errors(values, exact if against is None else against), self.training_set)
 
-    def validation_size(self, plan: Plan) -> float:
+    def validation_error(self, plan: Plan) -> float:
         """The worst of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
