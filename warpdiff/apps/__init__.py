@@ -1,5 +1,5 @@
-"""The command line: options, signals, standard streams, the demonstration.
+"""Applications: command line, viewer, web page, sequences, Mitsuba plug-in. No package imports them.
 
-In: arguments, signals.
+In: command-line arguments, signals.
 Out: files, messages, an exit code.
 """

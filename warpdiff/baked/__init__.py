@@ -1,5 +1,5 @@
-"""Baked lobes: colours of all directions in the smallest table that keeps an error, to be taken elsewhere.
+"""Baked tables for other renderers: lobes of colours, and the power spectrum.
 
 In: a height field, a coherence, an illuminant, a colour difference.
-Out: ``BakedLobes`` and their file.
+Out: ``BakedLobes`` and ``BakedSpectrum``, the smallest tables that meet the error, and their files.
 """

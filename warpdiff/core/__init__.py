@@ -1,5 +1,5 @@
-"""Helpers of every room that know nothing of diffraction; no Warp.
+"""Helpers that know nothing of diffraction; no Warp.
 
-In: arguments of callers, folders, work to be shared out.
-Out: checked values, files whole or not there, caches, threads, forks that wait.
+In: arguments of callers, files, work to be divided.
+Out: checked values, errors that name arguments, atomic file writes, caches, thread pools, fork safety.
 """

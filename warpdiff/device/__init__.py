@@ -1,5 +1,5 @@
-"""Devices, compilation of kernels, and pipelines of kernel calls over slices of arrays.
+"""Warp devices, compilation of kernels, and launches of kernels over slices of arrays.
 
-In: names of devices, kernels with their arguments.
-Out: a Warp device, compiled kernels, launches one after the other.
+In: names of devices, kernels and their arguments.
+Out: a Warp device, compiled kernels, launches in order.
 """

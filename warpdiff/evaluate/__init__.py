@@ -1,4 +1,4 @@
-"""Reflectance at arrays of directions, maps of it, and efficiencies of orders.
+"""Reflectance at arrays of directions, reflectance maps, and efficiencies of diffraction orders.
 
 In: a height field, directions to light and view, wavelengths or an illuminant.
 Out: ρ(λ), XYZ, BRDF or efficiencies, as NumPy arrays.

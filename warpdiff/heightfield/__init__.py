@@ -1,5 +1,5 @@
-"""Height fields: measured or synthetic, cleaned, described; no Warp.
+"""Measured and synthetic height fields: files, cleaning, periods, diagnostics; no Warp.
 
-In: files of heights, or the numbers of a grating.
-Out: a ``HeightField``, with what is doubtful about it: gaps, units, aliasing, where scalar theory fails.
+In: files or arrays of heights in µm.
+Out: a ``HeightField``, with warnings about gaps, units, aliasing and the limits of scalar diffraction.
 """

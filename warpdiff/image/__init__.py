@@ -1,5 +1,5 @@
-"""Pictures and their files; no Warp.
+"""Pictures, their estimated errors, display transforms and files; no Warp.
 
 In: XYZ by pixel, and a plan.
-Out: an ``Image``, its estimated errors, what displays show, EXR and PNG files.
+Out: an ``Image``, display RGB, EXR and PNG files.
 """

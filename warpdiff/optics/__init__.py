@@ -1,5 +1,5 @@
-"""Light apart from the surface: coherence, Fresnel and masking factors, colorimetry; no Warp.
+"""Optics apart from the surface: coherence, materials, spectra, reflectance factors, colorimetry; no Warp.
 
-In: directions, wavelengths, names of illuminants, an index of refraction.
-Out: gains, quadratures over the wavelength, XYZ and sRGB.
+In: directions, wavelengths, names of illuminants, indices of refraction.
+Out: geometry factors, wavelength quadratures, XYZ and sRGB.
 """

@@ -1,5 +1,5 @@
-"""From a tolerance to a plan: by bounds, and by trying what is cheaper on some of the directions.
+"""From a tolerance to a plan: bounds first, then a search on sampled directions.
 
 In: a height field, a tolerance, a range and a sample of directions.
-Out: a ``Plan`` that keeps the tolerance, or a refusal with its remedy.
+Out: a ``Plan`` that meets the tolerance, or a ``ToleranceError`` with its remedy.
 """

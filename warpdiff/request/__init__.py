@@ -1,5 +1,5 @@
-"""The plan as numbers, and the range of directions that it holds for; no Warp.
+"""Settings of the public functions, plans, and ranges of directions.
 
-In: directions of a call, numbers that a planner chose.
-Out: a ``Plan``, a ``DirectionRange`` and samples of directions.
+In: keyword arguments, directions of a call.
+Out: checked settings, a ``Plan``, a ``DirectionRange`` and samples of directions.
 """

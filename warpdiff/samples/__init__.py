@@ -1,4 +1,4 @@
-"""Synthetic height fields and sample bodies, public as ``wd.gratings`` and ``wd.meshes``.
+"""Synthetic height fields and sample bodies, public as ``wd.gratings`` and ``wd.meshes``; no Warp.
 
 In: periods, depths, sizes, seeds.
 Out: height fields and meshes.

@@ -1,5 +1,5 @@
-"""Meshes, cameras and lights, on the host and on a device.
+"""Meshes and cameras, on the host and on a device.
 
-In: mesh files or trimesh objects, a camera, lights.
-Out: vertices with normals and tangents, the same on a device, grids that spare shadow rays.
+In: mesh files or trimesh objects, a camera.
+Out: vertices with normals and tangents, their copy on a device, grids that reduce the cost of shadow rays.
 """

@@ -1,5 +1,5 @@
-"""Tables of coefficients and of colours on a device, made once for a height field, and the look-ups in them.
+"""Tables of Fourier coefficients and of colours on a device, and the look-ups in them.
 
 In: a height field, a plan, a range of directions.
-Out: tables of coefficients and of colours with their mip levels, and the ``ColourLookup`` over them.
+Out: coefficient tables, colour tables with mip levels, and the ``ColourLookup`` that evaluates them.
 """

@@ -1,5 +1,5 @@
-"""Bridges to other programs: what is baked here as a plug-in there.
+"""Plug-in for Mitsuba 3: baked tables as a BSDF.
 
-In: files of what was baked.
-Out: a BSDF plug-in for Mitsuba 3.
+In: files of baked lobes or spectra.
+Out: a BSDF plug-in.
 """

@@ -1,5 +1,5 @@
-"""The viewer: a page on which body, light and surface are turned by hand, and the server that draws for it.
+"""Interactive viewer: a page with a body, lights and a surface, and the server that renders for it.
 
-In: what a page has set, files that a command named.
-Out: pictures for pages, finer and finer; files and lines that reproduce them.
+In: the settings of a page, files named on the command line.
+Out: pictures of increasing quality; files and lines of code that reproduce them.
 """

@@ -1,4 +1,4 @@
-"""Pages that need no server: a mesh with baked lobes, and the program that draws it in a browser by WebGL 2.
+"""Web pages without a server: a mesh with baked lobes, and the WebGL 2 program that draws it.
 
 In: a mesh, baked lobes, lights, a view.
 Out: one HTML file.
