@@ -49,8 +49,8 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
         np.testing.assert_allclose(expected, WHITE_D65, atol=1e-6)
 
 
-@pytest.mark.parametrize("illuminant", sorted(colorimetry.KEPT))
-def test_what_is_kept_is_colour_sciences(illuminant):
+@pytest.mark.parametrize("illuminant", sorted(colorimetry.PRECOMPUTED))
+def test_precomputed_products_are_colour_sciences(illuminant):
     """To be made anew by ``np.save`` where colour-science should change."""
     expected = colorimetry.products_by_colour_science(illuminant)
     np.testing.assert_allclose(colorimetry.colour_products(illuminant), expected, rtol=1e-12, atol=0.0)

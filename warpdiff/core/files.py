@@ -6,6 +6,8 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
+from warpdiff.core.wording import ArgumentValueError, marked, ref
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -15,14 +17,14 @@ _unfinished: set[Path] = set()
 
 @contextlib.contextmanager
 def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Iterator[Path]:
-    """An empty file beside ``target`` to write to, which takes its place at the end of the context.
+    """Provide an empty file in the folder of ``target``, which replaces ``target`` at the end of the context.
 
-    Whatever is raised in the context, the temporary file goes and the old one stays.
+    An error in the context removes the temporary file and leaves the old one unchanged.
 
     Args:
-        target: The file to be made or replaced.
-        suffix: How the temporary name ends.
-        durable: Whether to wait until the disk holds the new file before the old one goes.
+        target: File to make or replace.
+        suffix: End of the temporary file's name.
+        durable: Whether to wait until the disk holds the new file before it replaces the old one.
     """
     temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
     _unfinished.add(temporary)
@@ -31,7 +33,7 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         if durable:
-            # A file system may allocate late, and tell only now that it is full.
+            # A file system may allocate late, and report only now that it is full.
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
         temporary.replace(target)
@@ -41,51 +43,52 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
 
 
 def discard_unfinished() -> None:
-    """Delete what this process has not finished writing: for when it ends without leaving its contexts."""
+    """Delete unfinished files of this process, when it ends without leaving its contexts."""
     for temporary in tuple(_unfinished):
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
 def check_folder(folder: Path, name: str) -> None:
-    """Raise where no file can be made in a folder; ``name`` is the argument's that named it."""
+    """Refuse a folder in which no file can be made; ``name`` is the argument that names it."""
     if not folder.is_dir():
-        raise FileNotFoundError(f"{name}: the folder {folder} does not exist; create it first")
+        raise marked(FileNotFoundError, f"{ref(name)}: the folder {folder} does not exist; create it first")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(f"{name}: the folder {folder} may not be written to; name another one")
+        raise marked(PermissionError, f"{ref(name)}: the folder {folder} is not writable; use another one")
 
 
-def check_there(file: Path) -> None:
-    """Refuse a path that leads to no file."""
+def check_file(file: Path) -> None:
+    """Refuse a path, the argument ``path``, at which there is no file."""
     if not file.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(file)!r}")
+        raise marked(FileNotFoundError, f"{ref('path')}: there is no file {str(file)!r}")
 
 
 @contextlib.contextmanager
 def naming_file(file: Path) -> Iterator[None]:
-    """Check that a file is there, and name it where the system cannot read it.
+    """Check that a file, the argument ``path``, exists, and name it in errors of the system.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        OSError: It cannot be read.
+        FileNotFoundError: The file does not exist.
+        OSError: The file cannot be read.
     """
-    check_there(file)
+    check_file(file)
     try:
         yield
     except OSError as error:
-        raise type(error)(f"path: {str(file)!r} cannot be read: {error.strerror or error}") from error
+        message = f"{ref('path')}: {str(file)!r} cannot be read: {error.strerror or error}"
+        raise marked(type(error), message) from error
 
 
-def text_of(file: Path, most_bytes: int) -> str:
-    """The text of a file of at most so many bytes; what is no UTF-8 becomes question marks.
+def read_text(file: Path, most_bytes: int) -> str:
+    """Read the text of a file, the argument ``path``; bytes that are not UTF-8 become question marks.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        OSError: It cannot be read.
-        ValueError: It is larger.
+        FileNotFoundError: The file does not exist.
+        OSError: The file cannot be read.
+        ValueError: The file is larger than ``most_bytes``.
     """
     with naming_file(file), file.open("rb") as opened:
         raw = opened.read(most_bytes + 1)
     if len(raw) > most_bytes:
-        raise ValueError(f"{file.name}: such a table has at most {most_bytes} bytes")
+        raise ArgumentValueError(f"{ref('path')}: {file.name} must have at most {most_bytes} bytes")
     return raw.decode("utf-8", errors="replace").lstrip("\ufeff")

@@ -1,82 +1,76 @@
-"""How far the light stays in step across the surface: the window, source or number of copies of the Fourier sum."""
+"""Coherence of the light: the window, the size of the source or the number of periods that interfere."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
+
+from annotated_types import Ge, Interval, Unit
 
 from warpdiff.core import validation
+from warpdiff.core.options import SPELLINGS, Checked
+from warpdiff.core.wording import ArgumentValueError, ref
 
-KINDS = ("averaged", "centred", "source", "replicas")
+Kind = Literal["averaged", "centred", "centered", "source", "replicas"]
+KINDS = tuple(kind for kind in get_args(Kind) if kind not in SPELLINGS)
+# A coherence length of 65 µm, taken as 4σ [µm].
 DEFAULT_SIGMA_UM = 16.25
-# Which kinds an argument is for.
+# Angular diameter of the sun [degrees].
+_DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Beyond this a light is no point in the sky, and the tangent plane that it is projected on no approximation.
-_WIDEST_SOURCE_DEG = 30.0
-_MOST_COPIES = 100_000
+# Limit: the sky is projected on the tangent plane at a light, which is no approximation for a wider one [degrees].
+_MAX_DIAMETER_DEG = 30.0
+_MAX_PERIODS = 100_000
 
 
 @dataclass(frozen=True)
-class Coherence:
-    """The window, source or number of copies that limits the coherent part of the surface.
+class Coherence(Checked):
+    """Window, source or number of periods that limits the part of the surface that interferes.
 
     Attributes:
-        kind: ``"averaged"`` is the expectation over all positions of a Gaussian window exp(−r²/2σ²): real, positive,
-            and independent of where the window lies. ``"centred"`` is one window at one place, speckle included
-            (Single 2014, eq. 3.8). ``"source"`` is a light of finite size on an endless surface: by van Cittert and
-            Zernike's theorem a window that grows with the wavelength. ``"replicas"`` is a finite number of whole copies
-            of the patch in step with each other (Single 2014, eq. 3.35).
-        sigma_um: Standard deviation σ of the window [µm], for ``"averaged"`` and ``"centred"``; the default, 16.25, is
-            a coherence length of 65 µm taken as 4σ. None for the other kinds.
-        centre_um: Position (y, x) of the window for ``"centred"`` [µm]; ``None`` is the centre of the patch,
+        kind: Kind of coherence. ``"averaged"`` is the expectation over all positions of a Gaussian window exp(−r²/2σ²):
+            real, positive, and independent of the window's position. ``"centred"`` is one window at one position,
+            speckle included (Single 2014, eq. 3.8). ``"source"`` is a light source of finite size on an endless
+            surface: by van Cittert and Zernike's theorem a window whose σ is proportional to the wavelength.
+            ``"replicas"`` is a finite number of whole periods of the patch that interfere (Single 2014, eq. 3.35).
+        sigma_um: Standard deviation σ of the window for ``"averaged"`` and ``"centred"``, by default 16.25: a coherence
+            length of 65 µm, taken as 4σ. None for the other kinds.
+        centre_um: Position (y, x) of the window for ``"centred"`` [µm]; None is the centre of the patch,
             (⌊ny/2⌋ dy, ⌊nx/2⌋ dx).
-        angular_diameter_deg: Diameter of the light in the sky for ``"source"`` [degrees]; the default is the sun's,
-            0.53. None for the other kinds.
-        periods: Copies (y, x) of the patch for ``"replicas"``. None for the other kinds.
+        angular_diameter_deg: Angular diameter of the light source for ``"source"``, by default the sun's, 0.53. None
+            for the other kinds.
+        periods: Number of periods (y, x) of the patch for ``"replicas"``, each 1 to 100,000. None for the other kinds.
     """
 
-    kind: str = "averaged"
-    sigma_um: float | None = None
-    centre_um: tuple[float, float] | None = None
-    angular_diameter_deg: float | None = None
-    periods: tuple[int, int] | None = None
+    kind: Kind = "averaged"
+    sigma_um: Annotated[float, Ge(validation.LEAST), Unit("µm")] | None = None
+    centre_um: Annotated[tuple[float, float], Unit("µm")] | None = None
+    angular_diameter_deg: Annotated[float, Interval(ge=validation.LEAST, le=_MAX_DIAMETER_DEG), Unit("°")] | None = None
+    periods: Annotated[tuple[int, int], Interval(ge=1, le=_MAX_PERIODS)] | None = None
 
     def __post_init__(self) -> None:
-        validation.choice(self.kind, "kind", KINDS)
+        periods = None if self.periods is None else _checked_periods(self.periods)
+        super().__post_init__()
+        self._set("periods", periods)
         self._only_for("sigma_um", *_WINDOWS)
         self._only_for("centre_um", "centred")
         self._only_for("angular_diameter_deg", "source")
         self._only_for("periods", "replicas")
-        if self.kind in _WINDOWS:
-            sigma = DEFAULT_SIGMA_UM if self.sigma_um is None else validation.positive(self.sigma_um, "sigma_um")
-            self._set("sigma_um", sigma)
-        if self.centre_um is not None:
-            centre = validation.finite_array(self.centre_um, "centre_um", most=validation.MOST)
-            if centre.shape != (2,):
-                raise ValueError(f"centre_um must be a pair (y, x) in µm, got shape {centre.shape}")
-            self._set("centre_um", (float(centre[0]), float(centre[1])))
-        if self.kind == "source":
-            diameter = 0.53 if self.angular_diameter_deg is None else self.angular_diameter_deg
-            self._set(
-                "angular_diameter_deg",
-                validation.positive(diameter, "angular_diameter_deg", most=_WIDEST_SOURCE_DEG),
+        if self.kind in _WINDOWS and self.sigma_um is None:
+            self._set("sigma_um", DEFAULT_SIGMA_UM)
+        if self.kind == "source" and self.angular_diameter_deg is None:
+            self._set("angular_diameter_deg", _DEFAULT_DIAMETER_DEG)
+        if self.kind == "replicas" and periods is None:
+            raise ArgumentValueError(
+                f"{ref('periods')} must be given for {ref('kind', 'replicas')}: a pair (y, x), such as (1, 100)"
             )
-        if self.kind == "replicas":
-            if self.periods is None:
-                raise ValueError("copies must be given for kind='replicas': a pair (y, x), such as (1, 100)")
-            if not isinstance(self.periods, (tuple, list)) or len(self.periods) != 2:
-                raise ValueError(f"copies must be a pair (y, x) of whole numbers, got {self.periods!r}")
-            pair = [validation.count(each, f"periods[{axis}]") for axis, each in enumerate(self.periods)]
-            if max(pair) > _MOST_COPIES:
-                raise ValueError(f"copies must be at most {_MOST_COPIES} along an axis, got {tuple(pair)}")
-            self._set("periods", tuple(pair))
 
     def __str__(self) -> str:
         if self.kind == "source":
             return f"source of {self.angular_diameter_deg:g}° in diameter"
         if self.periods is not None:
-            return f"{self.periods[0]} × {self.periods[1]} copies in step"
+            return f"{self.periods[0]} × {self.periods[1]} periods"
         return f"{self.kind} window with σ = {self.sigma_um:g} µm"
 
     @property
@@ -94,4 +88,13 @@ class Coherence:
 
     def _only_for(self, name: str, *kinds: str) -> None:
         if getattr(self, name) is not None and self.kind not in kinds:
-            raise ValueError(f"{name} is for kind={' or '.join(map(repr, kinds))}, not {self.kind!r}: leave it out")
+            others = " or ".join(ref("kind", kind) for kind in kinds)
+            raise ArgumentValueError(f"{ref(name)} is for {others}, not {self.kind!r}: remove it")
+
+
+def _checked_periods(value: Any) -> tuple[int, int]:
+    """Return a pair (y, x) of numbers of periods."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ArgumentValueError(f"{ref('periods')} must be a pair (y, x) of integers, got {value!r}")
+    y, x = (validation.count(number, f"periods[{axis}]", most=_MAX_PERIODS) for axis, number in enumerate(value))
+    return y, x

@@ -1,8 +1,8 @@
-"""Colour: CIE 1931 2° observer, illuminants, quadrature weights, XYZ to linear sRGB, sRGB encoding.
+"""Colorimetry: CIE 1931 2° observer, illuminants, quadrature weights, XYZ to linear sRGB, sRGB encoding.
 
 The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products S·x̄ȳz̄ are taken at
 1 nm from colour-science and interpolated linearly in between; the two end points count with full weight, so that
-ρ = 1 gives exactly the 1 nm sum. Those of D65 are kept in a file, as colour-science takes 0.7 s to import.
+ρ = 1 gives exactly the 1 nm sum. Those of D65 are precomputed in a file, as colour-science takes 0.7 s to import.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics.spectra import Spectrum, colour_science
 
 if TYPE_CHECKING:
@@ -23,10 +24,10 @@ Illuminant = str | Spectrum
 
 LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
-# That a caller may ask for.
+# Limits of the wavelengths that a caller may pass.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
-KEPT = {"D65": Path(__file__).with_name("d65.npy")}
+PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 
 # Samples that an interpolant goes through.
 _STENCIL = 6
@@ -45,23 +46,23 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
     if isinstance(illuminant, Spectrum):
         return illuminant
     if not isinstance(illuminant, str):
-        raise TypeError(
-            f"{name} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
+        raise ArgumentTypeError(
+            f"{ref(name)} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
             f"{type(illuminant).__name__}"
         )
-    if illuminant in KEPT:
+    if illuminant in PRECOMPUTED:
         return illuminant
-    tabulated = _tabulated_nm(illuminant)
-    if tabulated is None:
+    range_nm = _tabulated_nm(illuminant)
+    if range_nm is None:
         names = ", ".join(sorted(colour_science().SDS_ILLUMINANTS))
-        raise ValueError(
-            f"{name} must be one of {names}, a light source that colour-science knows, or a warpdiff.Spectrum, got "
+        raise ArgumentValueError(
+            f"{ref(name)} must be one of {names}, a light source of colour-science, or a warpdiff.Spectrum, got "
             f"{illuminant!r}"
         )
-    start, end = tabulated
+    start, end = range_nm
     if start > LAMBDA_MIN_NM or end < LAMBDA_MAX_NM:
-        raise ValueError(
-            f"{name} must cover {LAMBDA_MIN_NM} to {LAMBDA_MAX_NM} nm, "
+        raise ArgumentValueError(
+            f"{ref(name)} must cover {LAMBDA_MIN_NM} to {LAMBDA_MAX_NM} nm, "
             f"but {illuminant!r} is tabulated from {start:g} to {end:g} nm"
         )
     return illuminant
@@ -78,8 +79,8 @@ def _distribution(illuminant: str) -> Any:
 @functools.cache
 def _tabulated_nm(illuminant: str) -> tuple[float, float] | None:
     """The first and the last wavelength of an illuminant of this name; to look one up takes half a millisecond."""
-    found = _distribution(illuminant)
-    return None if found is None else (float(found.shape.start), float(found.shape.end))
+    distribution = _distribution(illuminant)
+    return None if distribution is None else (float(distribution.shape.start), float(distribution.shape.end))
 
 
 @functools.lru_cache(maxsize=256)
@@ -97,13 +98,13 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
         nm = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1)
         products = _products(np.interp(nm, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
     else:
-        products = np.load(KEPT[name]) if name in KEPT else products_by_colour_science(name)
+        products = np.load(PRECOMPUTED[name]) if name in PRECOMPUTED else products_by_colour_science(name)
     products.setflags(write=False)
     return products
 
 
 def products_by_colour_science(name: str) -> NDArray[np.float64]:
-    """``colour_products`` of an illuminant, without those that are kept."""
+    """``colour_products`` of an illuminant, without the precomputed ones."""
     return _products(_distribution(name).copy().align(_shape()).values)
 
 
@@ -137,7 +138,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
     """
     nodes = check_wavelengths(wavelengths_nm)
     if np.any(np.diff(nodes) <= 0.0):
-        raise ValueError("wavelengths_nm must be strictly increasing")
+        raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
     grid = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
     # Between two of these both the curves and the interpolant are smooth: three Gauss points each.
@@ -214,11 +215,11 @@ def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:
     """
     nodes = np.atleast_1d(validation.finite_array(wavelengths_nm, "wavelengths_nm"))
     if nodes.ndim != 1 or nodes.size == 0:
-        raise ValueError(f"wavelengths_nm must have shape (m,), got {nodes.shape}")
+        raise ArgumentValueError(f"{ref('wavelengths_nm')} must have shape (m,), got {nodes.shape}")
     if nodes.min() < SHORTEST_NM or nodes.max() > LONGEST_NM:
-        raise ValueError(
-            f"wavelengths_nm must lie within {SHORTEST_NM:g} to {LONGEST_NM:g} nm, got {nodes.min():g} to "
-            f"{nodes.max():g}; they are nanometres"
+        raise ArgumentValueError(
+            f"{ref('wavelengths_nm')} must lie within {SHORTEST_NM:g} to {LONGEST_NM:g} nm, got {nodes.min():g} to "
+            f"{nodes.max():g}: give wavelengths in nanometres"
         )
     return nodes
 
@@ -234,10 +235,10 @@ def rgb_to_xyz(rgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def colour_difference(xyz: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
-    """ΔE2000 (CIE 142) between XYZ, shape (..., 3), seen beside D65's white of Y = 1."""
+    """ΔE2000 (CIE 142) between XYZ, shape (..., 3), relative to D65's white of Y = 1."""
     colour = colour_science()
     white = colour.XYZ_to_xy(colour_products("D65").sum(axis=0))
-    labs = [colour.XYZ_to_Lab(np.asarray(each, dtype=np.float64), white) for each in (xyz, other)]
+    labs = [colour.XYZ_to_Lab(np.asarray(colours, dtype=np.float64), white) for colours in (xyz, other)]
     return np.asarray(colour.delta_E(*labs, method="CIE 2000"))
 
 

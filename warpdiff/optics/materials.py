@@ -1,4 +1,4 @@
-"""Materials: what a smooth surface reflects, by complex indices of refraction, with or without a thin film on it.
+"""Materials: reflectance of smooth surfaces by complex indices of refraction, with or without a thin film.
 
 A flat boundary reflects by the equations of Fresnel, a film on it by Airy's sum (Born and Wolf, Principles of Optics,
 sections 1.5, 1.6 and 14.4). Indices are n + ik, k >= 0 where light is absorbed, and light comes through air.
@@ -12,11 +12,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics import colorimetry, refractive_index_files
 from warpdiff.optics.reflectance_factors import normal_reflectance, schlick
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 METALS = Path(__file__).with_name("metals.json")
-POLARISATIONS = ("s", "p")
+Metal = Literal["Al", "Ag", "Au", "Cr", "Cu", "Ni"]
+Polarisation = Literal["s", "p"]
 # A thicker film's fringes are narrower than colours are sampled for.
 _THICKEST_FILM_NM = 1000.0
 # What absorbs so much lets no light through to a pigment: it falls to 1/e within 4 µm.
@@ -38,25 +40,26 @@ VISIBLE_NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1,
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A material by its complex index of refraction n + ik, linear between wavelengths; a film may lie on it.
+    """Material with a complex index of refraction n + ik, linear between wavelengths, and at most one film on it.
 
-    Two are equal if their numbers are.
+    Two materials are equal if their numbers are equal.
 
     Attributes:
-        wavelengths_nm: Wavelengths of the table [nm], increasing, shape (m,); one holds for all wavelengths.
-        n: Real parts, > 0, shape (m,).
-        k: Imaginary parts, >= 0, shape (m,).
-        name: What errors and ``print`` call it.
-        source: Where the numbers are from, and their licence.
-        film: The material of a film on it, or None.
-        film_nm: The film's thickness [nm].
+        wavelengths_nm: Wavelengths of the table [nm], increasing, 100 to 10,000, shape (m,). A single one applies to
+            all wavelengths.
+        n: Real parts of the index, 0.001 to 100, shape (m,) or one number.
+        k: Imaginary parts of the index, 0 to 100, shape (m,) or one number.
+        name: Name in messages and ``print``.
+        source: Origin of the numbers, and their licence.
+        film: Material of the film; None is no film.
+        film_nm: Thickness of the film [nm], 0 to 1000.
     """
 
     wavelengths_nm: ArrayLike = field(repr=False)
     n: ArrayLike = field(repr=False)
     k: ArrayLike = field(default=0.0, repr=False)
     name: str = "material"
-    source: str = ""
+    source: str = field(default="", repr=False)
     film: Material | None = None
     film_nm: float = 0.0
     _key: Any = field(init=False, repr=False)
@@ -64,29 +67,31 @@ class Material:
     def __post_init__(self) -> None:
         wavelengths = colorimetry.check_wavelengths(self.wavelengths_nm)
         if np.any(np.diff(wavelengths) <= 0.0):
-            raise ValueError("wavelengths_nm must be strictly increasing")
+            raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
         object.__setattr__(self, "wavelengths_nm", wavelengths)
         for name, least in (("n", 1e-3), ("k", 0.0)):
             values = np.atleast_1d(validation.finite_array(getattr(self, name), name))
             if values.shape not in (wavelengths.shape, (1,)):
-                raise ValueError(
-                    f"{name} must have one number, or one a wavelength, {wavelengths.shape}, got {values.shape}"
+                raise ArgumentValueError(
+                    f"{ref(name)} must have one number, or one per wavelength, {wavelengths.shape}, got {values.shape}"
                 )
             values = np.array(np.broadcast_to(values, wavelengths.shape))
             if values.min() < least or values.max() > 100.0:
-                raise ValueError(f"{name} must lie within {least:g} to 100, got {values.min():g} to {values.max():g}")
+                raise ArgumentValueError(
+                    f"{ref(name)} must lie within {least:g} to 100, got {values.min():g} to {values.max():g}"
+                )
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         wavelengths.setflags(write=False)
         for name in ("name", "source"):
             if not isinstance(getattr(self, name), str):
-                raise TypeError(f"{name} must be a string, got {type(getattr(self, name)).__name__}")
+                raise ArgumentTypeError(f"{ref(name)} must be a string, got {type(getattr(self, name)).__name__}")
         validation.instance(self.film, Material, "film", optional=True)
         thickness = validation.number(self.film_nm, "film_nm", least=0.0, most=_THICKEST_FILM_NM)
         if self.film is not None and self.film.film is not None:
-            raise ValueError(f"film must be a material without a film of its own, got {self.film}")
+            raise ArgumentValueError(f"{ref('film')} must be a material without a film of its own, got {self.film}")
         object.__setattr__(self, "film_nm", thickness if self.film is not None else 0.0)
-        numbers = [np.asarray(each).tobytes() for each in (wavelengths, self.n, self.k)]
+        numbers = [np.asarray(column).tobytes() for column in (wavelengths, self.n, self.k)]
         object.__setattr__(self, "_key", (*numbers, self.film, self.film_nm))
 
     def __eq__(self, other: object) -> bool:
@@ -100,73 +105,98 @@ class Material:
 
     @classmethod
     def dielectric(cls, n: float) -> Material:
-        """A transparent material of one index of refraction ``n`` > 1 at all wavelengths."""
+        """Return a transparent material.
+
+        Args:
+            n: Index of refraction at all wavelengths, more than 1.
+        """
         return cls([550.0], [validation.number(n, "n", above=1.0)], name=f"n = {n:g}")
 
     @classmethod
-    def metal(cls, symbol: str) -> Material:
-        """A metal by its chemical symbol: Al, Ag, Au, Cr, Cu or Ni; ``source`` names the measurement."""
-        found = _metals()
-        return found[validation.choice(symbol, "symbol", found)]
+    def metal(cls, symbol: Metal) -> Material:
+        """Return a measured metal; its ``source`` names the measurement.
+
+        Args:
+            symbol: Chemical symbol: Al, Ag, Au, Cr, Cu or Ni.
+        """
+        return _metals()[validation.choice(symbol, "symbol", get_args(Metal))]
 
     @classmethod
     def from_nk(
         cls, wavelengths_nm: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0, *, name: str = "material"
     ) -> Material:
-        """A material by a table: wavelengths [nm], increasing, with n and k at each, linear in between."""
+        """Return a material with a table of its index of refraction n + ik, linear between wavelengths.
+
+        Args:
+            wavelengths_nm: Wavelengths [nm], increasing, 100 to 10,000, shape (m,).
+            n: Real parts, 0.001 to 100, shape (m,) or one number.
+            k: Imaginary parts, 0 to 100, shape (m,) or one number, by default 0.
+            name: Name in messages and ``print``.
+        """
         return cls(wavelengths_nm, n, k, name=name)
 
     @classmethod
     def from_file(cls, path: Any) -> Material:
-        """A material of a file of refractiveindex.info: its YAML (tables, formulas 1, 2, 3 and 5) or its CSV.
+        """Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1, 2, 3 and 5) or its CSV.
 
         Args:
-            path: The file; ``.yml`` and ``.yaml`` are YAML, others CSV with columns or blocks of wavelengths [µm, or
-                nm where the header says so], n and k.
+            path: Path of the file: YAML with suffix ``.yml`` or ``.yaml``, otherwise CSV with columns or blocks of
+                wavelengths [µm, or nm if the header says so], n and k.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: It holds no index of refraction that can be read; the message says what is wrong.
+            FileNotFoundError: The file does not exist.
+            ValueError: The file has no index of refraction that can be read.
         """
         file = validation.path(path, "path")
         wavelengths_nm, n, k, source = refractive_index_files.read(file)
         try:
             return cls(wavelengths_nm, n, k, name=file.stem, source=source)
         except ValueError as error:
-            raise ValueError(f"{file.name}: {error}") from None
+            raise ArgumentValueError(f"{ref('path')}: {file.name}: {error}") from None
 
     def coated(self, film: Material, thickness_nm: float) -> Material:
-        """This material under a film of another one, ``thickness_nm`` up to 1000 nm thick."""
+        """Return this material with a thin film on it.
+
+        Args:
+            film: Material of the film, without a film of its own.
+            thickness_nm: Thickness of the film [nm], more than 0 and at most 1000.
+        """
         validation.instance(film, Material, "film")
         thickness = validation.number(thickness_nm, "thickness_nm", above=0.0, most=_THICKEST_FILM_NM)
         if self.film is not None:
-            raise ValueError(f"{self} has a film already: a single one is modelled")
+            raise ArgumentValueError(
+                f"{ref('film')} cannot be added to {self}, which has a film already: only one film layer is supported"
+            )
         return Material(self.wavelengths_nm, self.n, self.k, self.name, self.source, film, thickness)
 
     def reflectance(
-        self, wavelengths_nm: ArrayLike, angle_deg: ArrayLike, *, polarisation: str | None = None
+        self, wavelengths_nm: ArrayLike, angle_deg: ArrayLike, *, polarisation: Polarisation | None = None
     ) -> NDArray[np.float64]:
         """Power reflectance R of a flat surface in air.
 
         Args:
             wavelengths_nm: Wavelengths [nm], within the table.
             angle_deg: Angles of incidence from the normal [degrees], 0 to 90; they broadcast against the wavelengths.
-            polarisation: ``"s"``, across the plane of incidence, ``"p"``, along it, or None, unpolarised: their mean.
+            polarisation: ``"s"``, perpendicular to the plane of incidence, or ``"p"``, parallel to it; None is
+                unpolarised light, the mean of both.
 
         Returns:
-            R, 0 to 1, of the broadcast shape.
+            R, 0 to 1, in the broadcast shape.
         """
         wavelengths = validation.finite_array(wavelengths_nm, "wavelengths_nm")
         angles = validation.finite_array(angle_deg, "angle_deg")
         if angles.size and (angles.min() < 0.0 or angles.max() > 90.0):
-            raise ValueError(f"angle_deg must lie within 0 to 90, got {angles.min():g} to {angles.max():g}")
+            raise ArgumentValueError(
+                f"{ref('angle_deg')} must lie within 0 to 90, got {angles.min():g} to {angles.max():g}"
+            )
         if polarisation is not None:
-            validation.choice(polarisation, "polarisation", POLARISATIONS)
+            validation.choice(polarisation, "polarisation", get_args(Polarisation))
         try:
             np.broadcast_shapes(wavelengths.shape, angles.shape)
         except ValueError:
-            raise ValueError(
-                f"wavelengths_nm and angle_deg must broadcast, got shapes {wavelengths.shape} and {angles.shape}"
+            raise ArgumentValueError(
+                f"{ref('wavelengths_nm')} and {ref('angle_deg')} must broadcast, got shapes {wavelengths.shape} and "
+                f"{angles.shape}"
             ) from None
         if wavelengths.size:
             colorimetry.check_wavelengths(wavelengths.ravel())
@@ -175,7 +205,7 @@ class Material:
 
     @property
     def is_opaque(self) -> bool:
-        """Whether no visible light comes through to what lies below it."""
+        """Whether no visible light is transmitted to a pigment below."""
         return bool(np.max(_index(self, VISIBLE_NM).imag) > _OPAQUE)
 
 
@@ -183,34 +213,34 @@ def reflectance_at(
     material: Material,
     wavelengths_nm: NDArray[np.float64],
     cosine: NDArray[np.float64],
-    polarisation: str | None = None,
+    polarisation: Polarisation | None = None,
 ) -> NDArray[np.float64]:
     """R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
     cosine = np.clip(cosine, 0.0, 1.0)
-    media = [_index(each, wavelengths_nm) for each in (material.film, material) if each is not None]
+    media = [_index(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
     # Cosines in each medium by Snell's law; the roots decay into what absorbs.
     along2 = 1.0 - cosine * cosine
     indices = [np.ones_like(media[0]), *media]
     cosines = [cosine + 0j, *(np.sqrt(1.0 - along2 / (index * index) + 0j) for index in media)]
     result: NDArray[np.float64] = np.zeros(np.broadcast_shapes(np.shape(wavelengths_nm), np.shape(cosine)))
-    taken = POLARISATIONS if polarisation is None else (polarisation,)
-    for each in taken:
+    polarisations: tuple[Polarisation, ...] = get_args(Polarisation) if polarisation is None else (polarisation,)
+    for component in polarisations:
         amplitude, *below = (
-            _fresnel(first, second, one, other, each)
+            _fresnel(first, second, one, other, component)
             for first, second, one, other in zip(indices, indices[1:], cosines, cosines[1:], strict=False)
         )
         if below:
             # Airy's sum of all that goes to and fro in the film.
             below[0] = below[0] * np.exp(4j * np.pi * material.film_nm / wavelengths_nm * indices[1] * cosines[1])
             amplitude = (amplitude + below[0]) / (1.0 + amplitude * below[0])
-        result = result + np.abs(amplitude) ** 2 / len(taken)
+        result = result + np.abs(amplitude) ** 2 / len(polarisations)
     return np.asarray(result)
 
 
 def reflectances(
     material: Material | None, scattering_vectors: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """R(θd, λ) of deflections (n, 3), whose cos θd is |(u, v, w)|/2, at wavelengths [nm] (m,), shape (n, m).
+    """R(θd, λ) of scattering vectors (n, 3), whose cos θd is |(u, v, w)|/2, at wavelengths [nm] (m,), shape (n, m).
 
     Without a material it is 1: the reflectance is in the gains.
     """
@@ -224,19 +254,19 @@ def check_covers(material: Material, low_nm: float, high_nm: float, name: str = 
     for part in (material, material.film):
         table = np.zeros(1) if part is None else np.asarray(part.wavelengths_nm)
         if part is not None and len(table) > 1 and (low_nm < table[0] or high_nm > table[-1]):
-            raise ValueError(
-                f"{name} must cover {low_nm:g} to {high_nm:g} nm, but {part.name!r} is tabulated from {table[0]:g} to "
-                f"{table[-1]:g} nm"
+            raise ArgumentValueError(
+                f"{ref(name)} must cover {low_nm:g} to {high_nm:g} nm, but {part.name!r} is tabulated from "
+                f"{table[0]:g} to {table[-1]:g} nm"
             )
 
 
 def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.complex128]:
     """N + ik at wavelengths [nm], without the film; the ends hold beyond the table."""
-    table, n, k = (np.asarray(each) for each in (material.wavelengths_nm, material.n, material.k))
+    table, n, k = (np.asarray(column) for column in (material.wavelengths_nm, material.n, material.k))
     return np.asarray(np.interp(wavelengths_nm, table, n) + 1j * np.interp(wavelengths_nm, table, k))
 
 
-def _fresnel(first: Any, second: Any, cosine: Any, beyond: Any, polarisation: str) -> Any:
+def _fresnel(first: Any, second: Any, cosine: Any, beyond: Any, polarisation: Polarisation) -> Any:
     """Fresnel's amplitude at the boundary from a medium to the next one, by their indices and cosines."""
     a, b = (first * cosine, second * beyond) if polarisation == "s" else (second * cosine, first * beyond)
     total = a + b
@@ -306,20 +336,24 @@ def check_materials(
         return normal, {"": one}
     _check_no_ior(ior)
     if not material:
-        raise ValueError("material must name a material for each of the mesh's geometries, got none")
-    found: dict[str, Material | None] = {}
-    for name, each in material.items():
+        raise ArgumentValueError(
+            f"{ref('material')} must map the names of the mesh's geometries to materials, got {{}}"
+        )
+    for name, of_geometry in material.items():
         if not isinstance(name, str):
-            raise TypeError(f"material must have names of geometries as keys, got {type(name).__name__}")
-        validation.instance(each, Material, f"material[{name!r}]")
-        check_covers(each, *band_nm, f"material[{name!r}]")
-        found[name] = each
-    return 1.0, found
+            raise ArgumentTypeError(
+                f"{ref('material')} must have names of geometries as keys, got {type(name).__name__}"
+            )
+        validation.instance(of_geometry, Material, f"material[{name!r}]")
+        check_covers(of_geometry, *band_nm, f"material[{name!r}]")
+    return 1.0, dict(material)
 
 
 def _check_no_ior(ior: Any) -> None:
     if ior is not None:
-        raise ValueError(f"give ior or material, not both: got ior={ior!r} besides a material")
+        raise ArgumentValueError(
+            f"{ref('ior')} must not be given with {ref('material')}, got {ior!r}: remove one of them"
+        )
 
 
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
@@ -334,6 +368,6 @@ def transmittances(normal: float, material: Material | None) -> NDArray[np.float
         return np.asarray(through)
     if material.is_opaque:
         return np.zeros((len(cosines), 3))
-    left = 1.0 - reflectance_at(material, VISIBLE_NM, cosines[:, None])
+    transmittance = 1.0 - reflectance_at(material, VISIBLE_NM, cosines[:, None])
     weights = colorimetry.xyz_to_rgb(VISIBLE_NM[:, None] ** 2 * colorimetry.colour_products("D65"))
-    return np.asarray(np.clip(left @ weights / weights.sum(axis=0), 0.0, 1.0))
+    return np.asarray(np.clip(transmittance @ weights / weights.sum(axis=0), 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Everything in the reflectance that does not depend on the height field, in NumPy float64.
+"""Reflectance factors that do not depend on the height field, in NumPy float64.
 
 Directions are unit vectors in the local frame, away from the surface: x along the tangent, z along the normal.
 """
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.kernels.thresholds import HORIZON
 
 if TYPE_CHECKING:
@@ -26,8 +27,8 @@ def normal_reflectance(ior: Any) -> float:
     try:
         index = validation.number(ior, "ior", above=1.0)
     except ValueError:
-        raise ValueError(
-            f"ior must be an index of refraction > 1, or math.inf for a perfect mirror, got {ior!r}"
+        raise ArgumentValueError(
+            f"{ref('ior')} must be an index of refraction > 1, or math.inf for a perfect mirror, got {ior!r}"
         ) from None
     return ((index - 1.0) / (index + 1.0)) ** 2
 
@@ -82,17 +83,18 @@ def gain(
 def light_solid_angle(
     wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """Ω(λ) [sr]: the solid angle of the light that keeps just this much of the surface in step.
+    """Ω(λ) [sr]: the solid angle of the light under which just this much of the surface interferes.
 
     A Gaussian window of the amplitude, averaged or centred: λ²/(4πσ²). A source of angular radius α = √2 s:
-    πα² = 2πs². N1 × N2 copies of a patch of area A: λ²/(A N1 N2). In each of them Ω = λ² ∫g² / |∫g|², with g the window
-    (Stam 1999), which for a source is the one of van Cittert and Zernike, σ(λ) = λ/(2√2 πs). The relative reflectance
-    is the radiance over that of this light, so that Ω is all it takes to compare ρ with anything that is absolute.
+    πα² = 2πs². N1 × N2 periods of a patch of area A: λ²/(A N1 N2). In each of them Ω = λ² ∫g² / |∫g|², with g the
+    window (Stam 1999), which for a source is the one of van Cittert and Zernike, σ(λ) = λ/(2√2 πs). The relative
+    reflectance is the radiance over that of this light, so that Ω is all it takes to compare ρ with anything that is
+    absolute.
 
     Args:
         wavelengths_um: Wavelengths [µm].
         coherence: The window, source or periods.
-        patch_area_um2: Area of the patch, Lx·Ly [µm²]; it matters for copies only.
+        patch_area_um2: Area of the patch, Lx·Ly [µm²]; used for periods only.
 
     Returns:
         The shape of the wavelengths.
@@ -111,7 +113,7 @@ def pigment_solid_angle(
 ) -> NDArray[np.float64]:
     """G = Ω/π: what relates a Lambertian reflectance to the relative one; a Lambertian BRDF is a/π.
 
-    λ²/(4π²σ²) for Gaussian windows, 2s² for a source, λ²/(πA N1 N2) for copies of a patch of area A; the arguments are
+    λ²/(4π²σ²) for Gaussian windows, 2s² for a source, λ²/(πA N1 N2) for periods of a patch of area A; the arguments are
     those of :func:`light_solid_angle`.
     """
     return light_solid_angle(wavelengths_um, coherence, patch_area_um2) / math.pi

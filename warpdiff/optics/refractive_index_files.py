@@ -1,4 +1,4 @@
-"""Files of indices of refraction: the YAML and the CSV of refractiveindex.info."""
+"""Readers of refractive index files: YAML and CSV of refractiveindex.info."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core.files import text_of
+from warpdiff.core.files import read_text
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MOST_BYTES = 16 << 20
-# Steps at which a formula is tabulated.
+# Number of wavelengths at which a formula is tabulated.
 _STEPS = 512
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
 _TAGS = re.compile(r"<[^>]*>")
@@ -26,69 +27,73 @@ Table = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
 def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
-    """Wavelengths [nm], n and k, and what the file says of its source.
+    """Wavelengths [nm], n, k and the source that the file names.
 
     Raises:
-        OSError: There is no such file, or it cannot be read.
-        ValueError: It holds nothing of the kind.
+        OSError: The file does not exist, or cannot be read.
+        ValueError: The file has no index of refraction that can be read.
     """
-    text = text_of(file, _MOST_BYTES)
+    text = read_text(file, _MOST_BYTES)
     try:
         if file.suffix.lower() in {".yml", ".yaml"}:
-            parts, source = _yaml(text)
+            tables, source = _yaml(text)
         else:
-            parts, source = _csv(text), ""
+            tables, source = _csv(text), ""
+        um = _shared_wavelengths(tables)
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"{file.name}: {error}") from None
-    if "n" not in parts:
-        raise ValueError(f"{file.name}: there is no index of refraction n in it")
-    um = _shared_wavelengths(parts)
-    n = np.interp(um, *parts["n"])
-    k = np.interp(um, *parts["k"]) if "k" in parts else np.zeros_like(um)
+        raise ArgumentValueError(f"{ref('path')}: {file.name}: {error}") from None
+    n = np.interp(um, *tables["n"])
+    k = np.interp(um, *tables["k"]) if "k" in tables else np.zeros_like(um)
     return 1e3 * um, n, k, source
 
 
-def _shared_wavelengths(parts: dict[str, Table]) -> NDArray[np.float64]:
+def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
     """The wavelengths of either table within the range of both."""
-    tables = [wavelengths for wavelengths, _ in parts.values()]
-    low, high = max(each[0] for each in tables), min(each[-1] for each in tables)
-    found = np.unique(np.concatenate(tables))
-    found = found[(found >= low) & (found <= high)]
-    if not len(found):
+    if "n" not in tables:
+        raise ValueError("there is no index of refraction n in it")
+    columns = [wavelengths for wavelengths, _ in tables.values()]
+    low, high = max(column[0] for column in columns), min(column[-1] for column in columns)
+    wavelengths = np.unique(np.concatenate(columns))
+    wavelengths = wavelengths[(wavelengths >= low) & (wavelengths <= high)]
+    if not len(wavelengths):
         raise ValueError("n and k have no wavelengths in common")
-    return np.asarray(found)
+    return np.asarray(wavelengths)
 
 
 def _yaml(text: str) -> tuple[dict[str, Table], str]:
     """The tables and formulas of a YAML file of refractiveindex.info, which lists them by type."""
     blocks = list(_BLOCK.finditer(text))
     if not blocks:
-        raise ValueError("no '- type: tabulated nk' or the like is in it, as the YAML of refractiveindex.info has")
-    parts: dict[str, Table] = {}
+        raise ValueError(
+            "there is no '- type: tabulated nk' or '- type: formula 1' in it, as in the YAML of refractiveindex.info"
+        )
+    tables: dict[str, Table] = {}
     for index, block in enumerate(blocks):
         end = blocks[index + 1].start() if index + 1 < len(blocks) else len(text)
         body, kind = text[block.end() : end], block["type"]
         if kind.startswith("tabulated "):
             columns = kind.removeprefix("tabulated ").strip()
             if columns not in {"nk", "n", "k"}:
-                raise ValueError(f"a table of type {kind!r} holds no n and k")
+                raise ValueError(
+                    f"data of type {kind!r} are not supported: use 'tabulated nk', 'tabulated n' or 'tabulated k'"
+                )
             rows = _rows([line.split() for line in body.split("\n")], 1 + len(columns))
             for column, name in enumerate(columns):
-                parts[name] = _ordered(rows[:, 0], rows[:, 1 + column])
+                tables[name] = _ordered(rows[:, 0], rows[:, 1 + column])
         elif kind.startswith("formula "):
-            parts["n"] = _formula(kind.removeprefix("formula ").strip(), body)
+            tables["n"] = _formula(kind.removeprefix("formula ").strip(), body)
         else:
-            raise ValueError(f"data of type {kind!r} are not read: use a table, or formula 1, 2, 3 or 5")
+            raise ValueError(f"data of type {kind!r} are not supported: use a table, or formula 1, 2, 3 or 5")
     reference = re.search(r"^REFERENCES:\s*\|?\s*(.*?)^(?=[A-Z]+:)", text, re.MULTILINE | re.DOTALL)
     source = " ".join(_TAGS.sub("", reference[1]).split()).strip("\"' ") if reference else ""
-    return parts, source
+    return tables, source
 
 
 def _formula(number: str, body: str) -> Table:
     """Tabulate one of the formulas of refractiveindex.info, c in the order of its ``coefficients``."""
     if number not in _FORMULAS:
-        raise ValueError(f"formula {number} is not read: use a table, or formula 1, 2, 3 or 5")
-    found = {}
+        raise ValueError(f"formula {number} is not supported: use a table, or formula 1, 2, 3 or 5")
+    numbers = {}
     for name in ("wavelength_range", "coefficients"):
         line = re.search(
             rf"^\s*(?:{name}|range):[ \t]*([^\n]*)$" if name != "coefficients" else rf"^\s*{name}:[ \t]*([^\n]*)$",
@@ -97,15 +102,15 @@ def _formula(number: str, body: str) -> Table:
         )
         if line is None:
             raise ValueError(f"formula {number} has no {name}")
-        found[name] = [float(each) for each in line[1].split()]
-    limits, c = found["wavelength_range"], found["coefficients"]
+        numbers[name] = [float(word) for word in line[1].split()]
+    limits, c = numbers["wavelength_range"], numbers["coefficients"]
     if len(limits) != 2 or not 0.0 < limits[0] < limits[1] < math.inf or len(c) < 1:
-        raise ValueError(f"formula {number} must have two wavelengths and its coefficients")
+        raise ValueError(f"formula {number} must have a wavelength_range of two numbers and at least one coefficient")
     um = np.geomspace(max(limits[0], 0.1), min(limits[1], 10.0), _STEPS)
     with np.errstate(all="ignore"):
         n = _FORMULAS[number](um, c[0], list(zip(c[1::2], c[2::2], strict=False)))
     if not np.all(np.isfinite(n)):
-        raise ValueError(f"formula {number} has no finite index of refraction at all wavelengths")
+        raise ValueError(f"formula {number} must have a finite index of refraction at all wavelengths")
     return um, n
 
 
@@ -123,7 +128,7 @@ _FORMULAS: dict[str, Callable[[Any, float, list[tuple[float, float]]], Any]] = {
 
 def _csv(text: str) -> dict[str, Table]:
     """The columns of a CSV file: wavelength, n and perhaps k, or one block after the other of each."""
-    parts: dict[str, Table] = {}
+    tables: dict[str, Table] = {}
     names, rows, scale = ["n", "k"], list[list[str]](), 1.0
 
     def finish() -> None:
@@ -131,7 +136,7 @@ def _csv(text: str) -> dict[str, Table]:
             return
         values = _rows(rows, min(1 + len(names), *map(len, rows)))
         for column, name in enumerate(names[: values.shape[1] - 1]):
-            parts[name] = _ordered(scale * values[:, 0], values[:, 1 + column])
+            tables[name] = _ordered(scale * values[:, 0], values[:, 1 + column])
         rows.clear()
 
     for line in text.split("\n"):
@@ -147,7 +152,7 @@ def _csv(text: str) -> dict[str, Table]:
         else:
             rows.append(cells)
     finish()
-    return parts
+    return tables
 
 
 def _number(cell: str) -> float | None:
@@ -159,20 +164,20 @@ def _number(cell: str) -> float | None:
 
 def _rows(lines: list[list[str]], columns: int) -> NDArray[np.float64]:
     """The lines that begin with as many numbers, as an array."""
-    found = []
+    rows = []
     for cells in lines:
         numbers = [_number(cell) for cell in cells[:columns]]
         if len(numbers) == columns and None not in numbers:
-            found.append(numbers)
-    if not found or columns < 2:
-        raise ValueError("there is no line of a wavelength and an index of refraction in it")
-    values = np.array(found, dtype=np.float64)
+            rows.append(numbers)
+    if not rows or columns < 2:
+        raise ValueError("there is no line with a wavelength and an index of refraction in it")
+    values = np.array(rows, dtype=np.float64)
     if not np.all(np.isfinite(values)):
-        raise ValueError("its numbers must be finite")
+        raise ValueError("all numbers must be finite")
     return values
 
 
 def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
-    """A table in the order of wavelengths, of which each counts once."""
+    """A table in the order of wavelengths, each of which occurs once."""
     wavelengths, first = np.unique(um, return_index=True)
     return wavelengths, values[first]

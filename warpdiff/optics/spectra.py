@@ -1,4 +1,4 @@
-"""Spectra of lights: measured ones, black bodies and daylight of a colour temperature."""
+"""Spectra of light sources: measurements, black bodies and phases of daylight."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.core.files import text_of
+from warpdiff.core.files import read_text
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -23,7 +24,7 @@ _DAYLIGHT_K = (4000.0, 25_000.0)
 
 
 def colour_science() -> Any:
-    """colour-science, imported once it is asked for."""
+    """Import colour-science when it is first needed."""
     with warnings.catch_warnings():
         # colour-science announces at import which of its optional packages are absent; none is used here.
         warnings.simplefilter("ignore")
@@ -34,14 +35,14 @@ def colour_science() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A relative spectral power distribution, linear between wavelengths, for ``illuminant=``.
+    """Relative spectral power distribution, linear between wavelengths, for ``illuminant=``.
 
-    Two are equal if their numbers are.
+    Two spectra are equal if their numbers are equal.
 
     Attributes:
-        wavelengths_nm: Wavelengths [nm], increasing, shape (m,), which cover 380 to 780 nm.
-        values: Relative powers, none negative, shape (m,).
-        name: What errors and ``print`` call it.
+        wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, shape (m,), m > 1.
+        values: Relative powers, at least 0, shape (m,).
+        name: Name in messages and ``print``.
     """
 
     wavelengths_nm: ArrayLike = field(repr=False)
@@ -53,21 +54,25 @@ class Spectrum:
         wavelengths = np.atleast_1d(validation.finite_array(self.wavelengths_nm, "wavelengths_nm"))
         values = np.atleast_1d(validation.finite_array(self.values, "values", most=validation.MOST))
         if wavelengths.ndim != 1 or wavelengths.shape != values.shape or len(wavelengths) < 2:
-            raise ValueError(
-                f"wavelengths_nm and values must have the same shape (m,), m > 1, got {wavelengths.shape} and "
-                f"{values.shape}"
+            raise ArgumentValueError(
+                f"{ref('wavelengths_nm')} and {ref('values')} must have the same shape (m,), m > 1, got "
+                f"{wavelengths.shape} and {values.shape}"
             )
         if np.any(np.diff(wavelengths) <= 0.0):
-            raise ValueError("wavelengths_nm must be strictly increasing")
+            raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
         if wavelengths[0] > 380.0 or wavelengths[-1] < 780.0:
-            raise ValueError(
-                f"wavelengths_nm must cover 380 to 780 nm, got {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+            raise ArgumentValueError(
+                f"{ref('wavelengths_nm')} must cover 380 to 780 nm, got {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
             )
         visible = np.interp(np.arange(380.0, 781.0), wavelengths, values)
-        if values.min() < 0.0 or visible[20:-80].max() <= validation.LEAST:
-            raise ValueError("values must not be negative, and there must be light between 400 and 700 nm")
+        if values.min() < 0.0:
+            raise ArgumentValueError(f"{ref('values')} must not be negative, got {values.min():g}")
+        if (brightest := visible[20:-80].max()) <= validation.LEAST:
+            raise ArgumentValueError(
+                f"{ref('values')} must exceed {validation.LEAST:g} between 400 and 700 nm, got {brightest:g} at most"
+            )
         if not isinstance(self.name, str):
-            raise TypeError(f"name must be a string, got {type(self.name).__name__}")
+            raise ArgumentTypeError(f"{ref('name')} must be a string, got {type(self.name).__name__}")
         for name, array in (("wavelengths_nm", wavelengths), ("values", values)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -84,7 +89,11 @@ class Spectrum:
 
     @classmethod
     def blackbody(cls, temperature_k: float) -> Spectrum:
-        """A black body of a temperature, 500 to 100,000 K, by Planck's law; filaments have 2700 to 3200 K."""
+        """Return the spectrum of a black body by Planck's law.
+
+        Args:
+            temperature_k: Temperature [K], 500 to 100,000; filaments have 2700 to 3200.
+        """
         kelvin = validation.number(temperature_k, "temperature_k", least=500.0, most=1e5)
         nm = np.arange(360.0, 831.0)
         # Relative to 560 nm, so that nothing overflows.
@@ -96,32 +105,42 @@ class Spectrum:
 
     @classmethod
     def daylight(cls, temperature_k: float) -> Spectrum:
-        """A phase of daylight of a colour temperature, 4000 to 25,000 K (CIE 15)."""
+        """Return the spectrum of a phase of daylight (CIE 15).
+
+        Args:
+            temperature_k: Correlated colour temperature [K], 4000 to 25,000.
+        """
         kelvin = validation.number(temperature_k, "temperature_k", least=_DAYLIGHT_K[0], most=_DAYLIGHT_K[1])
         colour = colour_science()
-        found = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(kelvin))
-        return cls(found.wavelengths, np.maximum(found.values, 0.0), name=f"daylight of {kelvin:g} K")
+        distribution = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(kelvin))
+        return cls(distribution.wavelengths, np.maximum(distribution.values, 0.0), name=f"daylight of {kelvin:g} K")
 
     @classmethod
     def from_csv(cls, path: Any) -> Spectrum:
-        """A spectrum of a text file with two columns, wavelength [nm] and relative power, parted by commas or blanks.
+        """Load a spectrum from a text file.
+
+        Args:
+            path: Path of the file: two columns, wavelength [nm] and relative power, separated by commas, semicolons or
+                whitespace. Lines without two numbers are ignored.
 
         Raises:
-            OSError: There is no such file, or it cannot be read.
-            ValueError: It holds no such columns.
+            OSError: The file does not exist, or cannot be read.
+            ValueError: The file has no such columns.
         """
         file = validation.path(path, "path")
         rows = []
-        for line in text_of(file, _MOST_BYTES).splitlines():
+        for line in read_text(file, _MOST_BYTES).splitlines():
             try:
                 rows.append([float(cell) for cell in re.split(r"[,;\s]+", line.strip())[:2]])
             except ValueError:
                 continue
         rows = [row for row in rows if len(row) == 2]
         if len(rows) < 2:
-            raise ValueError(f"{file.name}: there are no two columns of numbers in it, wavelength [nm] and power")
+            raise ArgumentValueError(
+                f"{ref('path')}: {file.name}: there are no two columns of numbers in it, wavelength [nm] and power"
+            )
         table = np.array(rows)
         try:
             return cls(table[:, 0], table[:, 1], name=file.stem)
         except ValueError as error:
-            raise ValueError(f"{file.name}: {error}") from None
+            raise ArgumentValueError(f"{ref('path')}: {file.name}: {error}") from None
