@@ -31,7 +31,7 @@ from bench.peers import numba_published
 from bench.truth import reference
 from warpdiff import meshes
 from warpdiff.device.devices import resolve_device, resolve_threads
-from warpdiff.lights.light_types import lobes_of
+from warpdiff.lights.base import lobes_of
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner import strategy

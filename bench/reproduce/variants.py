@@ -23,7 +23,7 @@ from bench.peers import stam_analytic
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.diffraction import fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS
-from warpdiff.lights.light_types import lobes_of
+from warpdiff.lights.base import lobes_of
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface

@@ -77,7 +77,7 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
         tolerance=0.5, refine=False,
     )  # fmt: skip
     exact.save(tmp_path / "exact.exr")
-    exact.save(tmp_path / "exact.png", background=sky.seen(view) / np.float32(0.04))
+    exact.save(tmp_path / "exact.png", background=sky.background(view) / np.float32(0.04))
     assert np.array_equal(found, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
     shown, same = (oiio.ImageBuf(str(tmp_path / name)).get_pixels() for name in ("under.png", "exact.png"))
     assert np.abs(shown - same).max() < 0.01

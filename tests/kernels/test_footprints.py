@@ -13,7 +13,7 @@ from bench.truth.brute_force import shading_frame
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.light_types import lobes_of
+from warpdiff.lights.base import lobes_of
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface

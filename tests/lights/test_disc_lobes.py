@@ -11,7 +11,7 @@ from conftest import slow
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
-from warpdiff.lights.light_types import lobes_of
+from warpdiff.lights.base import lobes_of
 
 SHORT = wd.Coherence(sigma_um=8.0)
 VIEW = wd.View((0, 2, 4), (0, 0, 0), width=96, height=72)
@@ -46,10 +46,10 @@ def points_of(light, count):
 
 @pytest.mark.parametrize("sigma_um", [4.0, 16.25, None])
 @pytest.mark.parametrize("diameter", [0.0, 0.53, 5.0, 12.0, 40.0, 60.0])
-@pytest.mark.parametrize("few", [False, True])
-def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter, sigma_um, few):
+@pytest.mark.parametrize("single_lobe", [False, True])
+def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter, sigma_um, single_lobe):
     light = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter)
-    lobes, axis = lobes_of(light, sigma_um, few=few), np.asarray(light.to_light)
+    lobes, axis = lobes_of(light, sigma_um, single_lobe=single_lobe), np.asarray(light.to_light)
     powers = np.array([each.power for each in lobes])
     assert powers.sum() == pytest.approx(3.0)
     cosines = np.clip([axis @ each.to_light for each in lobes], -1.0, 1.0)
@@ -57,7 +57,7 @@ def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter, sigma_um, fe
     spread2 = [0.0 if each.deviations is None else 0.5 * np.sum(each.deviations**2) for each in lobes]
     variance = np.average(0.5 * np.arccos(cosines) ** 2 + spread2, weights=powers)
     # Several are as even as the disc and end where it does.
-    several = diameter > (5.0 if few else 1.5)
+    several = diameter > (5.0 if single_lobe else 1.5)
     r = max(math.radians(diameter / 2.0), 1e-3)
     of_disc = (2.0 * r * math.sin(r) + 2.0 * math.cos(r) - r * r * math.cos(r) - 2.0) / (1.0 - math.cos(r)) / 2.0
     window = 0.0 if sigma_um is None else (0.45 / (math.sqrt(8.0) * math.pi * sigma_um)) ** 2

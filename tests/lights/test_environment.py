@@ -217,7 +217,7 @@ def test_a_sky_is_seen_behind_a_picture(square):
     along = middles(32)[0]
     sky = wd.Environment(0.5 + 0.5 * along, scale=2.0)
     view = wd.View((0.3, 0.2, 5.0), (0, 0, 0), fov_y_deg=70, width=12, height=8)
-    behind = sky.seen(view)
+    behind = sky.background(view)
     frame = view.frame()
     for row, column in ((0, 0), (3, 7), (7, 11)):
         x = frame.half_width * (2.0 * (column + 0.5) / 12 - 1.0)

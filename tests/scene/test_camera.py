@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from warpdiff.lights.light_types import DirectionalLight
+from warpdiff.lights.directional import DirectionalLight
 from warpdiff.scene.camera import View
 
 EYE, TARGET = (0.0, 0.0, 5.0), (0.0, 0.0, 0.0)

@@ -679,7 +679,7 @@ def _render(options: argparse.Namespace) -> None:
     if sky is not None and options.environment_behind:
         # Pictures by an index of refraction are relative to what it reflects at normal incidence.
         normal, _ = check_reflection(shading["ior"], shading["material"])
-        behind = sky.seen(view) / np.float32(normal)
+        behind = sky.background(view) / np.float32(normal)
     _report(image, options, behind)
 
 

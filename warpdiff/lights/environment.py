@@ -1,18 +1,24 @@
-"""Skies and rooms as lights: a picture of all directions, in latitude and longitude."""
+"""Environments: skies and rooms as lights, from a latitude-longitude image of all directions."""
 
 from __future__ import annotations
 
 import copy
 import functools
 import math
-from dataclasses import KW_ONLY, dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from annotated_types import Interval, Unit
 
 from warpdiff.core import forks, memory, openimageio, validation
-from warpdiff.core.files import check_there
-from warpdiff.lights.light_types import MOST_POWER, DirectionalLight, Lobe, PointLight, orthonormal_pair
+from warpdiff.core.caching import LruCache
+from warpdiff.core.files import check_file
+from warpdiff.core.options import Checked
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.lights.base import MOST_POWER, Lobe, orthonormal_pair
+from warpdiff.lights.directional import DirectionalLight
+from warpdiff.lights.point import PointLight
 from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, linear, maps_of
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
@@ -27,52 +33,59 @@ if TYPE_CHECKING:
 # Of radiances: squares of colours are float32.
 _MOST_RADIANCE = 1e9
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
-# Those of a tolerance of 1: what is left falls about as their number grows.
+# Directions at a tolerance of 1: the error falls about as their number grows.
 _DIRECTIONS_AT_ONE = 820.0
-_BYTES_PER_PIXEL, _BYTES_SEEN = 24.0, 400.0
+_BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
+# Limit: sets of lobes that an environment keeps, one for each window and number of directions, of 7 MB each.
+_MOST_LOBES = 4
 _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class Environment:
-    """Light from all directions, by a picture of them in latitude and longitude, +y up.
+@dataclass(frozen=True, eq=False, repr=False)
+class Environment(Checked):
+    """Light from all directions, given by a latitude-longitude image, +y up.
 
-    The middle column lies at −z and azimuth grows to the right, towards +x; row 0 is +y. A perfect mirror shows the
-    picture's own colours. Lights take windows of the kind ``"averaged"``, and footprints.
+    The middle column points towards −z, and azimuth increases to the right, towards +x; row 0 is +y. A perfect mirror
+    shows the image's own colours. Environments require windows of the kind ``"averaged"``, and footprints.
 
     Attributes:
-        radiance_rgb: Linear sRGB radiance, shape (height, width, 3); negative components count as 0.
-        rotation_deg: By so much the environment is turned about +y, counter-clockwise as seen from above [degrees].
-        scale: Linear factor.
-        directions: A pixel's colour is a sum over so many directions at most, 16 to 32768, of which some two thirds lie
-            above its horizon; they are close together near the mirror direction. None is 820 over the picture's
+        radiance_rgb: Linear sRGB radiance, shape (height, width, 3), up to 1e9; negative components count as 0.
+        rotation_deg: Rotation about +y, counter-clockwise from above.
+        scale: Linear factor of the radiance.
+        directions: Largest number of directions that a pixel's colour is summed over; about two thirds of them lie
+            above its horizon, and they are densest near the mirror direction. None is 820 over the picture's
             tolerance.
     """
 
-    radiance_rgb: ArrayLike = field(repr=False)
+    radiance_rgb: ArrayLike
     _: KW_ONLY
-    rotation_deg: float = 0.0
-    scale: float = 1.0
-    directions: int | None = None
+    rotation_deg: Annotated[float, Interval(ge=-360.0, le=360.0), Unit("°")] = 0.0
+    scale: Annotated[float, Interval(ge=0.0, le=_MOST_RADIANCE)] = 1.0
+    directions: Annotated[int, Interval(ge=_FEWEST_DIRECTIONS, le=_MOST_DIRECTIONS)] | None = None
 
     def __post_init__(self) -> None:
-        given = validation.finite_array(self.radiance_rgb, "radiance_rgb", most=_MOST_RADIANCE)
-        if given.ndim != 3 or given.shape[2] != 3 or min(given.shape[:2]) < 2:
-            raise ValueError(f"radiance_rgb must have shape (height, width, 3), 2 × 2 at least, got {given.shape}")
-        radiance = np.maximum(given, 0.0).astype(np.float32)
+        radiance = validation.finite_array(self.radiance_rgb, "radiance_rgb", most=_MOST_RADIANCE)
+        if radiance.ndim != 3 or radiance.shape[2] != 3 or min(radiance.shape[:2]) < 2:
+            raise ArgumentValueError(
+                f"{ref('radiance_rgb')} must have shape (height, width, 3), at least 2 × 2, got {radiance.shape}"
+            )
+        radiance = np.maximum(radiance, 0.0).astype(np.float32)
         if not radiance.any():
-            raise ValueError("radiance_rgb must hold light somewhere, got none above 0")
+            raise ArgumentValueError(f"{ref('radiance_rgb')} must have a component above 0, got none")
         radiance.setflags(write=False)
         object.__setattr__(self, "radiance_rgb", radiance)
-        object.__setattr__(
-            self, "rotation_deg", validation.number(self.rotation_deg, "rotation_deg", least=-360.0, most=360.0)
+        super().__post_init__()
+
+    def __repr__(self) -> str:
+        height, width = np.shape(self.radiance_rgb)[:2]
+        return (
+            f"Environment({height} × {width} pixels, rotation_deg={self.rotation_deg:g}, scale={self.scale:g}, "
+            f"directions={self.directions})"
         )
-        object.__setattr__(self, "scale", validation.number(self.scale, "scale", least=0.0, most=_MOST_RADIANCE))
-        if self.directions is not None:
-            count = validation.count(self.directions, "directions", least=_FEWEST_DIRECTIONS)
-            if count > _MOST_DIRECTIONS:
-                raise ValueError(f"directions must be at most {_MOST_DIRECTIONS}, got {count}")
-            object.__setattr__(self, "directions", count)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Lobes hold arrays on devices, which neither copies nor other processes share.
+        return {name: value for name, value in vars(self).items() if name != "_lobes"}
 
     @classmethod
     def load(
@@ -83,23 +96,34 @@ class Environment:
         scale: float = 1.0,
         directions: int | None = None,
     ) -> Environment:
-        """An environment of an EXR or HDR file in latitude and longitude, of linear sRGB.
+        """Load an environment from an EXR or HDR file in linear sRGB.
+
+        Args:
+            path: Latitude-longitude image.
+            rotation_deg: Rotation about +y, counter-clockwise from above [degrees], −360 to 360.
+            scale: Linear factor of the radiance, 0 to 1e9.
+            directions: Largest number of directions that a pixel's colour is summed over, 16 to 32768; None is 820 over
+                the picture's tolerance.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: It is no such picture.
+            FileNotFoundError: The file does not exist.
+            ValueError: The file is not such an image.
         """
         file = validation.path(path, "path")
-        check_there(file)
+        check_file(file)
         with openimageio.in_use() as oiio:
             image = oiio.ImageInput.open(str(file))
             if image is None:
                 oiio.geterror()
-                raise ValueError(f"path: {str(file)!r} cannot be read as an image; give an EXR or HDR file")
+                raise ArgumentValueError(
+                    f"{ref('path')}: {str(file)!r} cannot be read as an image; give an EXR or HDR file"
+                )
             try:
                 spec = image.spec()
                 if spec.nchannels < 3:
-                    raise ValueError(f"path: {str(file)!r} has {spec.nchannels} channels; give one of R, G and B")
+                    raise ArgumentValueError(
+                        f"{ref('path')}: {str(file)!r} has {spec.nchannels} channel(s); give an image with R, G and B"
+                    )
                 memory.require_memory(
                     _BYTES_PER_PIXEL * spec.width * spec.height, f"path: {str(file)!r} of {spec.width} × {spec.height}",
                     "take {share} of its pixels",
@@ -107,23 +131,31 @@ class Environment:
                 samples = image.read_image(0, 0, 0, 3, "float")
                 if samples is None or image.has_error:
                     image.geterror()
-                    raise ValueError(f"path: {str(file)!r} is damaged; export the image again")
+                    raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; export the image again")
             finally:
                 image.close()
         try:
             return cls(np.asarray(samples), rotation_deg=rotation_deg, scale=scale, directions=directions)
-        except ValueError as error:
-            raise ValueError(str(error).replace("radiance_rgb", f"path: {str(file)!r}", 1)) from None
+        except ArgumentValueError as error:
+            raise ArgumentValueError(
+                error.marked.replace(ref("radiance_rgb"), f"{ref('path')}: {str(file)!r}", 1)
+            ) from None
 
-    def seen(self, view: View) -> NDArray[np.float32]:
-        """What a view sees of it where nothing is before it: linear sRGB, shape (height, width, 3), a ``background=``.
+    def background(self, view: View) -> NDArray[np.float32]:
+        """The environment as a camera sees it, for ``background=`` of pictures.
 
-        It is as bright as a perfect mirror shows it. Pictures by ``ior=``, which are relative to what is reflected at
-        normal incidence, go with a ``scale`` divided by that.
+        It is as bright as a perfect mirror shows it. For pictures with ``ior=``, which are relative to the reflectance
+        at normal incidence, divide it by that reflectance.
+
+        Args:
+            view: The camera.
+
+        Returns:
+            Linear sRGB, shape (height, width, 3).
         """
         validation.instance(view, View, "view")
         memory.require_memory(
-            _BYTES_SEEN * view.width * view.height, f"view of {view.width} × {view.height} pixels",
+            _BYTES_OF_BACKGROUND * view.width * view.height, f"view of {view.width} × {view.height} pixels",
             "take {share} of its pixels",
         )  # fmt: skip
         frame = view.frame()
@@ -136,16 +168,21 @@ class Environment:
 
     @forks.cached_property
     def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float, list[Sun]]:
-        """Texels, sides and the first blur of a :class:`SkyLight`, but for its scale, and suns.
+        """Texels, sides and first blur of :class:`SkyMaps`, but for window and scale, and suns.
 
-        They take a second, and do not depend on how the environment is turned.
+        They take a second, and do not depend on the rotation.
         """
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
         return *maps_of(blurred_grids(grid)), suns
 
+    @forks.cached_property
+    def _lobes(self) -> LruCache[tuple[Lobe, ...]]:
+        """Lobes by window and number of directions, so that pictures under this environment share their arrays."""
+        return LruCache(most=_MOST_LOBES)
+
 
 def rotated(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """The same radiances, otherwise turned, scaled and summed: what takes long is done once."""
+    """An environment of the same radiances at another rotation, scale and number of directions; maps are shared."""
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _maps=environment._maps)
     return result
@@ -154,37 +191,48 @@ def rotated(environment: Environment, rotation_deg: float, scale: float, directi
 Light = DirectionalLight | PointLight | Environment
 
 
-def lobes_of_sky(environment: Environment, sigma_um: float, tolerance: float) -> list[Lobe]:
-    """An environment as lights of windows of a deviation, for pictures of a tolerance: the sky, and its suns.
+def lobes_of_sky(environment: Environment, sigma_um: float, tolerance: float) -> tuple[Lobe, ...]:
+    """Return the lobes of an environment, which it keeps: its sky, and its suns.
+
+    Args:
+        environment: The light.
+        sigma_um: Standard deviation of the windows [µm].
+        tolerance: Tolerance of the picture, which sets the number of directions unless the environment does.
+    """
+    count = environment.directions or min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
+    make = functools.partial(_lobes_of_sky, environment, sigma_um, count)
+    return environment._lobes.get_or_make((sigma_um, count), make)
+
+
+def _lobes_of_sky(environment: Environment, sigma_um: float, directions: int) -> tuple[Lobe, ...]:
+    """The lobes for windows of a deviation and a number of directions.
 
     Of radiance L from a solid angle dω comes ρ L dω 4πσ²/λ² (the absolute reflectance over ρ), so that L/λ² is what
     a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
     (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
-    chosen = min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
     texels, sides, blur, suns = environment._maps
-    (red, green, blue), per_radiance = _spectra()
+    primaries, per_radiance = _spectra()
     of_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
     scale = environment.scale * 4.0 * math.pi * sigma_um**2
     powers = texels * (scale * np.append(per_radiance, of_luminance))
     powers_of_suns = [scale * float(sun.rgb @ per_radiance) for sun in suns]
     strongest = max([4.0 * math.pi * float(powers[:, :3].max()), *powers_of_suns])
     if strongest > MOST_POWER:
-        raise ValueError(
-            f"light: radiance_rgb times scale of an Environment is too bright: it has a power of up to "
-            f"{strongest:g}, and {MOST_POWER:g} is the most; give a smaller scale"
+        raise ArgumentValueError(
+            f"{ref('lights')}: an Environment has a power of {strongest:g}, and must have at most {MOST_POWER:g}; give "
+            f"a smaller {ref('scale')}"
         )
-    count = environment.directions or chosen
     turn = math.radians(environment.rotation_deg)
-    sky = SkyMaps((red, green, blue), powers.astype(np.float32), sides, blur, turn, count)
-    result = [Lobe((0.0, 1.0, 0.0), green, 1.0, sky=sky)]
+    sky = SkyMaps(primaries, powers.astype(np.float32), sides, blur, turn, directions)
+    result = [Lobe((0.0, 1.0, 0.0), primaries[1], 1.0, sky=sky)]
     for sun, power in zip(suns, powers_of_suns, strict=True):
-        x, y, z = (float(each) for each in sun.towards)
-        towards = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x
-        values = sum(float(c) * np.asarray(each.values) for c, each in zip(sun.rgb, (red, green, blue), strict=True))
+        x, y, z = sun.towards.tolist()
+        to_light = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x
+        values = sum(float(c) * np.asarray(primary.values) for c, primary in zip(sun.rgb, primaries, strict=True))
         illuminant = Spectrum(_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
-        result.append(Lobe(towards, illuminant, power, sun.deviation * orthonormal_pair(np.asarray(towards))))
-    return result
+        result.append(Lobe(to_light, illuminant, power, sun.deviation * orthonormal_pair(np.asarray(to_light))))
+    return tuple(result)
 
 
 @functools.cache
@@ -196,6 +244,6 @@ def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]
     per_square = 1e6 / _NM**2
     bright = colorimetry.colour_products("D65")[:, 1]
     white = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values
-    red, green, blue = (Spectrum(_NM, each * white * per_square, name="environment") for each in basis.T)
+    red, green, blue = (Spectrum(_NM, primary * white * per_square, name="environment") for primary in basis.T)
     per_radiance = colorimetry.RGB_TO_XYZ[1] * ((bright * per_square) @ basis) / (bright @ basis)
     return (red, green, blue), per_radiance

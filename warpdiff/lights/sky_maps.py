@@ -1,13 +1,14 @@
-"""Skies as kernels take them: octahedral maps, blurred more and more, in three spectra that add up to any RGB."""
+"""Sky maps: octahedral maps of a sky at increasing blur, in three spectra that add up to any RGB."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from warpdiff.core.caching import LruCache
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
 class Sun(NamedTuple):
-    """What is bright and small in a sky."""
+    """A bright and small part of a sky."""
 
     towards: NDArray[np.float64]
     rgb: NDArray[np.float64]  # radiance times solid angle
@@ -36,16 +37,17 @@ class Sun(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SkyMaps:
-    """A sky as a light.
+    """A sky as a light, at one rotation, scale and window.
 
     Attributes:
-        spectra: Three illuminants, of which any colour is a sum.
-        texels: Power per solid angle by spectrum, and the deviation of their sum under the blur, (n, 4), level after
-            level: those of a map, with a texel more on each side of it, row by row.
-        sides: Texels along a side of each level's map, without these.
-        blur: What the first level is blurred by [rad]; each next one by twice as much.
-        turn: By how much the sky is turned about +y [rad].
-        directions: From how many a pixel's colour is summed.
+        spectra: Three illuminants; any colour is a sum of them.
+        texels: Power per solid angle by spectrum, and the standard deviation of their sum under the blur, shape (n, 4),
+            level after level; a map has one more texel on each side, and is stored row by row.
+        sides: Number of texels along a side of each level's map, without the additional ones.
+        blur: Blur of the first level [rad]; each further level has twice the blur.
+        turn: Rotation about +y [rad].
+        directions: Number of directions that a pixel's colour is summed over.
+        device_arrays: Arrays of these maps on devices, by the device's name; whoever uploads them puts them here.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
@@ -54,6 +56,7 @@ class SkyMaps:
     blur: float
     turn: float
     directions: int
+    device_arrays: LruCache[Any] = field(default_factory=LruCache, repr=False)
 
 
 def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
@@ -64,33 +67,33 @@ def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -
     column = ((np.arctan2(along[..., 0], -along[..., 2]) + turn) / (2.0 * math.pi) + 0.5) * width - 0.5
     top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
     down, right = (row - top)[..., None], (column - left)[..., None]
-    left, beside = left % width, (left + 1) % width
-    upper = (1.0 - right) * grid[top, left] + right * grid[top, beside]
-    lower = (1.0 - right) * grid[top + 1, left] + right * grid[top + 1, beside]
+    left, next_left = left % width, (left + 1) % width
+    upper = (1.0 - right) * grid[top, left] + right * grid[top, next_left]
+    lower = (1.0 - right) * grid[top + 1, left] + right * grid[top + 1, next_left]
     return np.asarray((1.0 - down) * upper + down * lower)
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """A sky on the grid that is blurred, without its suns, which are lights of their own: cells are wider than they."""
+    """A sky on the grid that is blurred, without its suns, which are separate lights: the grid's cells are too wide."""
     grid = _on_grid(radiance)
-    neighbour_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
+    sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []
-    if neighbour_extent > _FARTHEST_SUN_REACH:
+    if sun_extent > _FARTHEST_SUN_REACH:
         return grid, suns
     along = _grid_directions()
     for _ in range(_MOST_SUNS):
-        found = _sun_in(grid, along, neighbour_extent)
-        if found is None:
+        split = _sun_in(grid, along, sun_extent)
+        if split is None:
             break
-        suns.append(found[0])
-        grid = found[1]
+        suns.append(split[0])
+        grid = split[1]
     return grid, suns
 
 
 def _sun_in(
-    grid: NDArray[np.float64], along: NDArray[np.float64], neighbour_extent: float
+    grid: NDArray[np.float64], along: NDArray[np.float64], sun_extent: float
 ) -> tuple[Sun, NDArray[np.float64]] | None:
-    """What is brightest in a sky, and the sky without it, if it is small and far brighter than what is around.
+    """The sun of a sky, if its brightest part is small and far brighter than its surroundings, and the sky without it.
 
     ``along`` are the directions to the grid's cells.
     """
@@ -101,9 +104,9 @@ def _sun_in(
     towards = along.reshape(-1, 3)[bright.argmax()]
     for _ in range(2):
         away = np.arccos(np.clip(along @ towards, -1.0, 1.0))
-        inside, around = away < neighbour_extent, (away >= neighbour_extent) & (away < 2.0 * neighbour_extent)
-        beside = np.average(bright[around], weights=solid[around])
-        power = np.where(inside, np.maximum(bright - beside, 0.0) * solid, 0.0)
+        inside, around = away < sun_extent, (away >= sun_extent) & (away < 2.0 * sun_extent)
+        background = np.average(bright[around], weights=solid[around])
+        power = np.where(inside, np.maximum(bright - background, 0.0) * solid, 0.0)
         if power.sum() <= _SUN_SHARE * (bright * solid).sum():
             return None
         towards = (power[..., None] * along).sum(axis=(0, 1))
@@ -111,9 +114,9 @@ def _sun_in(
     if bright[around].max() > _AROUND_SUN * bright.max():
         return None
     # What is left of it is as bright as what is around.
-    kept = np.where(inside, np.minimum(beside / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
-    rgb = ((1.0 - kept) * grid * solid[..., None]).sum(axis=(0, 1))
-    return Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())), kept * grid
+    share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
+    rgb = ((1.0 - share) * grid * solid[..., None]).sum(axis=(0, 1))
+    return Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())), share * grid
 
 
 def blurred_grids(grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -138,7 +141,7 @@ def _luminance2(grid: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def maps_of(grids: list[NDArray[np.float64]]) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-    """Texels, sides and the first blur of a :class:`SkyLight`, of blurred grids."""
+    """Texels, sides and first blur of :class:`SkyMaps` from blurred grids."""
     sides = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
     texels = [linear(grid, _directions(side), 0.0).reshape(-1, 4) for grid, side in zip(grids, sides, strict=True)]
     return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
@@ -159,17 +162,17 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
     if len(result) < _ROWS:
         return linear(result, _grid_directions(), 0.0)
     for axis, count in enumerate((_ROWS, 2 * _ROWS)):
-        given = np.linspace(0.0, 1.0, result.shape[axis] + 1)
-        wanted = np.linspace(0.0, 1.0, count + 1)
+        edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
+        targets = np.linspace(0.0, 1.0, count + 1)
         if axis == 0:
             # By solid angle.
-            given, wanted = (0.5 - 0.5 * np.cos(math.pi * each) for each in (given, wanted))
+            edges, targets = (0.5 - 0.5 * np.cos(math.pi * places) for places in (edges, targets))
         result = np.moveaxis(result, axis, 0)
-        sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(given)[:, None, None], 0)])
-        place = np.interp(wanted, given, np.arange(len(given)))
-        first = np.minimum(place.astype(int), len(given) - 2)
+        sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(edges)[:, None, None], 0)])
+        place = np.interp(targets, edges, np.arange(len(edges)))
+        first = np.minimum(place.astype(int), len(edges) - 2)
         sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
-        result = np.moveaxis(np.diff(sums, axis=0) / np.diff(wanted)[:, None, None], 0, axis)
+        result = np.moveaxis(np.diff(sums, axis=0) / np.diff(targets)[:, None, None], 0, axis)
     return result
 
 
@@ -193,8 +196,8 @@ def _blurred(grid: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
     waves = np.fft.rfft(grid, axis=1)
     waves *= np.exp(-0.5 * (order * blur / level[:, None]) ** 2)[:, :, None]
 
-    def gaussian(away: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.exp(-0.5 * (away / blur) ** 2)
+    def gaussian(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.exp(-0.5 * (distance / blur) ** 2)
 
     near = gaussian(polar[:, None] - polar) * level
     over = (gaussian(polar[:, None] + polar) + gaussian(2.0 * math.pi - polar[:, None] - polar)) * level
@@ -205,8 +208,8 @@ def _blurred(grid: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
     for odd in (0, 1):
         # What has gone over a pole is half a turn further.
         weights = scale[:, None] * (near + (-1.0) ** odd * over) * scale
-        some = np.ascontiguousarray(waves[:, odd::2]).reshape(height, -1)
-        result[:, odd::2] = (weights @ some.real + 1j * (weights @ some.imag)).reshape(height, -1, grid.shape[2])
+        part = np.ascontiguousarray(waves[:, odd::2]).reshape(height, -1)
+        result[:, odd::2] = (weights @ part.real + 1j * (weights @ part.imag)).reshape(height, -1, grid.shape[2])
     return np.asarray(np.fft.irfft(result, width, axis=1))
 
 

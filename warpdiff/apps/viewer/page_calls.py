@@ -206,7 +206,7 @@ class Scene:
         if self.is_behind:
             # Pictures by an index of refraction are relative to what it reflects at normal incidence.
             of_normal = "" if self.normal == 1.0 else f" / {self.normal!r}"
-            behind = f", background=environment.seen(view){of_normal}"
+            behind = f", background=environment.background(view){of_normal}"
         shown = {name: value for name, value in saved.items() if not (self.is_behind and name == "background")}
         operands = [
             _said(self.mesh), str(self.heightfield), lights[0] if len(lights) == 1 else f"[{', '.join(lights)}]",

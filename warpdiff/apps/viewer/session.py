@@ -516,7 +516,7 @@ def _alike(one: Wanted, other: Wanted) -> bool:
 
 def _behind(scene: Scene, lights: list[Any], view: wd.View) -> dict[str, Any]:
     """The environment as a picture's background, where it is one."""
-    return {"background": lights[-1].seen(view) / np.float32(scene.normal)} if scene.is_behind else {}
+    return {"background": lights[-1].background(view) / np.float32(scene.normal)} if scene.is_behind else {}
 
 
 def _illuminants(scene: Scene) -> tuple[str, ...]:

@@ -1,0 +1,40 @@
+"""Point lights: light from a position in the scene."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from annotated_types import Interval, Unit
+
+from warpdiff.core.options import Checked
+from warpdiff.lights.base import MOST_POWER, Lobe, check_illuminant, lobes_of
+
+if TYPE_CHECKING:
+    from warpdiff.optics.spectra import Spectrum
+
+
+@dataclass(frozen=True)
+class PointLight(Checked):
+    """Light from a point in the scene, equal in all directions; it falls off with the square of the distance.
+
+    Attributes:
+        position: Position, world frame.
+        illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
+        power: Linear factor, specified at distance 1 in mesh units: with 1, a flat mirror at this distance that
+            reflects the light has Y = 1.
+    """
+
+    position: Annotated[tuple[float, float, float], Unit("mesh units")]
+    _: KW_ONLY
+    illuminant: str | Spectrum = "D65"
+    power: Annotated[float, Interval(ge=0.0, le=MOST_POWER)] = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_illuminant(self.illuminant)
+
+
+@lobes_of.register(PointLight)
+def _lobes_of_point(light: PointLight, _sigma_um: float | None = None, **_: bool) -> list[Lobe]:
+    return [Lobe((0.0, 0.0, 1.0), light.illuminant, light.power, position=light.position)]
