@@ -42,13 +42,13 @@ def apart_deg(one, other):
     return np.abs((one - other + 180.0) % 360.0 - 180.0)
 
 
-def seen(encoded):
+def displayed(encoded):
     return colorimetry.rgb_to_xyz(colorimetry.srgb_decode(encoded))
 
 
-def validation_size(encoded, bands):
+def hue_errors(encoded, bands):
     """Errors of hue against the colours themselves, and the largest step between bands beside each other [°]."""
-    hues = hues_deg(seen(encoded))
+    hues = hues_deg(displayed(encoded))
     return apart_deg(hues, hues_deg(bands)), float(apart_deg(hues[..., 1:], hues[..., :-1]).max())
 
 
@@ -59,8 +59,8 @@ def test_colours_in_gamut_are_those_of_colour_science(rng):
         space = colour.RGB_COLOURSPACES[name]
         xyz = colour.RGB_to_XYZ(rgb, space)
         for display in ("colorimetric", "clip"):
-            found = colour.RGB_to_XYZ(transform.shown(xyz, display, gamut), space, apply_cctf_decoding=True)
-            lab, expected = (colour.XYZ_to_Lab(each, space.whitepoint) for each in (found, xyz))
+            displayed_xyz = colour.RGB_to_XYZ(transform.encode(xyz, display, gamut), space, apply_cctf_decoding=True)
+            lab, expected = (colour.XYZ_to_Lab(colours, space.whitepoint) for colours in (displayed_xyz, xyz))
             assert np.max(colour.delta_E(lab, expected, method="CIE 2000")) <= 0.5
 
 
@@ -71,8 +71,8 @@ def test_oklab_is_that_of_colour_science(rng):
 
 
 def test_aces_keeps_the_hues_of_narrow_bands(bands):
-    errors, step = validation_size(transform.shown(bands, "aces", "srgb"), bands)
-    without, step_without = validation_size(transform.aces(bands.reshape(-1, 3), "srgb").reshape(bands.shape), bands)
+    errors, step = hue_errors(transform.encode(bands, "aces", "srgb"), bands)
+    without, step_without = hue_errors(transform.aces(bands.reshape(-1, 3), "srgb").reshape(bands.shape), bands)
     # Measured: 0.6, 12.4 and 17.8; of the bands themselves the largest step is 14.1.
     assert np.median(errors) < 1.0
     assert np.median(without) > 2.0
@@ -80,15 +80,15 @@ def test_aces_keeps_the_hues_of_narrow_bands(bands):
     assert without.max() > 30.0
     assert step < 18.5
     assert step_without > 21.0
-    clipped, step_clipped = validation_size(transform.shown(bands, "clip", "srgb"), bands)
+    clipped, step_clipped = hue_errors(transform.encode(bands, "clip", "srgb"), bands)
     assert clipped.max() > 50.0
     assert step_clipped > 60.0
 
 
 def test_colorimetric_keeps_hues_where_it_is_not_white(bands):
-    shown = transform.shown(bands, "colorimetric", "srgb")
-    errors, _ = validation_size(shown, bands)
-    lab = transform.oklab(seen(shown))
+    encoded = transform.encode(bands, "colorimetric", "srgb")
+    errors, _ = hue_errors(encoded, bands)
+    lab = transform.oklab(displayed(encoded))
     coloured = np.hypot(lab[..., 1], lab[..., 2]) > 0.01
     assert coloured[:, :4].mean() > 0.9
     assert errors[coloured].max() < 0.5
@@ -104,14 +104,14 @@ def test_compression_leaves_what_is_not_vivid_and_keeps_lightness_and_hue(bands)
     # What is more vivid stays more vivid.
     share = np.linspace(0.0, 1.0, 50)[:, None, None]
     scaled = before * np.concatenate([np.ones_like(share), share, share], axis=2)
-    found = transform.oklab(transform.compress_chroma(transform.of_oklab(scaled).reshape(-1, 3))).reshape(scaled.shape)
-    assert np.all(np.diff(np.hypot(found[..., 1], found[..., 2]), axis=0) > 0.0)
+    lab = transform.oklab(transform.compress_chroma(transform.of_oklab(scaled).reshape(-1, 3))).reshape(scaled.shape)
+    assert np.all(np.diff(np.hypot(lab[..., 1], lab[..., 2]), axis=0) > 0.0)
 
 
 @pytest.mark.parametrize("gamut", list(transform.GAMUTS))
 def test_a_table_shows_what_aces_does(bands, gamut):
-    exact, fast = (transform.shown(bands, "aces", gamut, exact=each) for each in (True, False))
-    labs = [colour.XYZ_to_Lab(seen(each), [0.3127, 0.3290]) for each in (exact, fast)]
+    exact, fast = (transform.encode(bands, "aces", gamut, exact=is_exact) for is_exact in (True, False))
+    labs = [colour.XYZ_to_Lab(displayed(encoded), [0.3127, 0.3290]) for encoded in (exact, fast)]
     differences = colour.delta_E(*labs, method="CIE 2000")
     assert np.median(differences) < 0.15
     assert np.percentile(differences, 99) < 1.0
@@ -122,20 +122,20 @@ def test_a_table_shows_what_aces_does(bands, gamut):
 def test_any_light_is_shown(display, exact):
     light = np.array([0.0, 1e-300, 1e-30, 1e-9, 1e-3, 1.0, 1e9, 1e30])
     for colours in ([0.95, 1.0, 1.09], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.1, 1.0, 0.0]):
-        found = transform.shown(light[:, None] * colours, display, "srgb", exact=exact)
-        assert np.all((found >= 0.0) & (found <= 1.0))
-    white = transform.shown(light[:, None] * colorimetry.rgb_to_xyz([1.0, 1.0, 1.0]), display, "srgb", exact=exact)
+        encoded = transform.encode(light[:, None] * colours, display, "srgb", exact=exact)
+        assert np.all((encoded >= 0.0) & (encoded <= 1.0))
+    white = transform.encode(light[:, None] * colorimetry.rgb_to_xyz([1.0, 1.0, 1.0]), display, "srgb", exact=exact)
     assert np.all(white[0] < 1e-6)
     np.testing.assert_allclose(white[-2:], 1.0, atol=1e-3)
     assert np.all(np.diff(white[:, 1]) >= -1e-6)
-    assert transform.shown(np.zeros((0, 3)), display, "srgb", exact=exact).shape == (0, 3)
+    assert transform.encode(np.zeros((0, 3)), display, "srgb", exact=exact).shape == (0, 3)
 
 
 def test_another_configuration_of_the_environment_is_not_read(tmp_path):
     (tmp_path / "other.ocio").write_text("nonsense")
     code = (
         "import numpy as np, warpdiff.image.display_transform as t\n"
-        "assert abs(t.shown(0.18 * np.array([0.9505, 1.0, 1.089]), 'aces', 'srgb')[1] - 0.349) < 2e-3"
+        "assert abs(t.encode(0.18 * np.array([0.9505, 1.0, 1.089]), 'aces', 'srgb')[1] - 0.349) < 2e-3"
     )
     subprocess.run(
         [sys.executable, "-c", code], check=True, timeout=120, env=os.environ | {"OCIO": str(tmp_path / "other.ocio")}

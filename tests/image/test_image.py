@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
+import io
 import os
 import shutil
 import stat
 import subprocess
+import sys
+import types
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 import pytest
 from endurance import count
+from PIL import Image, ImageShow
 
 import warpdiff as wd
+from warpdiff.core.options import describe
+from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.optics import colorimetry
 
 ROW = "pictures saved on full disks, under limits of a file's size, interrupted"
@@ -157,7 +164,7 @@ def test_a_black_picture_is_saved_as_one(plan, tmp_path):
 
 
 def test_exr_is_linear_whatever_the_display(image, tmp_path):
-    paths = [image.save(tmp_path / f"{each}.exr", display=each) for each in ("aces", "clip")]
+    paths = [image.save(tmp_path / f"{name}.exr", display=name) for name in ("aces", "clip")]
     np.testing.assert_array_equal(*(read(path)[1] for path in paths))
 
 
@@ -165,9 +172,9 @@ def test_png_is_what_is_displayed_and_says_how(image, tmp_path):
     for display in ("aces", "colorimetric", "clip"):
         spec, pixels = read(image.save(tmp_path / "a.png", display=display, exposure_stops=-1.0))
         np.testing.assert_array_equal(pixels, np.round(255.0 * image.display(display, exposure_stops=-1.0)))
-        said = spec.getattribute("warpdiff:display")
-        assert ("ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5" in said) == (display == "aces"), said
-        assert display in said.lower(), said
+        transform = spec.getattribute("warpdiff:display")
+        assert ("ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5" in transform) == (display == "aces"), transform
+        assert display in transform.lower(), transform
 
 
 def test_display_p3_is_said_by_a_chunk_of_the_png(image, tmp_path):
@@ -197,16 +204,16 @@ def test_a_picture_that_is_all_but_black_is_shown(plan, tmp_path):
 
 
 def test_a_background_is_mixed_in_linear_light(image, tmp_path):
-    shown = image.display("clip")
+    encoded = image.display("clip")
     behind = np.array([1.0, 0.5, 0.0])
     over = image.display("clip", background=behind)
     np.testing.assert_allclose(over[0], np.broadcast_to(behind, over[0].shape), atol=1e-6)
-    np.testing.assert_allclose(over[2:], shown[2:, :, :3], atol=1e-6)
-    mixed = 0.25 * colorimetry.srgb_decode(shown[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
+    np.testing.assert_allclose(over[2:], encoded[2:, :, :3], atol=1e-6)
+    mixed = 0.25 * colorimetry.srgb_decode(encoded[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
     np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
     # A picture behind is shown alike: over itself it covers 1 - (1 - 0.25)² of where it covers a quarter.
     itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
-    np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(shown[1, :, :3]), atol=1e-5)
+    np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(encoded[1, :, :3]), atol=1e-5)
     spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))
     assert tuple(spec.channelnames) == ("R", "G", "B")
     np.testing.assert_array_equal(pixels, np.round(255.0 * over))
@@ -220,14 +227,14 @@ def test_files_are_replaced_and_have_the_usual_permissions(image, name, tmp_path
     first = path.read_bytes()
     image.save(path, exposure=0.1)
     assert path.read_bytes() != first
-    assert [each.name for each in tmp_path.iterdir()] == [name]
+    assert [file.name for file in tmp_path.iterdir()] == [name]
     if os.name == "posix":
         (tmp_path / "plain").write_text("")
         assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
 
 
 class FailingOutput:
-    """A writer of OpenImageIO that breaks off where it is told."""
+    """A writer of OpenImageIO that fails at one of its steps."""
 
     def __init__(self, at: str) -> None:
         self._at = at
@@ -279,12 +286,12 @@ def largest_file(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def cannot_save(image, folder, name, *, said="cannot write", **options):
+def cannot_save(image, folder, name, *, message="cannot write", **options):
     """Check that saving says so, over an old file or none, and leaves nothing else behind."""
     for old in ({}, {name: b"precious"}):
-        for each, content in old.items():
-            (folder / each).write_bytes(content)
-        with pytest.raises(OSError, match=said):
+        for file, content in old.items():
+            (folder / file).write_bytes(content)
+        with pytest.raises(OSError, match=message):
             image.save(folder / name, **options)
         assert {path.name: path.read_bytes() for path in folder.iterdir()} == old
 
@@ -309,7 +316,7 @@ def test_a_file_system_that_allocates_late_is_heard(image, name, tmp_path, monke
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    cannot_save(image, tmp_path, name, said="No space left")
+    cannot_save(image, tmp_path, name, message="No space left")
 
 
 @pytest.mark.permanent(ROW)
@@ -335,7 +342,7 @@ def test_the_umask_is_left_alone(image, tmp_path, monkeypatch):
 
 def test_a_folder_is_no_picture(image, tmp_path):
     (tmp_path / "a.png").mkdir()
-    with pytest.raises(IsADirectoryError, match=r"path: .*a\.png is a folder; name a file"):
+    with pytest.raises(IsADirectoryError, match=r"path must be a file, got the folder '.*a\.png'; name a file in it"):
         image.save(tmp_path / "a.png")
 
 
@@ -346,3 +353,82 @@ def test_a_rendered_picture_survives_its_file(tmp_path):
     np.testing.assert_array_equal(pixels[..., 7], image.error)
     np.testing.assert_array_equal(pixels[..., 3], image.mask)
     assert not pixels[~image.mask].any()
+
+
+def test_a_picture_is_read_from_its_exr_file(image, tmp_path):
+    hits = np.indices((HEIGHT, WIDTH)).sum(axis=0)
+    layers = {
+        "normal": image.xyz,
+        "depth": np.where(hits > 3, hits, np.inf).astype(np.float32),
+        "geometry": (hits - 1).astype(np.int32),
+    }
+    for picture in (image, dataclasses.replace(image, layers=layers)):
+        copy = wd.Image.load(picture.save(tmp_path / "a.exr"))
+        for name in ("xyz", "mask", "illuminated", "coverage", "error"):
+            array = getattr(copy, name)
+            np.testing.assert_array_equal(array, getattr(picture, name), strict=True)
+        assert copy.plan is None
+        assert set(copy.layers) == set(picture.layers)
+        for name, layer in copy.layers.items():
+            np.testing.assert_array_equal(layer, layers[name], strict=True)
+        np.testing.assert_array_equal(copy.display(), image.display())
+        again = wd.Image.load(copy.save(tmp_path / "b.exr"))
+        np.testing.assert_array_equal(again.xyz, image.xyz, strict=True)
+    np.testing.assert_array_equal(
+        wd.Image.load(image.save(tmp_path / "c.exr", exposure=0.5)).xyz, image.xyz * np.float32(0.5)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("absent.exr", FileNotFoundError, r"absent\.exr"),
+        ("a.png", ValueError, r"path: '.*a\.png' has the channels R, G, B, A; name an EXR file of Image\.save"),
+        ("text.exr", ValueError, r"path: '.*text\.exr' cannot be read as an image; name an EXR file"),
+        ("cut.exr", ValueError, r"path: '.*cut\.exr' (is damaged|cannot be read)"),
+    ],
+)
+def test_other_files_are_no_pictures(image, name, error, message, tmp_path, capfd):
+    image.save(tmp_path / "a.png")
+    (tmp_path / "text.exr").write_text("no picture")
+    (tmp_path / "cut.exr").write_bytes(image.save(tmp_path / "a.exr").read_bytes()[:-40])
+    with pytest.raises(error, match=message):
+        wd.Image.load(tmp_path / name)
+    assert not capfd.readouterr().err
+
+
+def test_a_picture_is_compared_by_identity_and_described_in_one_line(image):
+    assert image == image  # noqa: PLR0124 (arrays have no single truth value)
+    assert image != dataclasses.replace(image)
+    assert repr(image) == "Image(7 × 5 pixels, 80 % illuminated, estimated error 0.099 at the 99th percentile)"
+    dark = dataclasses.replace(image, illuminated=np.zeros_like(image.mask))
+    assert repr(dark) == "Image(7 × 5 pixels, 0 % illuminated)"
+
+
+def test_notebooks_and_viewers_show_what_a_png_file_holds(image, tmp_path, monkeypatch):
+    pixels = read(image.save(tmp_path / "a.png"))[1]
+    np.testing.assert_array_equal(Image.open(io.BytesIO(image._repr_png_())), pixels)
+    pictures = []
+    monkeypatch.setattr(ImageShow, "show", lambda picture, **_: pictures.append(np.asarray(picture)) or True)
+    image.show()
+    np.testing.assert_array_equal(pictures[0], pixels)
+    monkeypatch.setattr(ImageShow, "show", lambda *_args, **_: False)
+    with pytest.raises(RuntimeError, match=r"no viewer of PNG files .*save the picture"):
+        image.show()
+    # In a notebook IPython shows it.
+    notebook = types.SimpleNamespace(
+        get_ipython=lambda: types.SimpleNamespace(kernel=True), display=types.SimpleNamespace(display=pictures.append)
+    )
+    monkeypatch.setitem(sys.modules, "IPython", notebook)
+    image.show()
+    assert pictures[1] is image
+
+
+def test_the_arguments_of_save_are_described_for_the_command_line():
+    options = describe(wd.Image.save)
+    assert options["display"].choices == DISPLAYS
+    assert options["gamut"].choices == tuple(GAMUTS)
+    assert options["bits"].choices == (8, 16)
+    assert options["exposure"].range == "more than 0"
+    assert (options["exposure_stops"].range, options["exposure_stops"].unit) == ("at least -30 and at most 30", "stops")
+    assert all(option.help for option in options.values())

@@ -1,4 +1,4 @@
-"""From scene-linear XYZ to what a display shows: ACES 2.0 after a compression of chroma, colorimetric, or clipped.
+"""Display transforms: scene-linear XYZ to display RGB (ACES 2.0 after chroma compression, colorimetric, clip).
 
 ACES 2.0 is Academy S-2025-001's output transform as OpenColorIO has it, in a built-in configuration that OpenImageIO
 carries and that is named here with its version. It cuts off what is negative in its working space (AP1), which light of
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -23,12 +23,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+Display = Literal["aces", "colorimetric", "clip"]
+GamutName = Literal["srgb", "display-p3"]
+DISPLAYS: tuple[Display, ...] = get_args(Display)
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
-# By transform, the luminance that automatic exposure gives the mean of what is lit. ACES shows middle tones 0.8 stops
-# darker than they are, and has room above 1.
-MEAN_SHOWN = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
-DISPLAYS = tuple(MEAN_SHOWN)
+# By transform, the luminance that automatic exposure gives the mean of what is illuminated. ACES shows middle tones
+# 0.8 stops darker than they are, and has room above 1.
+MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
 
 # CSS Color 4: primaries of Display P3 and D65.
 _XYZ_TO_P3 = np.array(
@@ -58,7 +60,7 @@ _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOT
 
 # Chroma over the largest of its hue in Display P3: kept up to the first, and what has the second becomes 1. The largest
 # that light has is 3.96 times that, at 495 nm.
-_KEPT, _LARGEST = 0.8, 4.0
+_UNCHANGED, _COMPRESSED = 0.8, 4.0
 _HUES = 1440
 # Above, ACES shows white alone; far above it overflows.
 _WHITE = 1024.0
@@ -89,7 +91,7 @@ class Gamut:
     cicp: tuple[int, int, int, int] | None = None
 
 
-GAMUTS = {
+GAMUTS: dict[GamutName, Gamut] = {
     "srgb": Gamut(colorimetry.XYZ_TO_RGB, "sRGB - Display", "ACES 2.0 - SDR 100 nits (Rec.709)", "sRGB"),
     "display-p3": Gamut(
         _XYZ_TO_P3, "Display P3 - Display", "ACES 2.0 - SDR 100 nits (P3 D65)", "Display P3", (12, 13, 0, 1)
@@ -99,8 +101,8 @@ GAMUTS = {
 
 # Of products with matrices of 3 × 3, other threads make nothing faster.
 @single_threaded_blas()
-def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> NDArray[np.float64]:
-    """Transform colours to what a display shows, encoded as sRGB is, 0 to 1.
+def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
+    """Transform colours to display RGB, encoded as sRGB is, 0 to 1.
 
     Args:
         xyz: Linear CIE XYZ, exposed, shape (..., 3).
@@ -114,28 +116,26 @@ def shown(xyz: ArrayLike, display: str, gamut: str, *, exact: bool = True) -> ND
     colours = np.asarray(xyz, dtype=np.float64)
     flat = colours.reshape(-1, 3)
     if exact or len(flat) <= _TOGETHER:
-        return _shown(flat, display, gamut, exact=exact).reshape(colours.shape)
-    found = np.empty_like(flat)
+        return _encode(flat, display, gamut, exact=exact).reshape(colours.shape)
+    encoded = np.empty_like(flat)
 
-    def show(first: int) -> None:
+    def encode_part(first: int) -> None:
         part = slice(first, first + _TOGETHER)
-        found[part] = _shown(flat[part], display, gamut, exact=False)
+        encoded[part] = _encode(flat[part], display, gamut, exact=False)
 
-    parallel_for(show, range(0, len(flat), _TOGETHER), threads=cores())
-    return found.reshape(colours.shape)
+    parallel_for(encode_part, range(0, len(flat), _TOGETHER), threads=cores())
+    return encoded.reshape(colours.shape)
 
 
-def _shown(flat: NDArray[np.float64], display: str, gamut: str, *, exact: bool) -> NDArray[np.float64]:
+def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, exact: bool) -> NDArray[np.float64]:
     """What a display shows of XYZ (n, 3)."""
     to_rgb = GAMUTS[gamut].xyz_to_rgb
     if display == "clip":
-        found = colorimetry.srgb_encode(flat @ to_rgb.T)
-    elif display == "colorimetric":
-        found = colorimetry.srgb_encode(_brought_in(flat, to_rgb))
-    else:
-        compressed = compress_chroma(flat)
-        found = aces(compressed, gamut) if exact else _looked_up(compressed, gamut)
-    return found
+        return colorimetry.srgb_encode(flat @ to_rgb.T)
+    if display == "colorimetric":
+        return colorimetry.srgb_encode(_reduce_chroma(flat, to_rgb))
+    compressed = compress_chroma(flat)
+    return aces(compressed, gamut) if exact else _interpolate(compressed, gamut)
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class Tables:
         white: The light of the last node.
         toe: Nodes lie at equal steps of ln(1 + light / toe).
         most_chroma: The largest chroma over lightness that Display P3 has, at equal steps of OKLab hue from −π to π.
-        kept: Up to this share of it chroma is kept, ...
-        largest: ... and this share becomes 1.
+        unchanged: The share of it up to which chroma is unchanged.
+        compressed: The share of it that becomes 1.
         matrices: By name, of columns: XYZ to Display P3, and the steps to OKLab and back.
     """
 
@@ -156,44 +156,44 @@ class Tables:
     white: float
     toe: float
     most_chroma: NDArray[np.float64]
-    kept: float
-    largest: float
+    unchanged: float
+    compressed: float
     matrices: dict[str, NDArray[np.float64]]
 
 
-def tables(gamut: str) -> Tables:
-    """The numbers behind ``shown(..., "aces", gamut, exact=False)``."""
+def tables(gamut: GamutName) -> Tables:
+    """The numbers behind ``encode(..., "aces", gamut, exact=False)``."""
     matrices = {
         "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ,
         "rootsToLab": _ROOTS_TO_LAB, "labToRoots": _LAB_TO_ROOTS,
     }  # fmt: skip
-    return Tables(_table(gamut), _WHITE, _TOE, _most_chroma()[1], _KEPT, _LARGEST, matrices)
+    return Tables(_table(gamut), _WHITE, _TOE, _most_chroma()[1], _UNCHANGED, _COMPRESSED, matrices)
 
 
-def description(display: str, gamut: str) -> str:
+def description(display: Display, gamut: GamutName) -> str:
     """Describe in words what has been done to the colours of a file."""
-    to = GAMUTS[gamut]
+    target = GAMUTS[gamut]
     if display == "aces":
-        return f"{to.view}, {to.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
-    how = {"colorimetric": "what is out of gamut at constant OKLab hue", "clip": "each channel cut off"}[display]
-    return f"{display}, {to.name}, {how}"
+        return f"{target.view}, {target.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
+    method = {"colorimetric": "what is out of gamut at constant OKLab hue", "clip": "each channel cut off"}[display]
+    return f"{display}, {target.name}, {method}"
 
 
-def aces(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
+def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     """ACES' output transform alone, of XYZ (n, 3)."""
     if not len(xyz):
         return np.zeros((0, 3))
-    to = GAMUTS[gamut]
+    target = GAMUTS[gamut]
     row = np.minimum(xyz, _WHITE).astype(np.float32)[None]
     with openimageio.in_use() as oiio:
         # On this thread: a child of a fork has no other of OpenImageIO's.
-        found = oiio.ImageBufAlgo.ociodisplay(
-            oiio.ImageBuf(row), to.display, to.view, fromspace=SCENE, unpremult=False, colorconfig=CONFIGURATION,
-            nthreads=1,
+        buffer = oiio.ImageBufAlgo.ociodisplay(
+            oiio.ImageBuf(row), target.display, target.view, fromspace=SCENE, unpremult=False,
+            colorconfig=CONFIGURATION, nthreads=1,
         )  # fmt: skip
-        pixels = found.get_pixels(oiio.FLOAT)
-        if found.has_error or pixels is None:
-            raise RuntimeError(f"OpenColorIO has no {to.view} in {CONFIGURATION}: {found.geterror()}")
+        pixels = buffer.get_pixels(oiio.FLOAT)
+        if buffer.has_error or pixels is None:
+            raise RuntimeError(f"OpenColorIO has no {target.view} in {CONFIGURATION}: {buffer.geterror()}")
     return np.asarray(np.clip(np.asarray(pixels[0], dtype=np.float64), 0.0, 1.0))
 
 
@@ -218,13 +218,13 @@ def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     chroma = np.hypot(lab[:, 1], lab[:, 2])
     most = np.interp(np.arctan2(lab[:, 2], lab[:, 1]), *_most_chroma())
     ratio = chroma / np.maximum(most * lab[:, 0], _LEAST)
-    beyond = np.flatnonzero(ratio > _KEPT)
-    excess = ratio[beyond] - _KEPT
-    bend = 1.0 / (1.0 - _KEPT) - 1.0 / (_LARGEST - _KEPT)
-    lab[beyond, 1:] *= ((_KEPT + excess / (1.0 + bend * excess)) / ratio[beyond])[:, None]
-    found = xyz.copy()
-    found[beyond] = of_oklab(lab[beyond])
-    return found
+    beyond = np.flatnonzero(ratio > _UNCHANGED)
+    excess = ratio[beyond] - _UNCHANGED
+    bend = 1.0 / (1.0 - _UNCHANGED) - 1.0 / (_COMPRESSED - _UNCHANGED)
+    lab[beyond, 1:] *= ((_UNCHANGED + excess / (1.0 + bend * excess)) / ratio[beyond])[:, None]
+    compressed = xyz.copy()
+    compressed[beyond] = of_oklab(lab[beyond])
+    return compressed
 
 
 @functools.cache
@@ -233,14 +233,14 @@ def _most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     hues = np.linspace(-np.pi, np.pi, _HUES + 1)
     towards = np.stack([np.zeros_like(hues), np.cos(hues), np.sin(hues)], axis=1)
 
-    def holds(chroma: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_in_gamut(chroma: NDArray[np.float64]) -> NDArray[np.bool_]:
         lab = [1.0, 0.0, 0.0] + chroma[:, None] * towards
         return np.asarray((of_oklab(lab) @ _XYZ_TO_P3.T).min(axis=1) >= 0.0)
 
-    return hues, _last_that_holds(holds, np.full(hues.shape, 2.0))
+    return hues, _largest_in_gamut(is_in_gamut, np.full(hues.shape, 2.0))
 
 
-def _brought_in(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
     """Linear components of XYZ (n, 3): within 0 to 1 as they are, others with less chroma; white is the brightest."""
     rgb = xyz @ to_rgb.T
     out = np.flatnonzero((rgb < 0.0).any(axis=1) | (rgb > 1.0).any(axis=1))
@@ -255,42 +255,42 @@ def _brought_in(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArra
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
-    def holds(share: NDArray[np.float64]) -> NDArray[np.bool_]:
-        found = with_chroma(share)
-        return np.asarray((found >= 0.0).all(axis=1) & (found <= 1.0).all(axis=1))
+    def is_in_gamut(share: NDArray[np.float64]) -> NDArray[np.bool_]:
+        linear = with_chroma(share)
+        return np.asarray((linear >= 0.0).all(axis=1) & (linear <= 1.0).all(axis=1))
 
-    rgb[out] = with_chroma(_last_that_holds(holds, np.ones(len(out))))
+    rgb[out] = with_chroma(_largest_in_gamut(is_in_gamut, np.ones(len(out))))
     return np.asarray(np.clip(rgb, 0.0, 1.0))
 
 
-def _last_that_holds(
-    holds: Callable[[NDArray[np.float64]], NDArray[np.bool_]], most: NDArray[np.float64]
+def _largest_in_gamut(
+    is_in_gamut: Callable[[NDArray[np.float64]], NDArray[np.bool_]], most: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """By bisection, the largest numbers from 0 to ``most`` for which something holds that ends to hold once."""
+    """By bisection, the largest numbers from 0 to ``most`` that are in gamut."""
     low, high = np.zeros_like(most), most
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        inside = holds(middle)
+        inside = is_in_gamut(middle)
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return low
 
 
-def _shaped(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def _table_coordinates(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where linear components lie along an axis of a table, 0 to 1."""
     return np.asarray(np.log1p(np.clip(rgb, 0.0, _WHITE) / _TOE) / np.log1p(_WHITE / _TOE))
 
 
 @functools.cache
-def _table(gamut: str) -> NDArray[np.float32]:
+def _table(gamut: GamutName) -> NDArray[np.float32]:
     """ACES at nodes over linear Display P3, in which compressed colours are not negative, (nodes³, 3)."""
     axis = _TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(_WHITE / _TOE))
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     return aces(nodes @ _P3_TO_XYZ.T, gamut).astype(np.float32)
 
 
-def _looked_up(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
+def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     """ACES of compressed XYZ (n, 3) by tetrahedra of a table: the corners are met in the order of the fractions."""
-    places = _shaped(xyz @ _XYZ_TO_P3.T) * (_NODES - 1)
+    places = _table_coordinates(xyz @ _XYZ_TO_P3.T) * (_NODES - 1)
     first = np.minimum(places.astype(np.int64), _NODES - 2)
     fractions = places - first
     steps = np.array([_NODES * _NODES, _NODES, 1])
@@ -299,8 +299,8 @@ def _looked_up(xyz: NDArray[np.float64], gamut: str) -> NDArray[np.float64]:
     weights = -np.diff(weights, axis=1, prepend=1.0, append=0.0)
     corners = first @ steps
     table = _table(gamut)
-    found = weights[:, :1] * table[corners]
+    encoded = weights[:, :1] * table[corners]
     for k in range(3):
         corners = corners + steps[order[:, k]]
-        found += weights[:, k + 1 : k + 2] * table[corners]
-    return np.asarray(found)
+        encoded += weights[:, k + 1 : k + 2] * table[corners]
+    return np.asarray(encoded)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import math
+import sys
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Gt, Interval, Unit
 
-from warpdiff.core import files, openimageio, validation
+from warpdiff.core import files, memory, openimageio, validation
+from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.image import display_transform
 from warpdiff.kernels.thresholds import FLOOR, TINY
 from warpdiff.optics import colorimetry
@@ -18,43 +22,49 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    import PIL.Image
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.request.plan import Plan
 
-# By layer, what its channels' names in EXR files end in.
+Bits = Literal[8, 16]
+# Channels of every EXR file, and by layer what its channels' names end in.
+_CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
 # The last chunk of a PNG file: its length, name and checksum. Readers do without it.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-# The share of the lit pixels that automatic exposure leaves out.
+# The share of the illuminated pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
 MOST_STOPS = 30.0
+# Memory for reading a file: a sample, and its copy by channel.
+_BYTES_PER_SAMPLE = 8
 # The odds that a pixel errs by more than the tolerance, where its estimated error is the tolerance, and the power of
 # their ratio that they grow by.
 _ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
-# What pixels may err by that edges pass, of the mesh or of what is lit, over the tolerance.
+# What pixels may err by that edges pass, of the mesh or of what is illuminated, over the tolerance.
 EDGES_PER_TOLERANCE = 3.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Image:
-    """A linear picture: XYZ by pixel, masks, estimated errors, and the plan that it was computed by.
+    """Picture in linear CIE XYZ, with masks, estimated errors and the plan of its computation.
 
     Attributes:
-        xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 on top; 0 in the background, and multiplied by
-            ``coverage`` where a pixel's samples hit in part.
-        mask: Whether anything was hit, shape (height, width).
-        illuminated: Whether it was hit and an unshadowed light stands above its horizon, shape (height, width).
-        coverage: Share of the pixel's samples that hit something, 0 to 1, float32; alpha in files.
-        error: Estimated error of each pixel, ‖ΔXYZ‖ over max(‖XYZ‖, 1e-3 · Y*) as ``tolerance`` has it, shape (height,
-            width), float32; 0 where nothing is lit.
-        plan: What was computed and why.
-        layers: What the pixels' central rays meet, as far as :func:`warpdiff.shade` was asked for it. ``"normal"``: the
-            unit shading normal on the viewer's side, world frame, shape (height, width, 3), float32, 0 where nothing is
-            met. ``"depth"``: the distance along the ray, from the eye or the plane through it [the mesh's unit], shape
-            (height, width), float32, else infinite. ``"geometry"``: which of the scene's geometries it is, in the order
-            of its nodes, shape (height, width), int32, else −1.
+        xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 at the top; multiplied by ``coverage``, so that
+            the background is 0.
+        mask: Whether a pixel's samples hit anything, shape (height, width).
+        illuminated: Whether they hit a point above whose horizon an unshadowed light stands, shape (height, width).
+        coverage: Share of a pixel's samples that hit anything, 0 to 1, shape (height, width), float32; alpha in files.
+        error: Estimated relative error of each pixel, ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*) as in ``tolerance``, shape
+            (height, width), float32; 0 where nothing is illuminated.
+        plan: Plan of the computation; None for a picture that :meth:`load` read.
+        layers: Further outputs at the first hits of the central camera rays, by name, as requested from
+            :func:`warpdiff.shade`. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
+            width, 3), float32, 0 in the background. ``"depth"``: distance along the ray, from the eye or the plane
+            through it [the mesh's unit], shape (height, width), float32, infinite in the background. ``"geometry"``:
+            index of the scene's geometry, in the order of its nodes, shape (height, width), int32, −1 in the
+            background.
     """
 
     xyz: NDArray[np.float32]
@@ -62,67 +72,102 @@ class Image:
     illuminated: NDArray[np.bool_]
     coverage: NDArray[np.float32]
     error: NDArray[np.float32]
-    plan: Plan
+    plan: Plan | None
     layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        height, width = self.mask.shape
+        errors = self.error[self.illuminated]
+        error = f", estimated error {np.percentile(errors, 99):.2g} at the 99th percentile" if errors.size else ""
+        return f"Image({width} × {height} pixels, {100.0 * errors.size / self.mask.size:.0f} % illuminated{error})"
+
+    def _repr_png_(self) -> bytes:
+        with io.BytesIO() as file:
+            self._as_pillow().save(file, "PNG")
+            return file.getvalue()
+
+    def _as_pillow(self) -> PIL.Image.Image:
+        """The picture as :meth:`save` writes it to a PNG file by default."""
+        import PIL.Image
+
+        return PIL.Image.fromarray(_quantised(self.display(), 8))
+
+    def show(self) -> None:
+        """Show the picture through the default display transform.
+
+        In a Jupyter notebook it appears below the cell, elsewhere in the system's viewer of PNG files.
+
+        Raises:
+            RuntimeError: The system has no viewer.
+        """
+        ipython = sys.modules.get("IPython")
+        if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
+            ipython.display.display(self)
+            return
+        from PIL import ImageShow
+
+        if not ImageShow.show(self._as_pillow(), title="warpdiff"):
+            raise RuntimeError("no viewer of PNG files was found on this system; save the picture by Image.save")
 
     @property
     @np.errstate(under="ignore")
     def rgb(self) -> NDArray[np.float32]:
-        """Linear sRGB, shape (height, width, 3), float32; colours out of gamut have negative components."""
+        """Linear sRGB, shape (height, width, 3), float32; colours outside the gamut have negative components."""
         return colorimetry.xyz_to_rgb(self.xyz).astype(np.float32)
 
     @property
     def auto_exposure(self) -> float:
-        """The factor that ``display="aces"`` takes by itself; 1 for a black picture.
+        """Automatic exposure factor of ``display="aces"``; 1 for a black picture.
 
-        It maps the lit pixels' mean luminance to 0.7 (for other displays: to a half), but for their brightest
-        ten-thousandth. Orders may fill a picture or a thousandth of it, and lie next to a mirror's highlight that is a
-        thousand times as bright: a percentile would be any of these.
+        It maps the mean luminance of the illuminated pixels to 0.7 (0.5 for other display transforms). The brightest
+        ten-thousandth of them is excluded: the reflection of a light may be a thousand times as bright as the orders,
+        which fill between a thousandth and all of a picture, so that no percentile suits every picture.
         """
         return self._auto_exposure("aces")
 
     @np.errstate(under="ignore")
-    def _auto_exposure(self, display: str) -> float:
+    def _auto_exposure(self, display: display_transform.Display) -> float:
         luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
-        kept = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
+        most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
         # Of fewer than two there is no other.
-        mean = float(np.mean(kept if kept.size else luminance)) if luminance.size else 0.0
+        mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
         return display_transform.MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
     @np.errstate(under="ignore")
     def display(
         self,
-        display: str = "aces",
+        display: display_transform.Display = "aces",
         *,
-        exposure: float | None = None,
-        exposure_stops: float = 0.0,
+        exposure: Annotated[float, Gt(0.0)] | None = None,
+        exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
         exposure_from: Image | None = None,
-        gamut: str = "srgb",
+        gamut: display_transform.GamutName = "srgb",
         background: Image | ArrayLike | None = None,
         exact: bool = True,
     ) -> NDArray[np.float32]:
-        """What a display shows, encoded as sRGB is.
+        """Transform the picture to display RGB, encoded as sRGB is.
 
         Args:
-            display: ``"aces"``: the ACES 2.0 view for standard dynamic range, with chroma compressed before it; bright
-                orders are continuous spectra. ``"colorimetric"``: colours that the display has are exact, others lose
-                chroma at constant hue, and what is brighter than white is white. ``"clip"``: each channel is cut off.
-            exposure: Linear factor; None is :attr:`auto_exposure`, or what fits another display.
-            exposure_stops: Doublings of light, on top of it.
-            exposure_from: A picture whose automatic exposure is taken, for pictures that belong together.
-            gamut: ``"srgb"`` or ``"display-p3"``.
-            background: What lies behind: a colour (R, G, B), encoded, each 0 to 1, or a picture of the same size, shown
-                alike, or its linear sRGB, shape (height, width, 3), as :meth:`warpdiff.Environment.seen` gives it. It
-                is mixed in the display's linear light. None leaves it transparent.
-            exact: False looks ACES up in a table, which is several times as fast and differs by 0.1 in the median, 0.6
-                at percentile 99 (ΔE2000).
+            display: Display transform. ``"aces"`` is the ACES 2.0 view for standard dynamic range after compression of
+                chroma, which shows bright orders as continuous spectra. ``"colorimetric"`` is exact for colours within
+                the gamut, reduces the chroma of others at constant hue, and shows everything brighter than white as
+                white. ``"clip"`` clips each channel.
+            exposure: Linear factor of the light; None is automatic.
+            exposure_stops: Correction of the exposure, a factor of 2 per stop.
+            exposure_from: Picture whose automatic exposure is used, for pictures that belong together.
+            gamut: Gamut of the display.
+            background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
+                from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from
+                :meth:`warpdiff.Environment.background`. None leaves it transparent.
+            exact: Whether ACES is computed for each colour. False interpolates in a table, which is several times as
+                fast; the difference is 0.1 ΔE2000 in the median and 0.6 ΔE2000 at the 99th percentile.
 
         Returns:
-            R, G, B and, without a background, alpha, 0 to 1, shape (height, width, 3 or 4), float32; colours are not
-            multiplied by alpha.
+            R, G, B and, without a background, alpha, each 0 to 1, shape (height, width, 3 or 4), float32; colours are
+            not multiplied by alpha.
 
         Raises:
-            ValueError: A bad argument.
+            ValueError: An argument is not accepted.
         """
         validation.choice(display, "display", display_transform.DISPLAYS)
         validation.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
@@ -131,33 +176,45 @@ class Image:
         return self._displayed(display, factor, gamut, background, exact=exact)
 
     def _displayed(
-        self, display: str, factor: float, gamut: str, background: Image | ArrayLike | None, *, exact: bool = True
+        self,
+        display: display_transform.Display,
+        factor: float,
+        gamut: display_transform.GamutName,
+        background: Image | ArrayLike | None,
+        *,
+        exact: bool = True,
     ) -> NDArray[np.float32]:
         """What :meth:`display` returns, at a linear factor."""
         behind = self._behind(background, display, factor, gamut, exact=exact)
-        shown = self._shown(display, factor, gamut, exact=exact)
+        encoded = self._encoded(display, factor, gamut, exact=exact)
         if behind is None:
-            return np.concatenate([shown, self.coverage[..., None]], axis=2, dtype=np.float32)
-        result = np.empty(shown.shape, dtype=np.float32)
+            return np.concatenate([encoded, self.coverage[..., None]], axis=2, dtype=np.float32)
+        result = np.empty(encoded.shape, dtype=np.float32)
         result[...] = colorimetry.srgb_encode(behind)
         whole = self.coverage >= 1.0
-        result[whole] = shown[whole]
+        result[whole] = encoded[whole]
         part = ~whole & self.mask
         alpha = self.coverage[part][:, None]
-        light = alpha * colorimetry.srgb_decode(shown[part])
+        light = alpha * colorimetry.srgb_decode(encoded[part])
         light += (1.0 - alpha) * (behind if behind.ndim == 1 else behind[part])
         result[part] = colorimetry.srgb_encode(light)
         return result
 
     def _exposure(
-        self, display: str, exposure: float | None, stops: float, source: Image | None, *, scales: bool = True
+        self,
+        display: display_transform.Display,
+        exposure: float | None,
+        stops: float,
+        source: Image | None,
+        *,
+        scales: bool = True,
     ) -> float:
         """The linear factor that the arguments name; without any, 1 where nothing is to be scaled."""
         stops = validation.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
         validation.instance(source, Image, "exposure_from", optional=True)
         if exposure is not None:
             if source is not None:
-                raise ValueError("exposure and exposure_from exclude each other, got both")
+                raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
             factor = validation.positive(exposure, "exposure")
         elif source is not None or scales:
             # Of a picture all but black it may be more than any that can be given, and float32 would overflow.
@@ -166,40 +223,50 @@ class Image:
             factor = 1.0
         return float(factor * 2.0**stops)
 
-    def _shown(self, display: str, factor: float, gamut: str, *, exact: bool) -> NDArray[np.float64]:
+    def _encoded(
+        self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName, *, exact: bool
+    ) -> NDArray[np.float64]:
         """Encoded colours, not multiplied by alpha; 0 where nothing is."""
-        seen = self.coverage > 0.0
-        straight = self.xyz[seen] / self.coverage[seen][:, None].astype(np.float64)
-        shown = np.zeros(self.xyz.shape)
-        shown[seen] = display_transform.shown(factor * straight, display, gamut, exact=exact)
-        return shown
+        covered = self.coverage > 0.0
+        straight = self.xyz[covered] / self.coverage[covered][:, None].astype(np.float64)
+        encoded = np.zeros(self.xyz.shape)
+        encoded[covered] = display_transform.encode(factor * straight, display, gamut, exact=exact)
+        return encoded
 
     def _behind(
-        self, background: Image | ArrayLike | None, display: str, factor: float, gamut: str, *, exact: bool
+        self,
+        background: Image | ArrayLike | None,
+        display: display_transform.Display,
+        factor: float,
+        gamut: display_transform.GamutName,
+        *,
+        exact: bool,
     ) -> NDArray[np.float64] | None:
         """Linear light of a background, (3,) or (height, width, 3)."""
         if background is None:
             return None
+        height, width = self.mask.shape
         if isinstance(background, Image):
             if background.mask.shape != self.mask.shape:
-                raise ValueError(
-                    f"background must be a picture of {self.mask.shape[1]} × {self.mask.shape[0]} pixels, "
+                raise ArgumentValueError(
+                    f"{ref('background')} must be a picture of {width} × {height} pixels, "
                     f"got {background.mask.shape[1]} × {background.mask.shape[0]}"
                 )
-            shown = background._shown(display, factor, gamut, exact=exact)
-            return background.coverage[..., None] * colorimetry.srgb_decode(shown)
-        given = validation.finite_array(background, "background", most=validation.MOST)
-        if given.shape == self.xyz.shape:
-            shown = display_transform.shown(factor * colorimetry.rgb_to_xyz(given), display, gamut, exact=exact)
-            return colorimetry.srgb_decode(shown)
-        if given.shape != (3,):
-            raise ValueError(
-                f"background must be a colour of shape (3,), or radiances of {self.mask.shape[1]} × "
-                f"{self.mask.shape[0]} pixels, got shape {given.shape}"
+            encoded = background._encoded(display, factor, gamut, exact=exact)
+            return background.coverage[..., None] * colorimetry.srgb_decode(encoded)
+        colour = validation.finite_array(background, "background", most=validation.MOST)
+        if colour.shape == self.xyz.shape:
+            encoded = display_transform.encode(factor * colorimetry.rgb_to_xyz(colour), display, gamut, exact=exact)
+            return colorimetry.srgb_decode(encoded)
+        if colour.shape != (3,):
+            raise ArgumentValueError(
+                f"{ref('background')} must be a colour of shape (3,), or radiances of {width} × {height} pixels, "
+                f"got shape {colour.shape}"
             )
-        colour = given
         if not np.all((colour >= 0.0) & (colour <= 1.0)):
-            raise ValueError(f"background must be a colour of components from 0 to 1, got {colour.tolist()}")
+            raise ArgumentValueError(
+                f"{ref('background')} must be a colour of components from 0 to 1, got {colour.tolist()}"
+            )
         return colorimetry.srgb_decode(colour)
 
     @np.errstate(under="ignore")
@@ -207,42 +274,46 @@ class Image:
         self,
         path: str | os.PathLike[str],
         *,
-        display: str = "aces",
-        exposure: float | None = None,
-        exposure_stops: float = 0.0,
+        display: display_transform.Display = "aces",
+        exposure: Annotated[float, Gt(0.0)] | None = None,
+        exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
         exposure_from: Image | None = None,
-        gamut: str = "srgb",
+        gamut: display_transform.GamutName = "srgb",
         background: Image | ArrayLike | None = None,
-        bits: int = 8,
+        bits: Bits = 8,
     ) -> Path:
-        """Write the picture; an existing file is replaced only once the new one is complete.
+        """Write the picture to a file; an existing file is replaced once the new one is complete.
 
         Args:
-            path: ``.exr`` holds linear float32 channels R, G, B, A and XYZ.X, XYZ.Y, XYZ.Z, unscaled unless an
-                exposure is given, multiplied by alpha, and error.Y, which is :attr:`error`; of :attr:`layers`
-                those that there are, as normal.X, normal.Y, normal.Z, depth.Z and geometry.Y. ``.png`` is what
-                :meth:`display` gives, with alpha, not multiplied, unless there is a background.
-            display: As in :meth:`display`, for PNG; EXR is linear. The file says what was done.
-            exposure: Linear factor; None is 1 for EXR, and that of :meth:`display` for PNG.
-            exposure_stops: As in :meth:`display`.
-            exposure_from: As in :meth:`display`.
-            gamut: As in :meth:`display`, for PNG.
-            background: As in :meth:`display`, for PNG alone.
-            bits: 8 or 16, for PNG.
+            path: File with the suffix ``.exr`` or ``.png``. EXR holds linear float32 channels, multiplied by alpha: R,
+                G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and the layers of the picture as normal.X,
+                normal.Y, normal.Z, depth.Z and geometry.Y. PNG holds display RGB, not multiplied by alpha, and alpha
+                unless there is a background. The file's metadata states the transform and the exposure.
+            display: Display transform of PNG files. ``"aces"`` is the ACES 2.0 view for standard dynamic range, which
+                shows bright orders as continuous spectra. ``"colorimetric"`` is exact for colours within the gamut and
+                reduces the chroma of others. ``"clip"`` clips each channel. EXR files are linear.
+            exposure: Linear factor of the light; None is automatic for PNG, and 1 for EXR.
+            exposure_stops: Correction of the exposure, a factor of 2 per stop.
+            exposure_from: Picture whose automatic exposure is used, for pictures that belong together.
+            gamut: Gamut of the display, for PNG.
+            background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
+                components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
+                leaves it transparent.
+            bits: Bits per channel of PNG files.
 
         Returns:
-            The path written.
+            The path of the file.
 
         Raises:
-            ValueError: Another suffix, a bad argument.
-            OSError: The file cannot be written; one that was there before is untouched.
+            ValueError: The suffix is another one, or an argument is not accepted.
+            OSError: The file cannot be written; an existing file is unchanged.
         """
         import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
         target = check_target(path)
         is_png = target.suffix.lower() == ".png"
         if validation.count(bits, "bits") not in (8, 16):
-            raise ValueError(f"bits must be 8 or 16, got {bits!r}")
+            raise ArgumentValueError(f"{ref('bits')} must be 8 or 16, got {bits!r}")
         validation.choice(display, "display", display_transform.DISPLAYS)
         validation.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
         factor = self._exposure(display, exposure, exposure_stops, exposure_from, scales=is_png)
@@ -251,7 +322,7 @@ class Image:
         if is_png:
             encoded = self._displayed(display, factor, gamut, background)
             channels: tuple[str, ...] = ("R", "G", "B", "A")[: encoded.shape[2]]
-            pixels = np.round(np.float64(encoded) * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+            pixels = _quantised(encoded, bits)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.UINT8 if bits == 8 else oiio.UINT16)
             spec.attribute("oiio:UnassociatedAlpha", 1)
             spec.attribute("oiio:ColorSpace", "sRGB")
@@ -261,10 +332,11 @@ class Image:
             transform = f"{display_transform.description(display, gamut)}; exposure {factor:.6g}"
         else:
             if background is not None:
-                raise ValueError(
-                    "background is for .png files; .exr holds alpha, and what lies behind is for whoever shows it"
+                raise ArgumentValueError(
+                    f"{ref('background')} must be None for .exr files, which hold alpha; "
+                    "composite the background yourself"
                 )
-            channels = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
+            channels = _CHANNELS
             alpha = self.coverage[..., None]
             layers = [factor * self.rgb, alpha, factor * self.xyz, self.error[..., None]]
             for name, suffixes in _LAYER_CHANNELS.items():
@@ -281,12 +353,45 @@ class Image:
         spec.channelnames = channels
         spec.alpha_channel = channels.index("A") if "A" in channels else -1
         spec.attribute("Software", "warpdiff")
-        spec.attribute("ImageDescription", str(self.plan))
+        if self.plan is not None:
+            spec.attribute("ImageDescription", str(self.plan))
         spec.attribute("warpdiff:display", transform)
         spec.attribute("warpdiff:exposure", float(factor))
 
         _write(target, spec, np.ascontiguousarray(pixels))
         return target
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Image:
+        """Read a picture from an EXR file that :meth:`save` wrote.
+
+        Args:
+            path: EXR file.
+
+        Returns:
+            The picture, with the values of the file: XYZ is multiplied by the exposure with which it was saved, 1 by
+            default. ``mask`` is where ``coverage`` is above 0, ``illuminated`` where XYZ or ``error`` is not 0 within
+            it, and ``plan`` is None, as files do not hold them.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            ValueError: The file is damaged, or was not written by :meth:`save`.
+        """
+        file = validation.path(path, "path")
+        files.check_file(file)
+        channels = _read_exr(file)
+        xyz = np.stack([channels[f"XYZ.{component}"] for component in "XYZ"], axis=2)
+        coverage, error = channels["A"], channels["error.Y"]
+        layers: dict[str, NDArray[Any]] = {}
+        if "normal.X" in channels:
+            layers["normal"] = np.stack([channels[f"normal.{component}"] for component in "XYZ"], axis=2)
+        if "depth.Z" in channels:
+            layers["depth"] = channels["depth.Z"]
+        if "geometry.Y" in channels:
+            layers["geometry"] = channels["geometry.Y"].astype(np.int32)
+        mask = coverage > 0.0
+        illuminated = mask & (xyz.any(axis=2) | (error != 0.0))
+        return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers)
 
 
 def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -294,8 +399,13 @@ def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", xyz, xyz)))
 
 
+def _quantised(encoded: NDArray[np.float32], bits: int) -> NDArray[np.uint8 | np.uint16]:
+    """Encoded components as integers of a PNG file."""
+    return np.asarray(np.round(np.float64(encoded) * (2**bits - 1)), dtype=np.uint8 if bits == 8 else np.uint16)
+
+
 def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Errors ‖ΔXYZ‖ (n,) of what is lit, over max(‖XYZ‖, f · Y*), of its XYZ (n, 3)."""
+    """Errors ‖ΔXYZ‖ (n,) of illuminated points, over max(‖XYZ‖, f · Y*), of its XYZ (n, 3)."""
     luminance = np.sort(xyz[:, 1])
     white = 0.0
     if len(luminance):
@@ -318,10 +428,12 @@ def check_target(path: Any, name: str = "path") -> Path:
     """Return the path of a picture that can be written there, or say why it cannot."""
     target = validation.path(path, name)
     if target.suffix.lower() not in _FORMATS:
-        raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
+        raise ArgumentValueError(f"{ref(name)} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
     files.check_folder(target.parent, name)
     if target.is_dir():
-        raise IsADirectoryError(f"{name}: {target} is a folder; name a file")
+        raise marked(
+            IsADirectoryError, f"{ref(name)} must be a file, got the folder {str(target)!r}; name a file in it"
+        )
     return target
 
 
@@ -336,11 +448,11 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
         written = output.write_image(pixels)
         if not (output.close() and written):
             raise OSError(f"cannot write {target}: {output.geterror()}")
-        if not _holds(oiio, temporary, pixels, spec.channelnames):
-            raise OSError(f"cannot write {target}: what was written is not what is in the file; the disk may be full")
+        if not _is_written(oiio, temporary, pixels, spec.channelnames):
+            raise OSError(f"cannot write {target}: the file does not hold what was written; the disk may be full")
 
 
-def _holds(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
+def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
     """Whether a file is whole and holds these pixels, in channels of these names in any order."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(PNG_END), 0))
@@ -354,8 +466,38 @@ def _holds(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str])
         oiio.geterror()
         return False
     names = list(source.spec().channelnames)
-    found = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
+    samples = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
     source.close()
-    if found is None or found.dtype != pixels.dtype or sorted(names) != sorted(channels):
+    if samples is None or samples.dtype != pixels.dtype or sorted(names) != sorted(channels):
         return False
-    return bool(found[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
+    return bool(samples[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
+
+
+def _read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
+    """Channels of a file that :meth:`Image.save` wrote, by their names, shape (height, width) each."""
+    with openimageio.in_use() as oiio:
+        source = oiio.ImageInput.open(str(file))
+        if source is None:
+            # Or it is printed when the process ends.
+            oiio.geterror()
+            raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
+        try:
+            spec = source.spec()
+            names = tuple(spec.channelnames)
+            if not {*_CHANNELS} <= {*names}:
+                raise ArgumentValueError(
+                    f"{ref('path')}: {str(file)!r} has the channels {', '.join(names)}; "
+                    f"name an EXR file of Image.save, which has {', '.join(_CHANNELS)}"
+                )
+            memory.require_memory(
+                _BYTES_PER_SAMPLE * spec.width * spec.height * len(names),
+                f"{ref('path')}: {str(file)!r} of {spec.width} × {spec.height} pixels",
+                "take {share} of its pixels",
+            )
+            pixels = source.read_image(0, 0, 0, len(names), "float")
+            if pixels is None or source.has_error:
+                source.geterror()
+                raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; save the picture again")
+        finally:
+            source.close()
+    return dict(zip(names, np.ascontiguousarray(np.moveaxis(pixels, 2, 0)), strict=True))

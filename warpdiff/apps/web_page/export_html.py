@@ -15,7 +15,9 @@ from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, mirror_power, normal_reflectance
 from warpdiff.core import files, memory, validation
 from warpdiff.image import display_transform
-from warpdiff.lights.light_types import MOST_POWER, ONE_LOBE_DEG, DirectionalLight, PointLight, lobes_of
+from warpdiff.lights.base import MOST_POWER, lobes_of
+from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
+from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
@@ -258,7 +260,7 @@ def _add_display(arrays: Arrays) -> dict[str, Any]:
     arrays.add("most_chroma", "float32", tables.most_chroma.astype(np.float32).tobytes())
     return {
         "display": {
-            "white": tables.white, "toe": tables.toe, "kept": [tables.kept, tables.largest],
+            "white": tables.white, "toe": tables.toe, "kept": [tables.unchanged, tables.compressed],
             "background": colorimetry.srgb_decode(_BACKGROUND).tolist(),
             **{name: np.asarray(matrix).tolist() for name, matrix in tables.matrices.items()},
         }
