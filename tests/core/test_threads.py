@@ -1,11 +1,16 @@
-"""Work on several threads: every item once, and errors."""
+"""Parallel loops: every item once, and errors. Linear algebra: one thread within the context, all of them after it."""
 
 import threading
 import time
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from warpdiff.core.threads import _kept, cores, parallel_for
+import warpdiff as wd
+from warpdiff.core.threads import _pool, cores, parallel_for, single_threaded_blas
+from warpdiff.planner import strategy
+from warpdiff.scene.mesh_import import prepare_surface
 
 THREADS = (1, 2, 5)
 
@@ -64,15 +69,15 @@ def test_work_within_work_needs_no_free_thread():
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_progress_is_told_by_one_at_a_time_which_may_work_itself(threads):
-    told, nested = [], []
+def test_progress_is_reported_by_one_thread_at_a_time_which_may_start_work(threads):
+    shares, nested = [], []
 
-    def tell(done):
+    def report(share):
         parallel_for(nested.append, range(4), threads=threads)
-        told.append(done)
+        shares.append(share)
 
-    parallel_for(lambda _: None, range(8), threads=threads, progress=tell)
-    assert told == [(k + 1) / 8 for k in range(8)]
+    parallel_for(lambda _: None, range(8), threads=threads, progress=report)
+    assert shares == [(k + 1) / 8 for k in range(8)]
     assert sorted(nested) == sorted(8 * list(range(4)))
 
 
@@ -101,12 +106,12 @@ def test_threads_that_do_not_begin_are_done_without(threads, monkeypatch):
     def fail(_):
         raise RuntimeError("can't start new thread")
 
-    _kept.cache_clear()
+    _pool.cache_clear()
     monkeypatch.setattr(threading.Thread, "start", fail)
     done = []
     parallel_for(done.append, range(10), threads=threads)
     assert sorted(done) == list(range(10))
-    _kept.cache_clear()
+    _pool.cache_clear()
 
 
 @pytest.mark.permanent("varied calls and thread counts: memory and threads that stay")
@@ -120,3 +125,99 @@ def test_threads_do_not_pile_up(tries):
     while threading.active_count() > before + cores() and time.monotonic() < most:
         time.sleep(0.01)
     assert threading.active_count() <= before + cores()
+
+
+def blas_threads():
+    """Numbers of threads of the libraries that are loaded."""
+    return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+
+@pytest.fixture
+def two_threads():
+    with threadpool_limits(limits=2, user_api="blas"):
+        if 2 not in blas_threads():
+            pytest.skip("NumPy's library has no threads here")
+        yield
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_one_thread_within_and_all_of_them_afterwards():
+    before = blas_threads()
+    with single_threaded_blas():
+        assert set(blas_threads()) == {1}
+        with pytest.raises(ValueError, match="within"), single_threaded_blas():
+            raise ValueError("within")
+        assert set(blas_threads()) == {1}
+    assert blas_threads() == before
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_calls_from_two_threads_leave_it_as_it_was():
+    before, entered, leave = blas_threads(), threading.Event(), threading.Event()
+
+    @single_threaded_blas()
+    def stay():
+        entered.set()
+        leave.wait(60.0)
+
+    other = threading.Thread(target=stay)
+    with single_threaded_blas():
+        other.start()
+        entered.wait(60.0)
+    # Who is still within would have its sums shared out otherwise, and forks wait for these for ever.
+    assert set(blas_threads()) == {1}
+    leave.set()
+    other.join()
+    assert blas_threads() == before
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_plans_are_made_on_one_thread(monkeypatch):
+    counts = []
+    monkeypatch.setattr(
+        strategy, "_ample", lambda *a, make=strategy._ample, **k: counts.append(blas_threads()) or make(*a, **k)
+    )
+    wd.plan(wd.gratings.fingers(size_um=6.4, seed=1), coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
+    assert counts
+    assert {1} == set(counts[0])
+
+
+def taken_by_others(work):
+    """Share of a call's CPU time that other threads took."""
+    work()
+
+    def of_others():
+        return time.process_time() - time.thread_time()
+
+    # Those of the library spin for a while after a call.
+    while (before := of_others()) and (time.sleep(0.05) or of_others() - before > 1e-3):
+        pass
+    before, begin = of_others(), time.thread_time()
+    work()
+    return (of_others() - before) / (time.thread_time() - begin)
+
+
+@pytest.mark.usefixtures("two_threads")
+@pytest.mark.filterwarnings("ignore:orders up to")
+@pytest.mark.parametrize("what", ["direct sums", "orders", "colours", "meshes"])
+def test_what_takes_large_matrices_is_not_shared_out(what, rng):
+    """A fork meanwhile would wait for ever, in the parent or in the child."""
+    rough = wd.HeightField(0.01 * rng.standard_normal((200, 200)), 0.05)
+    coarse = wd.HeightField(0.01 * rng.standard_normal((20, 20)), 4.0)
+    tube = wd.meshes.tube(segments_along=300, segments_around=300)
+    ones = np.ones((300, 400), np.float32)
+    xyz = rng.random((*ones.shape, 3), np.float32)
+    plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
+    image = wd.Image(xyz=xyz, mask=ones > 0, illuminated=ones > 0, coverage=ones, error=ones, plan=plan)
+
+    def moved():
+        tube.vertices[0, 0] += 1e-3
+        prepare_surface(tube)
+
+    work = {
+        "direct sums": lambda: wd.spectral_reflectance(rough, (0, 0, 1), (0.1, 0.2, 1.0), [500.0], method="direct"),
+        "orders": lambda: wd.order_efficiencies(coarse, (0, 0, 1), [400.0, 500.0]),
+        "colours": lambda: image.display("colorimetric"),
+        "meshes": moved,
+    }[what]
+    assert taken_by_others(work) < 0.1

@@ -1,4 +1,4 @@
-"""A small LRU cache: moving lights and views reuse meshes and tables."""
+"""LRU cache: moving lights and views reuse meshes and tables."""
 
 from __future__ import annotations
 
@@ -12,65 +12,68 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _T = TypeVar("_T")
-# One for all: what is asked takes no time, and a fork waits for it.
+# One lock for all caches: their calls are short, and a fork waits for it.
 _lock = forks.lock()
 
 
 class LruCache(Generic[_T]):
-    """Values by their keys, of which the least recently used one goes first. Threads may share it.
-
-    Args of its constructor: how many values it holds at most, how many bytes, and how many a value has. The last one
-    that came stays, whatever its size.
-    """
+    """Cache of values by keys, from which the least recently used value is removed first. Threads may share it."""
 
     def __init__(
         self, most: float = math.inf, most_bytes: float = math.inf, bytes_of: Callable[[_T], float] = lambda _: 0.0
     ) -> None:
+        """Make an empty cache.
+
+        Args:
+            most: Greatest number of values.
+            most_bytes: Greatest number of bytes; the value that was added last stays, whatever its size.
+            bytes_of: Function of a value that returns its number of bytes.
+        """
         self._most, self._most_bytes, self._bytes_of = most, most_bytes, bytes_of
-        self._held: OrderedDict[Any, _T] = OrderedDict()
+        self._values: OrderedDict[Any, _T] = OrderedDict()
 
     def __contains__(self, key: Any) -> bool:
-        return key in self._held
+        return key in self._values
 
     def __len__(self) -> int:
-        return len(self._held)
+        return len(self._values)
 
     def get(self, key: Any) -> _T | None:
-        """The value of a key, which is then the most recently used one; None if it is not there."""
+        """The value of a key, which is then the most recently used one; None if there is none."""
         with _lock:
-            found = self._held.get(key)
-            if found is not None:
-                # The key stays the one that was put, for which the caller's need not stay as it is.
-                self._held.move_to_end(key)
-            return found
+            value = self._values.get(key)
+            if value is not None:
+                # The key stays the one that was put, as the caller's may change.
+                self._values.move_to_end(key)
+            return value
 
     def put(self, key: Any, value: _T) -> None:
         """Set the value of a key."""
         with _lock:
-            self._held.pop(key, None)
-            self._held[key] = value
+            self._values.pop(key, None)
+            self._values[key] = value
             self._trim()
 
     def get_or_make(self, key: Any, make: Callable[[], _T]) -> _T:
-        """The value of a key, made now if it is not there. Others may make the same meanwhile: all get the first's."""
-        found = self.get(key)
-        if found is not None:
-            return found
+        """The value of a key, made now if there is none; of threads that make the same, all get the first one's."""
+        cached = self.get(key)
+        if cached is not None:
+            return cached
         made = make()
         with _lock:
-            result = self._held.setdefault(key, made)
+            value = self._values.setdefault(key, made)
             self._trim()
-        return result
+        return value
 
     def clear(self) -> None:
-        """Let all of them go."""
+        """Remove all values."""
         with _lock:
-            self._held.clear()
+            self._values.clear()
 
     def _trim(self) -> None:
-        """Let the least recently used ones go until the rest is within bounds."""
-        for oldest in list(self._held)[:-1]:
-            size = sum(self._bytes_of(value) for value in self._held.values())
-            if len(self._held) <= self._most and size <= self._most_bytes:
+        """Remove the least recently used values until the rest is within bounds."""
+        for oldest in list(self._values)[:-1]:
+            size = sum(self._bytes_of(value) for value in self._values.values())
+            if len(self._values) <= self._most and size <= self._most_bytes:
                 break
-            del self._held[oldest]
+            del self._values[oldest]

@@ -1,4 +1,4 @@
-"""Forks of the process: what they wait for, so that a child finds nothing held by threads that it lacks."""
+"""Forks of the process: locks and imports that they wait for, so that a child does not wait for threads it lacks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _T = TypeVar("_T")
-# What is imported where it is used, perhaps by another thread just now.
+# Packages that are imported where they are used, perhaps by another thread just now.
 _SLOW_PACKAGES = {"OpenImageIO", "PIL", "colour", "numpy", "scipy", "trimesh", "warp", "warpdiff"}
 REMEDY = "start processes with multiprocessing.get_context('spawn'), or fork where no other thread compiles or renders"
 
@@ -26,19 +26,19 @@ def at_fork(
 ) -> None:
     """Call functions around each fork, where processes can fork at all."""
     if hasattr(os, "register_at_fork"):
-        given = {"before": before, "after_in_parent": in_parent, "after_in_child": in_child}
-        os.register_at_fork(**{name: each for name, each in given.items() if each is not None})
+        functions = {"before": before, "after_in_parent": in_parent, "after_in_child": in_child}
+        os.register_at_fork(**{name: function for name, function in functions.items() if function is not None})
 
 
 def lock() -> threading.RLock:
-    """A lock that a fork waits for. Whoever holds one takes no other one and imports nothing."""
-    made = threading.RLock()
-    at_fork(before=made.acquire, in_parent=made.release, in_child=made.release)
-    return made
+    """Return a lock that a fork waits for. A thread that holds it must take no other one and import nothing."""
+    result = threading.RLock()
+    at_fork(before=result.acquire, in_parent=result.release, in_child=result.release)
+    return result
 
 
-class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after what it is)
-    """A cached property without the lock for all objects that Python 3.11 has: two threads may compute the same."""
+class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after the standard library's)
+    """Cached property without the lock for all objects that Python 3.11 has: two threads may compute the same."""
 
     def __init__(self, compute: Callable[[Any], _T]) -> None:
         super().__init__(compute)
@@ -46,10 +46,10 @@ class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after
 
 
 def importing() -> list[str]:
-    """Slow modules that other threads are importing; a child would wait for these for ever.
+    """Slow modules that other threads are importing; a child would wait for them for ever.
 
-    Python documents no way to tell. Where another version of it keeps its locks elsewhere, nothing is told, and a fork
-    during another thread's imports is as it is without this package.
+    Python documents no way to find them. If another version of it keeps its locks elsewhere, the list is empty, and a
+    fork during another thread's imports is as it is without this package.
     """
     try:
         locks = list(vars(importlib)["_bootstrap"]._module_locks.items())
@@ -64,10 +64,10 @@ def importing() -> list[str]:
 
 
 def finish_imports() -> None:
-    """Wait for what other threads are importing, and for what they go on to import."""
+    """Wait for the imports of other threads, and for those that they begin meanwhile."""
     while names := importing():
         for name in names:
-            # What cannot be imported is the other thread's to tell.
+            # The other thread reports an import that fails.
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
 

@@ -1,4 +1,4 @@
-"""OpenImageIO, and forks: its threads end before one, and its calls are waited for, as they hold locks."""
+"""OpenImageIO and forks: before a fork its threads end, and its calls are waited for, as they hold locks."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from warpdiff.core import forks
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# A fork waits so long for calls of other threads.
+# Limit: longest time that a fork waits for calls of other threads [s].
 _MOST_WAIT_S = 1.0
 
 
 class _Library:
-    """Who is within it, and what it is told meanwhile."""
+    """Number of contexts that use the library, and its thread counts outside of them."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._within, self._forking = 0, False
+        self._users, self._forking = 0, False
         self._cut_off = False
         self._threads = self._exr_threads = 0
         forks.at_fork(before=self._before, in_parent=self._in_parent, in_child=self._in_child)
 
     @contextlib.contextmanager
     def in_use(self) -> Iterator[Any]:
-        """The library, which reads and writes EXR files on this thread while someone is within.
+        """Provide the library, which reads and writes EXR files on the calling thread within the context.
 
         A child of a fork would wait for ever for the threads that OpenEXR keeps, and for locks that another thread
-        held, such as those of OpenColorIO: a fork waits a little for whoever is within.
+        held, such as those of OpenColorIO: a fork waits up to a second for the end of all contexts.
 
         Raises:
-            RuntimeError: This process was forked while another thread was within.
+            RuntimeError: This process was forked while another thread used the library.
         """
         import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
@@ -44,23 +44,23 @@ class _Library:
                 raise RuntimeError(
                     f"this process was forked while a thread read, showed or wrote pictures: {forks.REMEDY}"
                 )
-            self._within += 1
-            if self._within == 1:
+            self._users += 1
+            if self._users == 1:
                 self._exr_threads = oiio.get_int_attribute("exr_threads")
                 oiio.attribute("exr_threads", -1)
         try:
             yield oiio
         finally:
             with self._changed:
-                self._within -= 1
-                if not self._within:
+                self._users -= 1
+                if not self._users:
                     oiio.attribute("exr_threads", self._exr_threads)
                     self._changed.notify_all()
 
     def _before(self) -> None:
         self._changed.acquire()
         self._forking = True
-        self._changed.wait_for(lambda: not self._within, timeout=_MOST_WAIT_S)
+        self._changed.wait_for(lambda: not self._users, timeout=_MOST_WAIT_S)
         oiio: Any = sys.modules.get("OpenImageIO")
         # Unless it is being imported.
         self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
@@ -75,7 +75,7 @@ class _Library:
     def _in_child(self) -> None:
         self._changed = threading.Condition()
         self._forking = False
-        self._cut_off = self._cut_off or self._within > 0
+        self._cut_off = self._cut_off or self._users > 0
         if not self._cut_off:
             self._set_threads(self._threads)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Of whatever has a unit, in magnitude: what is beyond means nothing, and its powers overflow or vanish.
+# Limits of magnitudes in any unit: values beyond mean nothing, and their powers overflow or vanish.
 MOST, LEAST = 1e15, 1e-15
 MOST_COUNT = 2**63 - 1
 
@@ -25,19 +25,19 @@ MOST_COUNT = 2**63 - 1
 def finite_array(
     value: Any, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
 ) -> NDArray[np.float64]:
-    """Return ``value`` as a new float64 array; refuse what is not numeric, not finite, or of another rank.
+    """Return ``value`` as a new float64 array; refuse values that are not numeric, not finite, or of another rank.
 
     A masked element is NaN, which passes with ``gaps``; magnitudes are at most ``most``.
     """
     try:
-        given = np.asarray(value)
+        numbers = np.asarray(value)
     except (TypeError, ValueError):
-        given = None  # rows of different lengths
-    if given is None or given.dtype.kind not in "biuf":
+        numbers = None  # rows of different lengths
+    if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
-    array = np.array(given, dtype=np.float64)
+    array = np.array(numbers, dtype=np.float64)
     if isinstance(value, np.ma.MaskedArray):
-        # What lies under a mask is any number, often the instrument's code for no signal.
+        # A masked element may have any value, often the instrument's code for no signal.
         array[np.ma.getmaskarray(value)] = np.nan
     if ndim is not None and array.ndim != ndim:
         raise ArgumentValueError(f"{ref(name)} must be a {ndim}-D array, got shape {array.shape}")
@@ -75,7 +75,7 @@ def number(value: Any, name: str, *, above: float = -math.inf, least: float = -m
 
 
 def positive(value: Any, name: str, *, most: float = MOST) -> float:
-    """Return ``value`` as a finite float > 0, no less than any length is."""
+    """Return ``value`` as a finite float > 0, at least ``LEAST``."""
     result = number(value, name, above=0.0, most=most)
     if result < LEAST:
         raise ArgumentValueError(f"{ref(name)} must be at least {LEAST:g}, got {result:g}")
@@ -121,12 +121,14 @@ def numbers(value: Any, name: str, *, length: int) -> tuple[float, ...]:
     """Return ``value`` as a tuple of ``length`` finite floats."""
     array = finite_array(value, name, most=MOST)
     if array.shape != (length,):
-        raise ArgumentValueError(f"{ref(name)} must be {length} numbers, got shape {array.shape}")
+        raise ArgumentValueError(
+            f"{ref(name)} must be {'a pair (y, x)' if length == 2 else f'{length} numbers'}, got shape {array.shape}"
+        )
     return tuple(array.tolist())
 
 
 def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
-    """Return directions as unit vectors, shape (n, 3), and whether a single one of shape (3,) was given."""
+    """Return directions as unit vectors, shape (n, 3), and whether ``value`` was a single one of shape (3,)."""
     array = finite_array(value, name)
     if array.ndim not in (1, 2) or array.shape[-1] != 3:
         raise ArgumentValueError(f"{ref(name)} must have shape (3,) or (n, 3), got {array.shape}")
@@ -149,20 +151,20 @@ def choice(value: Any, name: str, options: Collection[str]) -> str:
 
 
 def path(value: Any, name: str) -> Path:
-    """Return ``value`` as a path; refuse what is none, and names that no file can have."""
+    """Return ``value`` as a path; refuse other types, and names that no file can have."""
     if not isinstance(value, (str, os.PathLike)):
         raise ArgumentTypeError(f"{ref(name)} must be a string or a path, got {type(value).__name__}")
     try:
         os.lstat(value)
     except (ValueError, OSError) as error:
-        # A system takes neither NUL, nor half of a surrogate pair, nor thousands of characters.
+        # Systems accept neither NUL, nor half of a surrogate pair, nor thousands of characters.
         if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
             raise ArgumentValueError(f"{ref(name)} must be a name that a file can have, got {value!r}") from None
     return Path(os.fsdecode(value))
 
 
 def instance(value: Any, kind: type, name: str, *, optional: bool = False) -> None:
-    """Refuse what is not of one of the package's own types; with ``optional`` None passes."""
+    """Refuse values of another type than ``kind``, a class of the package; with ``optional`` None passes."""
     if not isinstance(value, kind) and not (optional and value is None):
         raise ArgumentTypeError(f"{ref(name)} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
 
@@ -175,6 +177,6 @@ def flag(value: Any, name: str) -> bool:
 
 
 def callback(value: Any, name: str) -> None:
-    """Refuse what is neither None nor callable."""
+    """Refuse values that are neither None nor callable."""
     if value is not None and not callable(value):
-        raise ArgumentTypeError(f"{ref(name)} must be callable or None, got {type(value).__name__}")
+        raise ArgumentTypeError(f"{ref(name)} must be True, a callable or None, got {type(value).__name__}")
