@@ -234,7 +234,7 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     assert all(grid.starts.shape[0] for grid in made)
     asked = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(camera_rays.RasterizedRays, "occluder_grid", camera_rays.PixelRays.occluder_grid)
+    monkeypatch.setattr(camera_rays.RasterizedRays, "shadow_grid", camera_rays.PixelRays.shadow_grid)
     expected = wd.shade(mesh, heightfield, lights, view, **options)
     assert len(made) == asked
     np.testing.assert_array_equal(found.xyz, expected.xyz)
