@@ -1,4 +1,4 @@
-"""Which device runs the kernels, on how many threads, and when they are compiled."""
+"""Devices that run kernels, their threads, and the compilation of kernels."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ import warp as wp
 from warpdiff.core import forks, validation
 from warpdiff.core.threads import cores
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
+# Limit: number of threads that compile or load kernels.
 _LOADERS = 2
 _loading: dict[Any, Future[Any]] = {}
-# A fork waits so long for kernels that are being compiled or loaded.
+# Limit: longest time that a fork waits for kernels that are being compiled or loaded [s].
 _MOST_WAIT_S = 1.0
 
 
 def resolve_device(device: Any) -> wp.Device:
-    """The Warp device of a name such as ``"cpu"`` or ``"cuda:0"``; None is the CPU."""
+    """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # Unless told otherwise before it starts, Warp prints a banner, a line a module, and that there is no CUDA driver.
+    # Unless configured before it starts, Warp prints a banner, a line per module, and that there is no CUDA driver.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
@@ -37,32 +39,34 @@ def resolve_device(device: Any) -> wp.Device:
     try:
         wp.init()
     except OSError as error:
-        raise _unkept(error) from error
+        raise _cache_error(error) from error
     try:
         return wp.get_device("cpu" if device is None else device)
     except Exception as error:
-        raise ValueError(f"device must be 'cpu' or a CUDA device of this machine, got {device!r}: {error}") from None
+        raise ArgumentValueError(
+            f"{ref('device')} must be 'cpu', or 'cuda' on a machine with a CUDA device, got {device!r}: {error}"
+        ) from None
 
 
 def resolve_threads(threads: Any) -> int:
-    """The number of threads; None is one for each core this process may use."""
+    """Return the number of threads; None is one per core that this process may use."""
     if threads is None:
         return cores()
     return validation.count(threads, "threads")
 
 
 def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
-    """Begin to compile kernels for the CPU, or to load them where they are compiled, side by side with what follows.
+    """Begin to compile kernels for the CPU, or to load compiled ones, on other threads.
 
     The first time a thread compiles it takes seconds for Warp's headers, and two threads do so at the same time.
     """
     if not device.is_cpu:
         return []
     _refuse_cut_off()
-    with _load_once:
+    with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # What launches on the CPU take is the module for blocks of one.
+                # Launches on the CPU use the module for blocks of one.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
@@ -82,11 +86,11 @@ def _load(module: Any, device: wp.Device) -> None:
     try:
         wp.load_module(module, device, block_dim=1)
     except OSError as error:
-        raise _unkept(error) from error
+        raise _cache_error(error) from error
 
 
-def _unkept(error: OSError) -> OSError:
-    return OSError(f"Warp cannot keep compiled kernels: {error}; name a folder for them in WARP_CACHE_PATH")
+def _cache_error(error: OSError) -> OSError:
+    return OSError(f"Warp cannot write compiled kernels: {error}; set WARP_CACHE_PATH to a writable folder")
 
 
 def _has_cache_folder() -> bool:
@@ -95,41 +99,41 @@ def _has_cache_folder() -> bool:
 
 @functools.cache
 def _own_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder for compiled kernels that goes with the process."""
+    """A folder for compiled kernels that is deleted at the end of the process."""
     warn(
-        "the user has no home folder: kernels are compiled anew by each process; name a folder for them in "
-        "WARP_CACHE_PATH"
+        "the user has no home folder, and each process compiles the kernels again: set WARP_CACHE_PATH to a writable "
+        "folder"
     )
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# What another thread was at when this process was forked, and nobody in it will end.
+# Work of other threads when this process was forked, which nothing in it can finish.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
-    """Refuse to wait for what nobody ends."""
+    """Refuse to wait for work that nothing can finish."""
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
 
 
 def codegen_lock() -> Any:
-    """The lock that Warp, once it is imported, holds while it looks at kernels; None where a version has no such one.
+    """The lock that Warp, once it is imported, holds while it parses kernels; None if its version has none.
 
-    It is undocumented. Without it a child may be forked while another thread looks at kernels, and wait.
+    It is undocumented. Without it a child may be forked while another thread parses kernels, and wait for ever.
     """
-    found = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
-    return found if hasattr(found, "acquire") and hasattr(found, "release") else None
+    lock = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
+    return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
 # Warp's lock, in a fork.
-_held: list[Any] = []
-# For a child, what had been loaded before a fork: each future has a lock, which another thread may hold just then.
+_acquired: list[Any] = []
+# For a child, the modules that were loaded before the fork: each future has a lock, which another thread may hold.
 _loaded: dict[Any, Future[Any]] = {}
 
 
 def _before_fork() -> None:
-    """Wait a little for what is being loaded."""
+    """Wait up to a second for kernels that are being loaded."""
     done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
     for module, loading in _loading.items():
         if loading in done:
@@ -138,17 +142,17 @@ def _before_fork() -> None:
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
-        _held.append(lock)
+        _acquired.append(lock)
 
 
 def _release() -> None:
     _loaded.clear()
-    while _held:
-        _held.pop().release()
+    while _acquired:
+        _acquired.pop().release()
 
 
 def _in_child() -> None:
-    """Keep what is loaded, and know what is not."""
+    """Keep the loaded modules, and note work that was cut off."""
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
     is_all_loaded = len(_loaded) == len(_loading)
@@ -161,7 +165,7 @@ def _in_child() -> None:
         lock.release()
 
 
-# What is given last is called first: imports end, nothing else begins to load, and what is being loaded ends.
+# Functions registered last are called first: imports end, no further load begins, and loads in progress end.
 forks.at_fork(before=_before_fork, in_parent=_release, in_child=_in_child)
-_load_once = forks.lock()
+_load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

@@ -1,4 +1,4 @@
-"""Pipelines of kernel calls: whole launches on a GPU, slices of elements that threads take one by one on the CPU."""
+"""Pipelines of kernel calls: whole launches on a GPU, slices of elements on several threads on the CPU."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Elements of a slice on the CPU, unless told: what the launches cost is little against them.
+# Default number of elements per slice on the CPU: launches are cheap compared with them.
 ELEMENTS_OF_SLICE = 512
-# A thread takes slices until they are so many elements, or such a share of all for each thread, before it looks whether
-# it was interrupted and tells of progress.
+# A thread takes slices up to this number of elements, or to this part of its share of all elements, before it checks
+# for an interrupt and reports progress.
 _MOST_AT_A_TIME, _TURNS_PER_THREAD = 32_768, 4
 
 
 @dataclass(frozen=True)
 class KernelCall:
-    """A kernel with its arguments.
+    """Kernel with its arguments.
 
     Attributes:
-        kernel: Its last input is ``first``, the index of its first thread.
-        inputs: Those before ``first``.
-        outputs: What it writes.
-        in_runs: Whether a number ``run`` of indices for each thread comes after ``first``: a thread on the CPU takes
-            its arguments, a kilobyte of them for some kernels, once for all of a slice rather than once for each index.
-        block: How many elements one index stands for.
-        free: What Warp has recorded of it, which is kept as long as this, and no thread has.
+        kernel: Warp kernel, whose last input is ``first``, the index of its first thread.
+        inputs: Inputs before ``first``.
+        outputs: Arrays that it writes.
+        in_runs: Whether a number ``run`` of indices per thread follows ``first``: a thread on the CPU then reads its
+            arguments, a kilobyte of them for some kernels, once per slice rather than once per index.
+        block: Number of elements per index.
+        free: Recorded launches that no thread uses at present.
     """
 
     kernel: Any
@@ -45,16 +45,16 @@ class KernelCall:
     free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
-        """Launch it for each index by itself."""
+        """Launch the kernel with one thread per index."""
         inputs = self.arguments(elements.start // self.block, 1)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
     def arguments(self, first: int, run: int) -> list[Any]:
-        """All inputs for threads from the index ``first`` on."""
+        """Return all inputs for threads from the index ``first`` on."""
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:
-        """What this thread launches it by, until it is given back."""
+        """Return a recorded launch for the calling thread, which appends it to ``free`` afterwards."""
         try:
             return self.free.pop()
         except IndexError:
@@ -70,30 +70,30 @@ class _Recorded:
         self._launch = wp.launch(step.kernel, 1, values, device="cpu", record_cmd=True)
 
     def run(self, begin: int, end: int) -> None:
-        """Launch it over elements."""
-        first, behind = begin // self._block, -(-end // self._block)
+        """Launch the kernel over elements."""
+        first, stop = begin // self._block, -(-end // self._block)
         self._launch.set_param_at_index_from_ctype(self._first, first)
         if self._in_runs:
-            self._launch.set_param_at_index_from_ctype(self._first + 1, behind - first)
+            self._launch.set_param_at_index_from_ctype(self._first + 1, stop - first)
         else:
-            self._launch.set_dim(behind - first)
+            self._launch.set_dim(stop - first)
         self._launch.launch()
 
 
 class Pipeline:
-    """Kernel calls one after the other on the CPU."""
+    """Kernel calls that follow each other on the CPU."""
 
     def __init__(self, steps: Sequence[KernelCall]) -> None:
-        """Get ready to call them, once they are compiled."""
+        """Wait until the kernels are compiled."""
         load_now([step.kernel for step in steps], resolve_device(None))
         self._steps = steps
 
     def launch(self, elements: range) -> None:
-        """Launch them over elements on this thread."""
+        """Launch the kernels over elements on the calling thread."""
         self.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
-        """A function that takes the next slices of elements through them, so many of them, on any thread."""
+        """Return a function that launches the kernels over the next ``at_a_time`` slices, on any thread."""
         begins, lock = iter(elements[::size]), threading.Lock()
 
         def take() -> None:
@@ -133,34 +133,34 @@ def launch_pipeline(
     slice_size: int = ELEMENTS_OF_SLICE,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Launch kernels of which each reads of an element what those before it wrote of the same one.
+    """Launch kernels, each of which reads of an element only values that earlier ones wrote of the same element.
 
-    A launch on the CPU is a serial loop that releases the interpreter lock, so slices run side by side on threads, each
-    through all kernels; every index is computed by itself, and the result depends neither on the threads' number nor on
-    the slices. On a GPU, and where launches are recorded, all is launched at once.
+    A launch on the CPU is a serial loop that releases the interpreter lock, so that slices run in parallel on threads,
+    each through all kernels. Every index is computed separately, and the result depends neither on the number of
+    threads nor on the slices. On a GPU, and where launches are recorded, all elements are launched at once.
 
     Args:
-        steps: The kernels.
-        elements: Their number, or a range that begins with a whole block.
-        device: Where.
-        threads: At most so many.
-        slice_size: Elements that go through the kernels together, rounded up to whole blocks.
-        progress: Called with the share that is done.
+        steps: Kernel calls, in their order.
+        elements: Number of elements, or a range of them that begins with a whole block.
+        device: Warp device.
+        threads: Greatest number of threads on the CPU.
+        slice_size: Number of elements that go through the kernels together, rounded up to whole blocks.
+        progress: Function of the share that is done; None is none.
     """
-    among = range(elements) if isinstance(elements, int) else elements
-    if among and device.is_cpu and not device.is_capturing:
+    indices = range(elements) if isinstance(elements, int) else elements
+    if indices and device.is_cpu and not device.is_capturing:
         block = math.lcm(*(step.block for step in steps))
         size = -(-slice_size // block) * block
-        slices = -(-len(among) // size)
+        slices = -(-len(indices) // size)
         at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TURNS_PER_THREAD * threads)), 1)
-        take = Pipeline(steps).slices(among, size, at_a_time)
-        # Whoever has taken so many helps those that have not.
+        take = Pipeline(steps).slices(indices, size, at_a_time)
+        # Threads that have taken their slices take those of slower threads.
         times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return
-    for step in steps if among else ():
-        step.launch(among, device)
+    for step in steps if indices else ():
+        step.launch(indices, device)
     if progress is not None:
-        # Launches of a frame queue up; whoever reads their results waits for them.
+        # Launches of a picture are queued; a read of their results waits for them.
         wp.synchronize_device(device)
         progress(1.0)

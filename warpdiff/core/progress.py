@@ -1,0 +1,44 @@
+"""Progress of long work: a callable that the caller gives, or a bar."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from warpdiff.core import validation
+
+Progress = Callable[[float], None] | bool | None
+# Limit: work that takes less shows no bar [s].
+_DELAY_S = 1.0
+
+
+class _Bar:
+    """A tqdm bar over the share of the work that is done."""
+
+    def __init__(self, name: str) -> None:
+        if "ipykernel" in sys.modules:
+            from tqdm.auto import tqdm
+        else:
+            from tqdm import tqdm
+
+        self._bar: Any = tqdm(
+            total=1.0,
+            desc=name,
+            delay=_DELAY_S,
+            leave=False,
+            bar_format="{desc}  {bar}  {percentage:3.0f} %  {remaining}",
+        )
+
+    def __call__(self, share: float) -> None:
+        self._bar.update(share - self._bar.n)
+        if share >= 1.0:
+            self._bar.close()
+
+
+def reporter(progress: Progress, name: str) -> Callable[[float], None] | None:
+    """Return the callable that reports progress: the given one, a bar for True, None for None and False."""
+    if isinstance(progress, bool):
+        return _Bar(name) if progress else None
+    validation.callback(progress, "progress")
+    return progress
