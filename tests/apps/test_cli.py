@@ -338,7 +338,7 @@ def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
     code = "import sys; from warpdiff.apps import cli; sys.exit(cli.main(['info', 'lamellar']))"
     done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
     assert done.returncode == 1
-    assert "Warp cannot keep compiled kernels" in done.stderr
+    assert "Warp cannot write compiled kernels" in done.stderr
     assert "WARP_CACHE_PATH" in done.stderr
     assert "device must" not in done.stderr
 
