@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.periods import Period
     from warpdiff.image.image import Image
+    from warpdiff.lights.directional import DirectionalLight
     from warpdiff.lights.environment import Environment
-    from warpdiff.lights.light_types import DirectionalLight, PointLight
+    from warpdiff.lights.point import PointLight
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
@@ -104,7 +105,8 @@ _MODULES = {
     "heightfield.periods": ("Period",),
     "image.image": ("Image",),
     "lights.environment": ("Environment",),
-    "lights.light_types": ("DirectionalLight", "PointLight"),
+    "lights.directional": ("DirectionalLight",),
+    "lights.point": ("PointLight",),
     "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
     "planner.strategy": ("plan",),
     "request.plan": ("Plan",),

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import warp as wp
+from annotated_types import Ge, Interval
 
 from warpdiff.baked import quantisation
 from warpdiff.baked.interpolation import PolarGrid
 from warpdiff.baked.lobe_table import LARGEST_KAPPA, LARGEST_W, MOST_W_BASIS, BakedLobes
 from warpdiff.baked.zeroth_order import zeroth_powers
-from warpdiff.core import memory, validation
+from warpdiff.core import memory
+from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction import chebyshev
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import reflectance_table
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.request.directions import hemisphere_pairs
-from warpdiff.request.evaluation import Request
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.settings import PlanSettings
+from warpdiff.request.signatures import checked
 from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
@@ -57,71 +62,73 @@ _BYTES_A_NODE = 170
 _MOST_HEIGHT_UM = 12.0
 
 
+@checked
 def bake(
     heightfield: HeightField,
     *,
     illuminant: str = "D65",
     material: Material | None = None,
-    tolerance: float = 2.0,
+    delta_e: Annotated[float, Interval(ge=0.2, le=20.0)] = 2.0,
     coherence: Coherence | None = None,
     strict: bool = True,
     device: Any = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    threads: Annotated[int, Ge(1)] | None = None,
+    progress: Progress = None,
 ) -> BakedLobes:
-    """Bake the colours of all directions into the smallest table that keeps a colour difference.
+    """Bake the colours of all directions into the smallest table that meets a colour difference.
 
-    It needs neither the height field nor this library's kernels: a page in a browser and other renderers take it.
+    The table needs neither the height field nor this library's kernels: web pages and other renderers read it.
 
     Args:
         heightfield: The height field.
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
-        material: A metal, or another one that is opaque, whose reflectance is within the colours; None leaves it to an
-            index of refraction that is given to what takes the table.
-        tolerance: ΔE2000 that 99 of 100 directions of the hemisphere keep, each shown as a middle grey is (Y = 0.2),
-            and what is dimmer than a thousandth of the bright ones as dim as it is beside these.
-        coherence: An averaged window or a source, whose powers add; None is averaged with σ = 16.25 µm.
-        strict: Raise where the largest table does not keep the tolerance, rather than warn.
-        device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one a core.
-        progress: Called with the share that is done, 0 to 1.
+        illuminant: Name in colour-science's ``SDS_ILLUMINANTS``.
+        material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
+            index of refraction of the renderer.
+        delta_e: Accepted ΔE2000 at the 99th percentile of the directions. Bright directions are normalised to Y = 0.2;
+            directions below a thousandth of their luminance keep their relative level.
+        coherence: Averaged window or source; None is an averaged window of σ = 16.25 µm.
+        strict: Whether a colour difference that the largest table does not meet raises ``ToleranceError``; otherwise it
+            is a warning.
+        device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
+        threads: Threads on the CPU; None is one per core.
+        progress: Callable that gets the share that is done, 0 to 1; True shows a bar.
 
     Returns:
-        The table, with the error that was measured.
+        The table, with the measured error.
 
     Raises:
-        ValueError: A bad argument, a coherence whose powers do not add, a transparent material, a tolerance out of
-            reach.
-        MemoryError: More memory than is free; the message says what fits.
+        ValueError: A bad argument, a coherence of amplitudes, or a transparent material.
+        ToleranceError: The colour difference cannot be met, and ``strict`` is True.
+        MemoryError: More memory than is free; the message states what fits.
     """
-    tolerance = validation.number(tolerance, "tolerance", least=0.2, most=20.0)
-    validation.instance(illuminant, str, "illuminant")
-    request = Request.checked(
-        heightfield, tolerance=min(_RELATIVE_ERROR * tolerance, 0.1), method="auto", coherence=coherence, ior=None, masking=True,
-        strict=strict, device=device, threads=threads, progress=progress, illuminants=(illuminant,), material=material,
+    settings = PlanSettings(
+        tolerance=min(_RELATIVE_ERROR * delta_e, 0.1), coherence=coherence, material=material, strict=strict,
+        device=device, threads=threads,
     )  # fmt: skip
+    evaluation = Evaluation.of(heightfield, settings, illuminants=(illuminant,))
     if material is not None and not material.is_opaque:
-        raise ValueError(
-            f"material must be opaque, got {material}: bake without one, and give ior= to what takes the table"
+        raise ArgumentValueError(
+            f"{ref('material')} must be opaque, got {material}: bake without a material, and set the index of refraction "
+            "in the renderer"
         )
-    if not request.coherence.adds_powers:
-        raise ValueError(
-            f"coherence of kind={request.coherence.kind!r} adds amplitudes, whose lobes are not baked: use 'averaged' "
-            "or 'source'"
+    if not evaluation.coherence.adds_powers:
+        raise ArgumentValueError(
+            f"{ref('coherence')} must be of kind 'averaged' or 'source', whose powers add, got "
+            f"{evaluation.coherence.kind!r}"
         )
     if heightfield.height_range_um > _MOST_HEIGHT_UM:
-        raise ValueError(
-            f"heightfield has heights over {heightfield.height_range_um:.3g} µm, and lobes are baked of up to {_MOST_HEIGHT_UM:g} µm: "
-            "take a part of it"
+        raise ArgumentValueError(
+            f"{ref('heightfield')} must have a height range of at most {_MOST_HEIGHT_UM:g} µm to be baked, got "
+            f"{heightfield.height_range_um:.3g} µm: crop it"
         )
-    with memory.as_memory_error("bake()", "take a larger tolerance, or a smaller sigma_um"):
-        return _Bakery(request, illuminant, tolerance).baked(progress or (lambda _: None))
+    with memory.as_memory_error("bake()", f"take a larger {ref('delta_e')}, or a smaller {ref('sigma_um')}"):
+        return _Bakery(evaluation, illuminant, delta_e).baked(reporter(progress, "bake") or (lambda _: None))
 
 
 class _Bakery:
     """What a height field's colours are sampled by, and the directions that judge a table."""
 
-    def __init__(self, request: Request, illuminant: str, tolerance: float) -> None:
+    def __init__(self, request: Evaluation, illuminant: str, tolerance: float) -> None:
         self._request, self._illuminant, self._tolerance = request, illuminant, tolerance
         direction_range, sample, _ = directions_of(request)
         plan = plan_for(request, direction_range, sample, _LOOK_UPS)

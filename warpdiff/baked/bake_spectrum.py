@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Interval
 
 from warpdiff.baked.spectrum_table import BakedSpectrum
 from warpdiff.baked.zeroth_order import zeroth_powers
-from warpdiff.core import memory, validation
+from warpdiff.core import memory
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.planner.strategy import directions_of, plan_for
-from warpdiff.request.evaluation import Request
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.settings import PlanSettings
+from warpdiff.request.signatures import checked
 from warpdiff.tables import coefficient_table
 
 if TYPE_CHECKING:
@@ -21,48 +25,46 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
 
 _ENTRIES = 512
-_LEAST_SIZE, _MOST_SIZE = 16, 8192
 
 
+@checked
 def bake_spectrum(
     heightfield: HeightField,
     *,
-    size: int = 1024,
-    tolerance: float = 1e-2,
+    size: Annotated[int, Interval(ge=16, le=8192)] = 1024,
+    tolerance: Annotated[float, Interval(ge=1e-5, le=0.5)] = 1e-2,
     coherence: Coherence | None = None,
     device: Any = None,
-    threads: int | None = None,
+    threads: Annotated[int, Ge(1)] | None = None,
 ) -> BakedSpectrum:
     """Bake the power spectrum of all directions and visible wavelengths.
 
-    A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. What is narrower than a cell is blurred
-    to it and keeps its power: 1,024 cells a side are 1.5 standard deviations of a lobe of σ = 16.25 µm wide.
+    A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. Lobes narrower than a cell are blurred to
+    it and keep their power: 1,024 cells per side are 1.5 standard deviations of a lobe of σ = 16.25 µm wide.
 
     Args:
         heightfield: The height field.
-        size: Cells along a side, 16 to 8192.
-        tolerance: What functions of κ leave out, as :func:`warpdiff.spectral_reflectance` has it.
-        coherence: An averaged window, whose lobes are as wide in q at all wavelengths; None has σ = 16.25 µm.
-        device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one a core.
+        size: Cells along each side.
+        tolerance: Truncation error of the basis in κ, relative as for :func:`warpdiff.spectral_reflectance`.
+        coherence: Averaged window, whose lobes are equally wide in q at all wavelengths; None has σ = 16.25 µm.
+        device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
+        threads: Threads on the CPU; None is one per core.
 
     Returns:
         The table.
 
     Raises:
-        ValueError: A bad argument, another kind of coherence.
-        MemoryError: More memory than is free; the message says what fits.
+        ValueError: A bad argument, or another kind of coherence.
+        MemoryError: More memory than is free; the message states what fits.
     """
-    request = Request.checked(
-        heightfield, tolerance=tolerance, method="low-rank", coherence=coherence, ior=1.5, masking=True, strict=True,
-        device=device, threads=threads,
-    )  # fmt: skip
+    settings = PlanSettings(
+        tolerance=tolerance, method="low-rank", coherence=coherence, ior=1.5, device=device, threads=threads
+    )
+    request = Evaluation.of(heightfield, settings)
     window = request.coherence
     if window.kind != "averaged":
-        raise ValueError(f"coherence must be of kind 'averaged' for a spectrum, got {window.kind!r}")
-    if not _LEAST_SIZE <= validation.count(size, "size") <= _MOST_SIZE:
-        raise ValueError(f"size must be {_LEAST_SIZE} to {_MOST_SIZE}, got {size}")
-    with memory.as_memory_error("bake_spectrum()", "take a smaller size"):
+        raise ArgumentValueError(f"{ref('coherence')} must be of kind 'averaged' for a spectrum, got {window.kind!r}")
+    with memory.as_memory_error("bake_spectrum()", f"take a smaller {ref('size')}"):
         direction_range, sample, _ = directions_of(request)
         plan = plan_for(request, direction_range, sample, float(len(sample)))
         table = coefficient_table.table_for(

@@ -18,11 +18,12 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal
 
 from warpdiff.core import validation
-from warpdiff.core.wording import ArgumentTypeError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
-Kind = Literal["flag", "integer", "number", "choice", "text", "numbers", "object"]
+Kind = Literal["flag", "integer", "number", "choice", "choices", "text", "pair", "numbers", "integers", "object"]
 # American spellings that are accepted, with the spelling that the library uses.
 SPELLINGS = {"normalized": "normalised", "centered": "centred", "taylor-uncentered": "taylor-uncentred"}
+_PACKAGE = f"{__name__.partition('.')[0]}."
 REQUIRED: Any = inspect.Parameter.empty
 
 
@@ -32,7 +33,8 @@ class Option:
 
     Attributes:
         name: The name in Python.
-        kind: The type: ``"numbers"`` is a tuple of ``length`` numbers, ``"object"`` is anything else.
+        kind: The type: ``"choices"`` are several of the choices, ``"pair"`` is one number or a pair (y, x), ``"numbers"``
+            or ``"integers"`` are a tuple of ``length``, ``"object"`` is anything else.
         default: The default; ``REQUIRED`` if there is none.
         help: The meaning, in plain text.
         choices: The values of a ``"choice"``, without American spellings.
@@ -42,24 +44,26 @@ class Option:
         le: Inclusive upper bound; None is none.
         unit: The unit; empty if it has none.
         optional: Whether None is accepted.
+        instance_of: Of an ``"object"``, the class of the package that it must be an instance of; None accepts anything.
     """
 
     name: str
     kind: Kind
     default: Any
     help: str
-    choices: tuple[str, ...] = ()
+    choices: tuple[Any, ...] = ()
     length: int = 0
     gt: float | None = None
     ge: float | None = None
     le: float | None = None
     unit: str = ""
     optional: bool = False
+    instance_of: type | None = None
 
     @property
-    def flag(self) -> str:
-        """The command line's name: ``--tolerance``, and ``--no-masking`` for a switch that is on by default."""
-        return f"--{'no-' if self.default is True else ''}{self.name.replace('_', '-')}"
+    def dashed(self) -> str:
+        """The name with dashes, as flags of the command line have it."""
+        return self.name.replace("_", "-")
 
     @property
     def range(self) -> str:
@@ -70,26 +74,57 @@ class Option:
         """Return a value in the type of this option; raise an error that names it otherwise."""
         if value is None and self.optional:
             return None
-        if self.kind == "flag":
-            return validation.flag(value, self.name)
-        if self.kind == "choice":
-            value = SPELLINGS.get(value, value) if isinstance(value, str) else value
-            return validation.choice(value, self.name, self.choices)
-        if self.kind == "text" and not isinstance(value, str):
-            raise ArgumentTypeError(f"{ref(self.name)} must be a string, got {type(value).__name__}")
-        low = -math.inf if self.ge is None else self.ge
-        if self.kind == "integer":
-            least = -validation.MOST_COUNT if self.ge is None else int(self.ge)
-            return validation.count(
-                value, self.name, least=least, most=validation.MOST_COUNT if self.le is None else int(self.le)
-            )
-        if self.kind == "number":
-            above = -math.inf if self.gt is None else self.gt
-            most = validation.MOST if self.le is None else self.le
-            return validation.number(value, self.name, above=above, least=low, most=most)
-        if self.kind == "numbers":
-            return validation.numbers(value, self.name, length=self.length)
+        return getattr(self, f"_check_{self.kind}")(value)
+
+    def _check_object(self, value: Any) -> Any:
+        if self.instance_of is not None:
+            validation.instance(value, self.instance_of, self.name)
         return value
+
+    def _check_flag(self, value: Any) -> bool:
+        return validation.flag(value, self.name)
+
+    def _check_choice(self, value: Any) -> Any:
+        value = SPELLINGS.get(value, value) if isinstance(value, str) else value
+        return validation.choice(value, self.name, self.choices)
+
+    def _check_choices(self, value: Any) -> tuple[str, ...]:
+        if not validation.is_sequence(value):
+            raise ArgumentTypeError(
+                f"{ref(self.name)} must be a tuple or list of {', '.join(map(repr, self.choices))}, got {value!r:.60}"
+            )
+        return tuple(dict.fromkeys(self._check_choice(name) for name in value))
+
+    def _check_pair(self, value: Any) -> Any:
+        if not validation.is_sequence(value):
+            return self._check_number(value)
+        if len(value) != 2:
+            raise ArgumentValueError(f"{ref(self.name)} must be one number or a pair (y, x), got {len(value)} values")
+        return tuple(map(self._check_number, value))
+
+    def _check_text(self, value: Any) -> str:
+        if not isinstance(value, str):
+            raise ArgumentTypeError(f"{ref(self.name)} must be a string, got {type(value).__name__}")
+        return value
+
+    def _check_integer(self, value: Any) -> int:
+        least = -validation.MOST_COUNT if self.ge is None else int(self.ge)
+        most = validation.MOST_COUNT if self.le is None else int(self.le)
+        return validation.count(value, self.name, least=least, most=most)
+
+    def _check_number(self, value: Any) -> float:
+        above = -math.inf if self.gt is None else self.gt
+        least = -math.inf if self.ge is None else self.ge
+        most = validation.MOST if self.le is None else self.le
+        return validation.number(value, self.name, above=above, least=least, most=most)
+
+    def _check_integers(self, value: Any) -> tuple[int, ...]:
+        if not validation.is_sequence(value) or len(value) != self.length:
+            raise ArgumentValueError(f"{ref(self.name)} must be {self.length} integers, got {value!r:.60}")
+        return tuple(self._check_integer(number) for number in value)
+
+    def _check_numbers(self, value: Any) -> tuple[float, ...]:
+        return validation.numbers(value, self.name, length=self.length)
 
 
 def _describe_annotation(name: str, annotation: Any, default: Any, text: str) -> Option:
@@ -107,17 +142,28 @@ def _describe_annotation(name: str, annotation: Any, default: Any, text: str) ->
         elif origin in (typing.Union, types.UnionType) and type(None) in arguments:
             optional = True
             rest = tuple(each for each in arguments if each is not type(None))
-            annotation = rest[0] if len(rest) == 1 else object
+            annotation = rest[0] if len(rest) == 1 else typing.Union[rest]  # noqa: UP007 (a tuple of them)
+        elif origin in (typing.Union, types.UnionType):
+            annotation = _Pair if set(arguments) == {float, tuple[float, float]} else object
         else:
             break
     kind: Kind = _KINDS.get(annotation, "object")
-    choices: tuple[str, ...] = ()
+    choices: tuple[Any, ...] = ()
     length = 0
+    inner = arguments[0] if len(arguments) == 1 or arguments[1:] == (...,) else None
     if origin is Literal:
         kind, choices = "choice", tuple(each for each in arguments if each not in SPELLINGS)
-    elif origin is tuple and set(arguments) <= {int, float}:
-        kind, length = "numbers", len(arguments)
-    return Option(name, kind, default, text, choices=choices, length=length, optional=optional, **found)
+    elif typing.get_origin(inner) is Literal:
+        kind, choices = "choices", tuple(each for each in typing.get_args(inner) if each not in SPELLINGS)
+    elif annotation is _Pair:
+        kind = "pair"
+    elif origin is tuple and set(arguments) in ({int}, {float}):
+        kind, length = "integers" if int in arguments else "numbers", len(arguments)
+    ours = isinstance(annotation, type) and annotation.__module__.startswith(_PACKAGE) and annotation is not _Unknown
+    instance_of = annotation if kind == "object" and ours else None
+    return Option(
+        name, kind, default, text, choices=choices, length=length, optional=optional, instance_of=instance_of, **found
+    )
 
 
 class _Anything(type):
@@ -127,6 +173,10 @@ class _Anything(type):
         if name.startswith("_"):
             raise AttributeError(name)
         return cls
+
+
+class _Pair:
+    """Stand for ``float | tuple[float, float]``."""
 
 
 class _Unknown(metaclass=_Anything):

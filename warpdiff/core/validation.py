@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -53,7 +53,8 @@ def finite_array(
 def range_text(above: float | None, least: float | None, most: float | None) -> str:
     """Return the range of a number in words, such as ``"more than 0 and at most 0.5"``; empty if it has no bounds."""
     words = (("more than", above), ("at least", least), ("at most", most))
-    return " and ".join(f"{word} {bound:g}" for word, bound in words if bound is not None)
+    numbers = ((word, bound if isinstance(bound, int) else f"{bound:g}") for word, bound in words if bound is not None)
+    return " and ".join(f"{word} {bound}" for word, bound in numbers)
 
 
 def number(value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST) -> float:
@@ -143,10 +144,11 @@ def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
     return array, single
 
 
-def choice(value: Any, name: str, options: Collection[str]) -> str:
+def choice(value: Any, name: str, options: Collection[Any]) -> Any:
     """Return ``value`` if it is one of ``options``."""
-    if not isinstance(value, str) or value not in options:
-        raise ArgumentValueError(f"{ref(name)} must be one of {', '.join(map(repr, options))}, got {value!r}")
+    if not isinstance(value, (str, int)) or isinstance(value, bool) or value not in options:
+        near = did_you_mean(value, [option for option in options if isinstance(option, str)])
+        raise ArgumentValueError(f"{ref(name)} must be one of {', '.join(map(repr, options))}, got {value!r}{near}")
     return value
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 import warnings
-from types import FrameType
+from typing import TYPE_CHECKING
 
 from warpdiff.core.wording import WarpdiffWarning
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 _PACKAGE = __name__.partition(".")[0]
 

@@ -7,12 +7,13 @@ what a user gave.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import re
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 _E = TypeVar("_E", bound=Exception)
 
@@ -76,7 +77,23 @@ class WarpdiffWarning(_MarkedError, UserWarning):
     """Something was repaired, excluded, or cannot be trusted; the message says what, by how much, and the remedy."""
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+@contextlib.contextmanager
+def renaming(words: Mapping[str, str]) -> Iterator[None]:
+    """Within it, errors name arguments by other words: ``path`` by ``--environment``, ``lights[0]`` by ``--light[0]``."""
+
+    def renamed(match: re.Match[str]) -> str:
+        name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]
+        return match[0].replace(name, words[name], 1) if name in words else match[0]
+
+    try:
+        yield
+    except Exception as error:
+        if not hasattr(error, "marked"):
+            raise
+        raise marked(type(error), _MARKED.sub(renamed, error.marked)) from None
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return ``"; did you mean …?"`` for the known name that is nearest, or nothing."""
-    near = difflib.get_close_matches(name, list(known), n=1)
+    near = difflib.get_close_matches(name, list(known), n=1) if isinstance(name, str) else []
     return f"; did you mean {near[0]!r}?" if near else ""

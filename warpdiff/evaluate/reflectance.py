@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Unpack, cast
 
 import numpy as np
 import warp as wp
+from annotated_types import Ge
 
-from warpdiff.core import allocations, free_memory, validation
+from warpdiff.core import memory, validation
+from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import direct_sum, energy_normalisation
 from warpdiff.image.image import Image, lengths, relative_errors
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
 from warpdiff.planner.strategy import broadcast_directions, plan_for, warn_outside
 from warpdiff.request.directions import DirectionRange, DirectionSample
-from warpdiff.request.evaluation import Request
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.settings import BrdfSettings, EvaluationSettings, SpectralSettings
+from warpdiff.request.signatures import accepts
 from warpdiff.tables.coefficient_table import table_for
 from warpdiff.tables.lookup import ColourLookup
 
@@ -29,8 +33,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.field import HeightField
-    from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
+    from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
 # The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
@@ -41,23 +45,15 @@ _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 
 
+@accepts(SpectralSettings)
 def spectral_reflectance(
     heightfield: HeightField,
     to_light: ArrayLike,
     to_view: ArrayLike,
     wavelengths_nm: ArrayLike,
     *,
-    tolerance: float = 1e-2,
-    method: str = "auto",
-    coherence: Coherence | None = None,
-    ior: float | None = None,
-    material: Material | None = None,
-    masking: bool = True,
-    plan: Plan | None = None,
-    strict: bool = True,
-    device: Any = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
+    **settings: Unpack[SpectralKeywords],
 ) -> NDArray[Any]:
     """Relative reflectance ρ(λ): 1 for a flat mirror seen in the mirror direction at normal incidence.
 
@@ -69,53 +65,29 @@ def spectral_reflectance(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
         to_view: Directions to the viewer, the same; one and many broadcast.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        tolerance: Largest |Δρ| against max(ρ, 1e-3 · 99th percentile of the call).
-        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
-            ``"direct"`` (float64, slow and certain).
-        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
-            relative to what it reflects at normal incidence.
-        material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
-        masking: Whether V-cavity masking and shadowing is included.
-        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
-        strict: Raise where the tolerance cannot be met, rather than warn.
-        device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one a core.
-        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+        progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a bar.
 
     Returns:
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
         at or below the horizon.
     """
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
-    request = Request.checked(
-        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
-        wavelengths_nm=wavelengths,
-    )  # fmt: skip
-    with allocations.as_memory_error("spectral_reflectance()", _REMEDY):
+    request = Evaluation.of(heightfield, SpectralSettings(**settings), wavelengths_nm=wavelengths)
+    progress = reporter(progress, "spectral reflectance")
+    with memory.as_memory_error("spectral_reflectance()", _REMEDY):
         call = _Call(request, to_light, to_view)
         return call.single(call.spectra(progress=progress))
 
 
+@accepts(EvaluationSettings)
 def reflectance(
     heightfield: HeightField,
     to_light: ArrayLike,
     to_view: ArrayLike,
     *,
     illuminant: str | Spectrum = "D65",
-    tolerance: float = 1e-2,
-    method: str = "auto",
-    coherence: Coherence | None = None,
-    ior: float | None = None,
-    material: Material | None = None,
-    masking: bool = True,
-    energy: str = "stam",
-    plan: Plan | None = None,
-    strict: bool = True,
-    device: Any = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
+    **settings: Unpack[EvaluationKeywords],
 ) -> NDArray[Any]:
     """Colour of the reflectance: ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
 
@@ -124,57 +96,29 @@ def reflectance(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
         to_view: Directions to the viewer, the same; one and many broadcast.
         illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
-        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the call's directions and of the bright ones
-            (Y at least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
-        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
-            ``"direct"`` (float64, slow and certain).
-        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. ρ is
-            relative to what it reflects at normal incidence.
-        material: What the surface is made of, in place of ``ior``; ρ is then relative to a perfect mirror.
-        masking: Whether V-cavity masking and shadowing is included, where ``energy`` is ``"stam"``.
-        energy: ``"stam"``, or ``"normalised"``, in place of masking: times a(ωi) a(ωr), the factors of
-            :func:`order_efficiencies` with which a perfect mirror sends back what comes in, the same at all
-            wavelengths, which send it back together; :func:`brdf` has those of each.
-        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
-        strict: Raise where the tolerance cannot be met, rather than warn.
-        device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one a core.
-        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
+        progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a bar.
 
     Returns:
         CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
         normal incidence gives the illuminant's white, Y = 1.
     """
-    request = Request.checked(
-        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, energy=energy, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
-        illuminants=(illuminant,),
-    )  # fmt: skip
-    with allocations.as_memory_error("reflectance()", _REMEDY):
+    request = Evaluation.of(heightfield, EvaluationSettings(**settings), illuminants=(illuminant,))
+    progress = reporter(progress, "reflectance")
+    with memory.as_memory_error("reflectance()", _REMEDY):
         call = _Call(request, to_light, to_view)
         return call.single(call.colours(progress=progress))
 
 
+@accepts(EvaluationSettings)
 def reflectance_map(
     heightfield: HeightField,
     to_light: ArrayLike,
     *,
-    size: int = 512,
+    size: Annotated[int, Ge(2)] = 512,
     illuminant: str | Spectrum = "D65",
-    tolerance: float = 1e-2,
-    method: str = "auto",
-    coherence: Coherence | None = None,
-    ior: float | None = None,
-    material: Material | None = None,
-    masking: bool = True,
-    energy: str = "stam",
-    samples_per_pixel: int = 1,
-    plan: Plan | None = None,
-    strict: bool = True,
-    device: Any = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    samples_per_pixel: Annotated[int, Ge(1)] = 1,
+    progress: Progress = None,
+    **settings: Unpack[EvaluationKeywords],
 ) -> Image:
     """Colour of the reflectance over all view directions, seen from above.
 
@@ -185,18 +129,7 @@ def reflectance_map(
         to_light: Direction to the light in the local frame, shape (3,), above the horizon.
         size: Width and height of the picture [pixels].
         illuminant: As in :func:`reflectance`.
-        tolerance: As in :func:`reflectance`; the disc's pixels are the directions of the call.
-        method: As in :func:`reflectance`.
-        coherence: As in :func:`reflectance`.
-        ior: As in :func:`reflectance`.
-        material: As in :func:`reflectance`.
-        masking: As in :func:`reflectance`.
-        energy: As in :func:`reflectance`.
         samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
-        plan: As in :func:`reflectance`.
-        strict: As in :func:`reflectance`.
-        device: As in :func:`reflectance`.
-        threads: As in :func:`reflectance`.
         progress: As in :func:`reflectance`.
 
     Returns:
@@ -206,30 +139,29 @@ def reflectance_map(
         ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
         MemoryError: More memory than is free; the message says what fits.
     """
-    request = Request.checked(
-        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, energy=energy, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
-        illuminants=(illuminant,),
-    )  # fmt: skip
+    request = Evaluation.of(heightfield, EvaluationSettings(**settings), illuminants=(illuminant,))
+    progress = reporter(progress, "reflectance map")
     light, single = validation.directions(to_light, "to_light")
     if not single:
-        raise ValueError(f"to_light must have shape (3,) for a map, got {np.shape(to_light)}")
+        raise ArgumentValueError(f"{ref('to_light')} must have shape (3,) for a map, got {np.shape(to_light)}")
     if light[0, 2] <= HORIZON:
-        raise ValueError(f"to_light must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}")
+        raise ArgumentValueError(
+            f"{ref('to_light')} must lie above the horizon (z > 0), got {np.asarray(to_light).tolist()}"
+        )
     size = validation.count(size, "size", least=2)
     across = math.isqrt(validation.count(samples_per_pixel, "samples_per_pixel"))
     if across * across != samples_per_pixel:
-        raise ValueError(f"samples_per_pixel must be a square number, for they lie on a grid, got {samples_per_pixel}")
+        raise ArgumentValueError(f"{ref('samples_per_pixel')} must be a square number, got {samples_per_pixel}")
     count = across * size
-    if count * count > free_memory.MOST_ELEMENTS:
-        raise ValueError(
-            f"size² · samples_per_pixel must be at most {free_memory.MOST_ELEMENTS} directions, got {count * count}"
+    if count * count > memory.MOST_ELEMENTS:
+        raise ArgumentValueError(
+            f"{ref('size')}² · {ref('samples_per_pixel')} must be at most {memory.MOST_ELEMENTS} directions, got {count * count}"
         )
-    free_memory.require_memory(
+    memory.require_memory(
         _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",
         "take at most {side} times the size, or {share} of the samples",
     )  # fmt: skip
-    with allocations.as_memory_error(f"a map of {size} × {size} pixels", _REMEDY):
+    with memory.as_memory_error(f"a map of {size} × {size} pixels", _REMEDY):
         axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
         x, y = np.meshgrid(axis, -axis)
         radius2 = x * x + y * y
@@ -246,23 +178,15 @@ def reflectance_map(
     return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan)
 
 
+@accepts(BrdfSettings)
 def brdf(
     heightfield: HeightField,
     to_light: ArrayLike,
     to_view: ArrayLike,
     wavelengths_nm: ArrayLike,
     *,
-    tolerance: float = 1e-2,
-    method: str = "auto",
-    coherence: Coherence | None = None,
-    ior: float | None = None,
-    material: Material | None = None,
-    energy: str = "stam",
-    plan: Plan | None = None,
-    strict: bool = True,
-    device: Any = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
+    **settings: Unpack[BrdfKeywords],
 ) -> NDArray[Any]:
     """Absolute BRDF [1/sr] (Stam 1999), never masked.
 
@@ -277,38 +201,25 @@ def brdf(
         to_light: As in :func:`spectral_reflectance`.
         to_view: As in :func:`spectral_reflectance`.
         wavelengths_nm: As in :func:`spectral_reflectance`.
-        tolerance: As in :func:`spectral_reflectance`.
-        method: As in :func:`spectral_reflectance`.
-        coherence: As in :func:`spectral_reflectance`.
-        ior: As in :func:`spectral_reflectance`.
-        material: As in :func:`spectral_reflectance`.
-        energy: ``"stam"``, or ``"normalised"``, where orders of a perfect mirror sum to 1 from everywhere, as in
-            :func:`order_efficiencies`; it is reciprocal, too, but for what interpolation leaves. Of more than 64 lights
-            sums are 1 but for that, which is much at grazing angles. Between some wavelengths factors are linear.
-        plan: As in :func:`spectral_reflectance`.
-        strict: As in :func:`spectral_reflectance`.
-        device: As in :func:`spectral_reflectance`.
-        threads: As in :func:`spectral_reflectance`.
         progress: As in :func:`spectral_reflectance`.
 
     Returns:
         Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
     """
-    validation.choice(energy, "energy", energy_normalisation.FORMS)
+    checked = BrdfSettings(**settings)
+    common = cast("PlannedKeywords", {name: value for name, value in settings.items() if name != "energy"})
     relative = spectral_reflectance(
-        heightfield, to_light, to_view, wavelengths_nm, tolerance=tolerance, method=method, coherence=coherence, ior=ior,
-        material=material, masking=False, plan=plan, strict=strict, device=device, threads=threads, progress=progress,
-    )  # fmt: skip
+        heightfield, to_light, to_view, wavelengths_nm, masking=False, progress=progress, **common
+    )
     lights, views, single = broadcast_directions(to_light, to_view)
-    used = plan.coherence if plan is not None else coherence or Coherence()
     wavelengths_um = colorimetry.check_wavelengths(wavelengths_nm) * 1e-3
     cos_light = np.where(lights[:, 2] > HORIZON, lights[:, 2], 1.0)
     scale = reflectance_factors.brdf_scale(
-        cos_light, wavelengths_um, used, heightfield.size_um[0] * heightfield.size_um[1]
+        cos_light, wavelengths_um, checked.effective_coherence, heightfield.size_um[0] * heightfield.size_um[1]
     )
-    scale *= check_reflection(ior, material)[0]
+    scale *= check_reflection(checked.ior, checked.material)[0]
     illuminated = (lights[:, 2] > HORIZON) & (views[:, 2] > HORIZON)
-    if energy == "normalised" and illuminated.any():
+    if checked.energy == "normalised" and illuminated.any():
         scale[illuminated] *= energy_normalisation.between(
             heightfield, lights[illuminated], views[illuminated], 1e3 * wavelengths_um
         )
@@ -318,11 +229,11 @@ def brdf(
 class _Call:
     """Pairs of directions with the plan for them."""
 
-    def __init__(self, request: Request, to_light: ArrayLike, to_view: ArrayLike) -> None:
+    def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
         directions = len(self._lights)
         values = 0 if request.wavelengths_nm is None else len(request.wavelengths_nm)
-        free_memory.require_memory(
+        memory.require_memory(
             directions * (_BYTES_PER_DIRECTION + _BYTES_PER_VALUE * values),
             f"a call of {directions} directions" + f" at {values} wavelengths" * (values > 0),
             "take at most {share} of them at a time",

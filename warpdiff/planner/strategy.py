@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from warpdiff.core import allocations, validation
-from warpdiff.core.blas_threads import single_threaded_blas
+from warpdiff.core import memory, validation
+from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.diffraction.coefficient_basis import holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
 from warpdiff.heightfield import aliasing, scalar_validity
@@ -23,8 +24,10 @@ from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.planner import cost_model, plan_search, trial
 from warpdiff.request.directions import DirectionRange, DirectionSample, hemisphere_pairs, order_rate, stratified
-from warpdiff.request.evaluation import Request
+from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, LABELS, Plan, has_table
+from warpdiff.request.settings import PlanSettings
+from warpdiff.request.signatures import accepts
 from warpdiff.tables import coefficient_table, polar_grid
 
 if TYPE_CHECKING:
@@ -32,8 +35,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
+    from warpdiff.request.keywords import PlanKeywords
 
 # A tolerance is relative to a pixel that may be a thousandth of the frame's bright ones, and orders are weaker than the
 # mirror by as much again: what a series leaves out of an amplitude must be smaller by this factor.
@@ -69,10 +72,10 @@ _MOST_SAMPLES = 2_000_000
 # Of a source that grazes the surface: foreshortened fifty times and more.
 _MOST_GRAZING = 16_384
 _LESS_COHERENT = {
-    "averaged": "a smaller sigma_um",
-    "centred": "a smaller sigma_um",
-    "source": "a larger angular_diameter_deg",
-    "replicas": "fewer copies",
+    "averaged": f"a smaller {ref('sigma_um')}",
+    "centred": f"a smaller {ref('sigma_um')}",
+    "source": f"a larger {ref('angular_diameter_deg')}",
+    "replicas": f"fewer {ref('periods')}",
 }
 # Float32 rounds each term of a series to half a unit in the last place.
 _FLOAT32_ROUNDING = 2.0**-24
@@ -96,48 +99,31 @@ _HEMISPHERE_DIRECTIONS = 8192
 _COARSE_TOLERANCE = 0.5
 
 
+@accepts(PlanSettings)
 def plan(
     heightfield: HeightField,
     to_light: ArrayLike | None = None,
     to_view: ArrayLike | None = None,
     *,
     illuminant: str | Spectrum = "D65",
-    tolerance: float = 1e-2,
-    method: str = "auto",
-    coherence: Coherence | None = None,
-    ior: float | None = None,
-    material: Material | None = None,
-    masking: bool = True,
-    strict: bool = True,
-    device: Any = None,
-    threads: int | None = None,
+    **settings: Unpack[PlanKeywords],
 ) -> Plan:
-    """Plan an evaluation of these directions without computing it.
+    """Plan an evaluation of directions without computing it.
 
     Args:
         heightfield: The height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
-        to_view: Directions to the viewer; None is the whole hemisphere.
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
-        tolerance: Error of XYZ that is asked for, in 1e-5 to 0.5.
-        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"`` or
-            ``"direct"``.
-        coherence: The window, source or copies; the default is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1, 1.5 unless a material is given; it and masking decide what is bright.
-        material: What the surface is made of, in place of ``ior``.
-        masking: Whether V-cavity masking and shadowing is included.
-        strict: Raise a ``ValueError`` where the tolerance cannot be met; otherwise warn.
-        device: ``"cpu"`` (None) or a CUDA device, on which the sample of directions is tried.
-        threads: Threads on the CPU; None is one a core.
+        to_view: Directions to the viewer, shape (3,) or (n, 3); None is the whole hemisphere.
+        illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
 
     Returns:
         The plan; ``print(plan)`` explains it.
+
+    Raises:
+        ToleranceError: The tolerance cannot be met, and ``strict`` is True.
     """
-    request = Request.checked(
-        heightfield, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, strict=strict, device=device, threads=threads, illuminants=(illuminant,),
-    )  # fmt: skip
-    with allocations.as_memory_error("plan()", "take a larger tolerance, or a smaller heightfield"):
+    request = Evaluation.of(heightfield, PlanSettings(**settings), illuminants=(illuminant,))
+    with memory.as_memory_error("plan()", "take a larger tolerance, or a smaller heightfield"):
         direction_range, sample, count = directions_of(request, to_light, to_view)
         result = plan_for(request, direction_range, sample, count)
     if result.scalar_error >= scalar_validity.UNTRUSTED:
@@ -150,7 +136,7 @@ def plan(
 
 
 def directions_of(
-    request: Request, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
+    request: Evaluation, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
 ) -> tuple[DirectionRange, DirectionSample, float]:
     """The scope of directions, some of them, and their number; None is the whole hemisphere.
 
@@ -217,8 +203,14 @@ def broadcast_directions(
     return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
 
 
+def _expansion(request: Evaluation) -> tuple[str, str]:
+    """The method and the integration of a request; an integration without a method is that of the automatic expansion."""
+    chosen = request.method == "auto" and request.integration != "auto"
+    return (AUTOMATIC if chosen else request.method), request.integration
+
+
 @single_threaded_blas()
-def plan_for(request: Request, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
+def plan_for(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
     """The plan for all directions of a scope, searched for on a sample of them.
 
     The directions are ``count`` in number, or of means over pixels some of them; a table, which takes time to make, is
@@ -231,9 +223,11 @@ def plan_for(request: Request, direction_range: DirectionRange, sample: Directio
         request.coherence,
         request.footprint,
     )
-    method, _, integration = request.method.partition("/")
+    method, integration = _expansion(request)
     if not request.integrates and integration == "table":
-        raise ValueError(f"method='{method}/table' integrates over λ, and wavelengths_nm asks for a spectrum")
+        raise ArgumentValueError(
+            f"{ref('integration')} must not be 'table' for a spectrum, which is not integrated over λ"
+        )
     check_cycles(heightfield, direction_range.kappas[1])
     pitch = aliasing.coarsest_pitch_um(heightfield)
     colour = request.integrates
@@ -291,7 +285,7 @@ def plan_for(request: Request, direction_range: DirectionRange, sample: Directio
 
 def search_plan(
     plan: Plan,
-    request: Request,
+    request: Evaluation,
     direction_range: DirectionRange,
     sample: DirectionSample,
     *,
@@ -304,7 +298,7 @@ def search_plan(
     A table may take ``most_making`` multiply-adds to make; 0 is none.
     """
     heightfield, tolerance, colour = request.heightfield, plan.tolerance, request.integrates
-    method, _, integration = request.method.partition("/")
+    method, integration = _expansion(request)
     coarse = _ample(
         heightfield,
         direction_range,
@@ -324,9 +318,9 @@ def search_plan(
     if most_making:
         best = plan_search.tabled(plan, tried, footprint=footprint, needed=explicit, most_making=most_making)
     if best is None and explicit:
-        raise ValueError(
-            f"method='{method}/table' takes more than {polar_grid.MOST_MEGABYTES:g} MB for tolerance={tolerance:g}: "
-            "use method='auto', or ask for a larger tolerance"
+        raise ToleranceError(
+            f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
+            f"{ref('tolerance', tolerance)}: use {ref('method', 'auto')}, or a larger {ref('tolerance')}"
         )
     # Points in place of means err by more than a table that keeps the tolerance without any safety.
     most = tolerance * (plan_search.SEARCH_SAFETY if footprint else 1.0)

@@ -6,17 +6,19 @@ import contextlib
 import functools
 import threading
 from collections.abc import Mapping
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Unpack
 
 import warp as wp
 
 from warpdiff.core import validation
-from warpdiff.device.devices import resolve_device, resolve_threads
+from warpdiff.core.progress import Progress, reporter
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.device.devices import resolve_threads
 from warpdiff.planner.strategy import directions_of, warn_outside
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
-    PictureRequest,
+    PictureInputs,
     check_light_sizes,
     listed,
     lobes_for,
@@ -24,7 +26,8 @@ from warpdiff.render.shade import (
     require_picture_memory,
     warn_unconverged,
 )
-from warpdiff.request.evaluation import Request
+from warpdiff.request.settings import PictureSettings
+from warpdiff.request.signatures import accepts
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.lookup import ColourLookup
@@ -32,16 +35,12 @@ from warpdiff.tables.lookup import ColourLookup
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import ArrayLike
-
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
+    from warpdiff.lights.base import Lobe
     from warpdiff.lights.environment import Light
-    from warpdiff.lights.light_types import Lobe
-    from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import Material
     from warpdiff.render.picture import Picture
-    from warpdiff.request.plan import Plan
+    from warpdiff.request.keywords import PictureKeywords
     from warpdiff.scene.mesh_import import Surface
 
 
@@ -67,68 +66,63 @@ class Renderer:
         plan: What is computed and why.
     """
 
+    @accepts(PictureSettings)
     def __init__(
         self,
         mesh: Any,
         heightfield: HeightField,
-        light: Light | Sequence[Light],
+        lights: Light | Sequence[Light],
         view: View,
-        *,
-        tolerance: float = 1e-2,
-        method: str = "auto",
-        coherence: Coherence | None = None,
-        ior: float | None = None,
-        material: Material | Mapping[str, Material] | None = None,
-        masking: bool = True,
-        energy: str = "stam",
-        pigment: float = 1.0,
-        shadows: bool = True,
-        smooth: bool = True,
-        tangents: ArrayLike | None = None,
-        footprint: bool | None = None,
-        samples_per_pixel: int = 1,
-        refine: bool = True,
-        plan: Plan | None = None,
-        strict: bool = True,
-        device: Any = None,
-        threads: int | None = None,
+        **settings: Unpack[PictureKeywords],
     ) -> None:
-        """Prepare pictures; the arguments are those of :func:`warpdiff.shade`.
+        """Prepare pictures.
 
         The tolerance is met for directions all over the hemisphere, as those of the pictures are not known, under the
         illuminants of these lights. The method ``"direct"`` is for single pictures.
+
+        Args:
+            mesh: As for :func:`warpdiff.shade`.
+            heightfield: As for :func:`warpdiff.shade`.
+            lights: Lights of the first picture.
+            view: Camera of the first picture.
         """
-        wanted = PictureRequest.checked(
-            heightfield, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-            masking=masking, energy=energy, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
-            samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device,
-            threads=threads,
-        )  # fmt: skip
-        if (method if plan is None else plan.method) == "direct":
-            raise ValueError("method='direct' is for single pictures: use warpdiff.shade, or another method")
-        request = wanted.request
-        load_kernels(request.device)
+        checked = PictureSettings(**settings)
+        if (checked.method if checked.plan is None else checked.plan.method) == "direct":
+            raise ArgumentValueError(
+                f"{ref('method', 'direct')} is for single pictures: use warpdiff.shade, or another {ref('method')}"
+            )
+        inputs = PictureInputs.of(heightfield, lights, view, checked)
+        load_kernels(inputs.evaluation.device)
         with picture_memory(view):
-            surface = prepare_surface(mesh, tangents=tangents)
-        self._begin(wanted, surface, view)
+            surface = prepare_surface(mesh, tangents=checked.tangents)
+        self._begin(inputs, surface, view)
         self.draw()
 
-    def _begin(self, wanted: PictureRequest, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
-        """Do all that does not change; an integrator by the same plan has its tables."""
-        request = wanted.request
-        self._wanted, self._surface = wanted, surface
+    @classmethod
+    def _from_parts(
+        cls, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None
+    ) -> Renderer:
+        """Return a renderer of checked inputs and a prepared mesh."""
+        result = cls.__new__(cls)
+        result._begin(inputs, surface, view, lookup)
+        return result
+
+    def _begin(self, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
+        """Do all that does not change; a look-up by the same plan brings its tables."""
+        evaluation = inputs.evaluation
+        self._inputs, self._surface = inputs, surface
         with picture_memory(view):
-            direction_range, sample, count = directions_of(request)
-            if request.plan is not None:
-                warn_outside(request.plan, request.heightfield, direction_range)
-            self.plan = wanted.planned(direction_range, sample, count)
+            direction_range, sample, count = directions_of(evaluation)
+            if evaluation.plan is not None:
+                warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
+            self.plan = inputs.planned(direction_range, sample, count)
             self._lookup = lookup or ColourLookup(
-                request.heightfield, self.plan, direction_range, device=request.device, threads=request.threads
+                evaluation.heightfield, self.plan, direction_range, device=evaluation.device, threads=evaluation.threads
             )
-            self._recorded = records(request.device)
+            self._recorded = records(evaluation.device)
             self._mine = _ThreadPicture(
-                functools.partial(wanted.frame, surface, view, device_driven=self._recorded or None),
-                wanted.lobes,
+                functools.partial(inputs.picture, surface, view, device_driven=self._recorded or None),
+                inputs.lobes,
                 view,
             )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
@@ -152,67 +146,76 @@ class Renderer:
             MemoryError: More memory than is free; the message says what fits.
         """
         validation.instance(view, View, "view")
-        require_picture_memory(view, self._wanted.request.device)
-        refine = self._wanted.refine if refine is None else validation.flag(refine, "refine")
-        result = object.__new__(Renderer)
-        request = replace(self._wanted.request, plan=self.plan)
-        result._begin(replace(self._wanted, request=request, refine=refine), self._surface, view, self._lookup)
-        return result
+        evaluation = replace(self._inputs.evaluation, plan=self.plan)
+        require_picture_memory(view, evaluation.device)
+        inputs = replace(self._inputs, evaluation=evaluation)
+        if refine is not None:
+            inputs = inputs.refined(refine=validation.flag(refine, "refine"))
+        return self._from_parts(inputs, self._surface, view, self._lookup)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        request = {each.name: getattr(self._wanted.request, each.name) for each in fields(Request)}
-        device, threads = request.pop("device").alias, request.pop("threads")
-        # Of a core each, there may be another number elsewhere.
-        of_all = None if threads == resolve_threads(None) else threads
-        wanted = {each.name: getattr(self._wanted, each.name) for each in fields(PictureRequest)} | {"request": None}
-        return _again, (request | {"plan": self.plan}, wanted, device, of_all, self._surface, self._mine.view)
+        return _unpickled, (self.__getstate__(),)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pictures depend on: settings, plan, height field, lights, surface and view."""
+        evaluation = self._inputs.evaluation
+        # Another machine may have another number of cores.
+        threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
+        settings = replace(
+            self._inputs.settings, plan=self.plan, coherence=None, tangents=None, footprint=evaluation.footprint,
+            device=evaluation.device.alias, threads=threads,
+        )  # fmt: skip
+        return {
+            "settings": settings, "heightfield": evaluation.heightfield, "lights": self._inputs.lights,
+            "surface": self._surface, "view": self._mine.view,
+        }  # fmt: skip
 
     def draw(
         self,
-        light: Light | Sequence[Light] | None = None,
+        lights: Light | Sequence[Light] | None = None,
         view: View | None = None,
         *,
-        progress: Callable[[float], None] | None = None,
+        progress: Progress = None,
         previews: Mapping[float, Callable[[], object]] | None = None,
     ) -> wp.array:
         """Draw the next picture.
 
         Args:
-            light: This thread's lights from now on; None leaves them as they are.
-            view: Its view from now on, with as many pixels; None leaves it as it is.
-            progress: As in :func:`warpdiff.shade`, on the CPU; on a GPU it is called once all is launched. What it
-                raises ends the picture, as for a view that nobody waits for any more; the next one begins anew.
-            previews: By tolerances above the plan's, what is called on the way to it once the picture keeps each:
-                :meth:`image` is then that picture. What was computed for it serves the next, and the last one is the
-                same to the bit. On the CPU, where pixels are split; elsewhere nothing is on the way.
+            lights: Lights of this thread's pictures from now on; None keeps the previous ones.
+            view: Camera from now on, with the same size in pixels; None keeps the previous one.
+            progress: As for :func:`warpdiff.shade`. On a GPU it is called once, after all launches. An exception that
+                it raises cancels the picture; the next picture starts from scratch.
+            previews: Callables by tolerances larger than the plan's. Each is called once the picture meets its
+                tolerance, and :meth:`image` then returns that picture. Previews reuse all work and do not change the
+                final picture. They have no effect on a GPU, or without refinement.
 
         Returns:
-            XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. A GPU
-            may still be at it: ``numpy()`` waits, and what is launched on the same stream comes after.
+            XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. On a
+            GPU the array may not be ready yet; ``numpy()`` synchronises.
         """
-        validation.callback(progress, "progress")
+        progress = reporter(progress, "draw")
         mine = self._mine
         if mine.is_drawing:
-            raise RuntimeError("draw() was called by what it calls itself, progress or coarser: call it afterwards")
-        on_the_way = self._on_the_way(mine, previews)
-        wanted, lights = self._wanted, mine.lights
-        if light is not None:
-            lights = lobes_for(listed(light), wanted.request, refine=wanted.refine)
-        check_light_sizes(lights, wanted.request.coherence, means=self.plan.uses_footprints)
+            raise RuntimeError("draw() was called from its own progress or previews callable: call it afterwards")
+        steps = self._preview_steps(mine, previews)
+        evaluation, lobes = self._inputs.evaluation, mine.lobes
+        if lights is not None:
+            lobes = lobes_for(listed(lights), evaluation, refine=self._inputs.settings.refine)
+        check_light_sizes(lobes, evaluation.coherence, means=self.plan.uses_footprints)
         if view is not None:
             validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
-                raise ValueError(
-                    f"view must have {mine.view.width} × {mine.view.height} pixels as before, got "
-                    f"{view.width} × {view.height}; another size takes another Renderer"
+                raise ArgumentValueError(
+                    f"{ref('view')} must have {mine.view.width} × {mine.view.height} pixels as before, got "
+                    f"{view.width} × {view.height}; use renderer.resized(view) for another size"
                 )
         with self._turn, picture_memory(mine.view):
-            # What is seen stays as it is, if the view does.
+            # The G-buffer stays valid while the view does.
             if view is not None:
                 mine.view = view
-                mine.frame.set_view(view)
-            mine.lights, mine.drawn = lights, False
-            self._wanted.set_lights(mine.frame, lights)
+                mine.picture.set_view(view)
+            mine.lobes, mine.is_drawn = lobes, False
+            self._inputs.set_lights(mine.picture, lobes)
             mine.is_drawing = True
             try:
                 if self._recorded:
@@ -220,103 +223,104 @@ class Renderer:
                     if progress is not None:
                         progress(1.0)
                 else:
-                    self._launch(mine, progress, on_the_way)
+                    self._launch(mine, progress, steps)
             finally:
                 mine.is_drawing = False
-            mine.drawn, mine.tolerance = True, self.plan.tolerance
-        return mine.frame.xyz
+            mine.is_drawn, mine.tolerance = True, self.plan.tolerance
+        return mine.picture.xyz
 
     def image(self) -> Image:
         """This thread's last picture, with what it covers, on the host, where no later one changes it."""
-        if not self._mine.drawn:
+        if not self._mine.is_drawn:
             self.draw()
         with self._turn:
-            image = self._mine.frame.image(replace(self.plan, tolerance=self._mine.tolerance))
+            image = self._mine.picture.image(replace(self.plan, tolerance=self._mine.tolerance))
         warn_unconverged(image.plan)
-        if not self._wanted.request.device.is_cpu:
+        if not self._inputs.evaluation.device.is_cpu:
             return image
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
-    def _on_the_way(self, mine: _ThreadPicture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
-        """Checked tolerances, the largest first, with what is called at each."""
+    def _preview_steps(self, mine: _ThreadPicture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
+        """Return checked tolerances, the largest first, with the calls that each makes."""
         if previews is not None and not isinstance(previews, Mapping):
-            raise TypeError(f"coarser must be a mapping from tolerances to callables, got {type(previews).__name__}")
-        # What is called may change what was given.
-        asked = dict(previews or {})
+            raise ArgumentTypeError(
+                f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
+            )
+        # A callable may change the mapping of the caller.
+        callables = dict(previews or {})
 
-        def tell(tolerance: float) -> None:
-            mine.drawn, mine.tolerance = True, tolerance
+        def show(tolerance: float) -> None:
+            mine.is_drawn, mine.tolerance = True, tolerance
             try:
-                asked[tolerance]()
+                callables[tolerance]()
             finally:
-                mine.drawn = False
+                mine.is_drawn = False
 
-        for tolerance, reached in asked.items():
+        for tolerance, function in callables.items():
             if not validation.number(tolerance, "previews", most=0.5) > self.plan.tolerance:
-                raise ValueError(
-                    f"coarser must be above the plan's {self.plan.tolerance:g}, got {tolerance!r}: omit it"
+                raise ArgumentValueError(
+                    f"{ref('previews')} must have tolerances above the plan's {self.plan.tolerance:g}, got {tolerance!r}: "
+                    "omit it"
                 )
-            if not callable(reached):
-                raise TypeError(f"coarser[{tolerance!r}] must be callable, got {type(reached).__name__}")
-        if not self._wanted.refine:
+            if not callable(function):
+                raise ArgumentTypeError(
+                    f"{ref(f'previews[{tolerance!r}]')} must be callable, got {type(function).__name__}"
+                )
+        if not self._inputs.settings.refine:
             return []
-        return [(each, functools.partial(tell, each)) for each in sorted(asked, reverse=True)]
+        return [(tolerance, functools.partial(show, tolerance)) for tolerance in sorted(callables, reverse=True)]
 
     def _launch(
         self,
         mine: _ThreadPicture,
         progress: Callable[[float], None] | None = None,
-        on_the_way: Sequence[tuple[float, Callable[[], None]]] = (),
+        previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
-        """Launch what a picture takes."""
-        mine.frame.integrate(
-            self._lookup, tolerance=self.plan.tolerance, refine=self._wanted.refine, progress=progress,
-            previews=on_the_way,
+        """Launch the kernels of a picture."""
+        mine.picture.integrate(
+            self._lookup, tolerance=self.plan.tolerance, refine=self._inputs.settings.refine, progress=progress,
+            previews=previews,
         )  # fmt: skip
 
     def _replay(self, mine: _ThreadPicture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
-        needed = (*mine.frame.launches_depend_on, *(name for each in mine.lights for name in each.illuminants))
+        needed = (*mine.picture.launches_depend_on, *(name for lobe in mine.lobes for name in lobe.illuminants))
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
             return
         # Arrays of the last one may go.
         mine.graph = None
         # What ran once finds its kernels loaded and its arrays and tables made.
-        mine.frame.invalidate_gbuffer()
+        mine.picture.invalidate_gbuffer()
         self._launch(mine)
-        mine.frame.invalidate_gbuffer()
-        with wp.ScopedCapture(device=self._wanted.request.device, force_module_load=False) as capture:
+        mine.picture.invalidate_gbuffer()
+        with wp.ScopedCapture(device=self._inputs.evaluation.device, force_module_load=False) as capture:
             self._launch(mine)
         mine.graph, mine.graph_is_for = capture.graph, needed
 
 
-def _again(
-    request: dict[str, Any], wanted: dict[str, Any], device: str, threads: int | None, surface: Surface, view: View
-) -> Renderer:
-    """A renderer that was pickled."""
-    result = object.__new__(Renderer)
-    same = Request(**request, device=resolve_device(device), threads=resolve_threads(threads))
-    result._begin(PictureRequest(**wanted | {"request": same}), surface, view)
-    return result
+def _unpickled(state: dict[str, Any]) -> Renderer:
+    """Return a renderer of a pickled state."""
+    inputs = PictureInputs.of(state["heightfield"], state["lights"], state["view"], state["settings"])
+    return Renderer._from_parts(inputs, state["surface"], state["view"])
 
 
 class _ThreadPicture(threading.local):
-    """A thread's picture, made when it first asks for it.
+    """A thread's picture, made when the thread first asks for it.
 
     Attributes:
-        frame: Its arrays.
-        lights: The last.
-        view: The last.
-        drawn: Whether it was drawn.
+        picture: Its arrays.
+        lobes: Lobes of the last lights.
+        view: The last view.
+        is_drawn: Whether the picture is complete.
         is_drawing: Whether it is being drawn.
-        tolerance: For which.
-        graph: Its launches as they were recorded.
-        graph_is_for: What these depend on.
+        tolerance: The tolerance that it meets.
+        graph: Its recorded CUDA graph.
+        graph_is_for: The key of the recorded graph.
     """
 
-    def __init__(self, make: Callable[[], Picture], lights: list[Lobe], view: View) -> None:
-        self.frame, self.lights, self.view, self.drawn, self.tolerance = make(), lights, view, False, 0.0
+    def __init__(self, make: Callable[[], Picture], lobes: list[Lobe], view: View) -> None:
+        self.picture, self.lobes, self.view, self.is_drawn, self.tolerance = make(), lobes, view, False, 0.0
         self.is_drawing = False
         self.graph: Any = None
         self.graph_is_for: tuple[Any, ...] = ()

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from warpdiff.core import forks, memory, validation
+from warpdiff.core import memory, validation
+from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
+from warpdiff.lights.base import lobes_of
+from warpdiff.lights.directional import DirectionalLight
 from warpdiff.lights.environment import Environment, Light, lobes_of_sky
-from warpdiff.lights.light_types import DirectionalLight, PointLight, lobes_of
+from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.strategy import directions_of, plan_for, warn_outside
-from warpdiff.render.layers import check_layers, layers_of
+from warpdiff.render.layers import layers_of
 from warpdiff.render.picture import Picture, load_kernels
-from warpdiff.request.evaluation import Request
+from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, has_table
+from warpdiff.request.settings import PictureSettings, SinglePictureSettings
+from warpdiff.request.signatures import accepts
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import polar_grid
@@ -27,286 +33,198 @@ from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     import contextlib
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable
 
     import warp as wp
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
-    from warpdiff.lights.light_types import Lobe
+    from warpdiff.lights.base import Lobe
     from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import Material
     from warpdiff.request.directions import DirectionRange, DirectionSample
+    from warpdiff.request.keywords import SinglePictureKeywords
     from warpdiff.request.plan import Plan
     from warpdiff.scene.mesh_import import Surface
 
 
+@accepts(SinglePictureSettings)
 def shade(
     mesh: Any,
     heightfield: HeightField,
-    light: Light | Sequence[Light],
+    lights: Light | Sequence[Light],
     view: View,
     *,
-    tolerance: float = 1e-2,
-    method: str = "auto",
-    coherence: Coherence | None = None,
-    ior: float | None = None,
-    material: Material | Mapping[str, Material] | None = None,
-    masking: bool = True,
-    energy: str = "stam",
-    pigment: float = 1.0,
-    shadows: bool = True,
-    smooth: bool = True,
-    tangents: ArrayLike | None = None,
-    footprint: bool | None = None,
-    samples_per_pixel: int = 1,
-    refine: bool = True,
-    plan: Plan | None = None,
-    strict: bool = True,
-    device: Any = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
-    layers: Collection[str] = (),
+    progress: Progress = None,
+    **settings: Unpack[SinglePictureKeywords],
 ) -> Image:
     """Render a mesh whose surface carries a height field.
 
-    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, with the pigment's share
-    where the mesh has a base colour. The mesh is seen from both sides.
+    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, plus the pigment's share where
+    the mesh has a base colour. The mesh is visible from both sides.
 
     Args:
-        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or a path to a mesh file. Its unit has nothing to do with µm.
+        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and
+            independent of µm.
         heightfield: The height field; its x axis lies along the tangent field.
-        light: One light, or several.
+        lights: One light, or several.
         view: The camera.
-        tolerance: Error of XYZ against max(‖XYZ‖, 1e-3 · Y*), in 99 % of the lit pixels and of the bright ones (Y at
-            least 1e-3 · Y*); Y* is the 99th percentile of Y, or its luminance-weighted median if that is larger.
-        method: ``"auto"``, ``"low-rank"``, ``"power"``, ``"jacobi-anger"``, ``"taylor"``, ``"taylor-uncentred"``, or
-            ``"direct"`` (float64, slow and certain).
-        coherence: The window, source or copies; None is averaged with σ = 16.25 µm.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
-            Pictures are relative to what it reflects at normal incidence.
-        material: What the mesh is made of, in place of ``ior``, or a mapping from the names of its geometries, each
-            with its material; pictures are then relative to a perfect mirror. Below metals no pigment is seen.
-        masking: Whether V-cavity masking and shadowing is included, where ``energy`` is ``"stam"``.
-        energy: ``"stam"``, or ``"normalised"``, in place of masking: times a(ωi) a(ωr), the factors of
-            :func:`order_efficiencies` with which a perfect mirror sends back what comes in. In pictures they are the
-            same at all wavelengths, which send it back together; ``image.plan`` says how far from that single ones are,
-            which ``image.error`` leaves out. It takes two seconds or more, once for a surface.
-        pigment: Strength of the base colour (texture, vertex colours or plain) that lies under the height field.
-        shadows: Whether lights are hidden by the mesh itself.
-        smooth: Whether vertex normals are interpolated; otherwise facets are seen.
-        tangents: The direction of the height field's x at each vertex, world frame, shape (n, 3), or one for all,
-            shape (3,); what of it lies in the surface counts. None takes it from the texture coordinates.
-        footprint: Whether a pixel shows the mean over what its filter sees, a Gaussian (0.5 pixel, cut at 1.5), rather
-            than the colour in its centre: no aliasing, no speckle of orders that fall between pixels. The mean is taken
-            from a table with levels where there is one, otherwise from many points. None is on for an averaged window
-            and for a source, and off for others and for ``"direct"``.
-        samples_per_pixel: Rays a pixel; 1 is its centre. Without footprints they are points under the same filter. With
-            footprints they are the least number of cells that each pixel is split into: 1, 4, 16, … 4,096. What
-            lies between the centres of pixels, and is thinner than they are wide, takes 4 or more to be seen.
-        refine: Whether pixels whose parts differ by more than the tolerance allows are split, again and again, up to
-            4,096 cells, or 1,024 where ``tolerance`` is 0.05 or more. Otherwise a picture with footprints promises
-            nothing: ``image.error`` estimates what it errs by.
-        plan: An explicit plan in place of ``tolerance``, ``method`` and ``coherence``; implies ``strict=False``.
-        strict: Raise where the tolerance cannot be met, rather than warn.
-        device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one a core. The picture does not depend on it.
-        progress: Called with the share that is done, 0 to 1, from whichever thread did it, one at a time.
-        layers: What else is asked for: any of ``"normal"``, ``"depth"`` and ``"geometry"``, for ``image.layers``.
+        progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a
+            bar. An exception that it raises cancels the picture.
 
     Returns:
-        The picture; ``image.plan`` says what was computed and why.
+        The picture; ``image.plan`` states what was computed and why.
 
     Raises:
-        ValueError: A bad argument, a mesh without area or tangents, a tolerance out of reach; the message names it.
-        FileNotFoundError: ``mesh`` is a path to nothing.
-        MemoryError: More memory than is free; the message says what fits.
+        ValueError: A bad argument, or a mesh without area or tangents; the message names it.
+        ToleranceError: The tolerance cannot be met, and ``strict`` is True.
+        FileNotFoundError: The mesh file does not exist.
+        MemoryError: More memory than is free; the message states what fits.
     """
-    layers = check_layers(layers)
-    wanted = PictureRequest.checked(
-        heightfield, light, view, tolerance=tolerance, method=method, coherence=coherence, ior=ior, material=material,
-        masking=masking, energy=energy, pigment=pigment, shadows=shadows, smooth=smooth, footprint=footprint,
-        samples_per_pixel=samples_per_pixel, refine=refine, plan=plan, strict=strict, device=device, threads=threads,
-        progress=progress,
-    )  # fmt: skip
-    device, workers = wanted.request.device, wanted.request.threads
+    checked = SinglePictureSettings(**settings)
+    inputs = PictureInputs.of(heightfield, lights, view, checked)
+    progress = reporter(progress, "shade")
+    device, threads = inputs.evaluation.device, inputs.evaluation.threads
     load_kernels(device)
     with picture_memory(view):
-        surface = prepare_surface(mesh, tangents=tangents)
-        image = _drawn(wanted, surface, view, progress)
-        if layers:
-            told = layers_of(surface, view, layers, smooth=wanted.smooth, device=device, threads=workers)
-            image = replace(image, layers=told)
+        surface = prepare_surface(mesh, tangents=checked.tangents)
+        image = _render(inputs, surface, view, progress)
+        if checked.layers:
+            layers = tuple(checked.layers)
+            image = replace(
+                image, layers=layers_of(surface, view, layers, smooth=checked.smooth, device=device, threads=threads)
+            )
     warn_unconverged(image.plan)
     return image
 
 
-def _drawn(wanted: PictureRequest, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
-    """The picture of a mesh that is ready, by a plan for what its pixels see."""
-    request = wanted.request
-    picture = wanted.frame(surface, view)
-    wanted.set_lights(picture, wanted.lobes)
-    if any(each.sky is not None for each in wanted.lobes):
-        # From anywhere.
-        direction_range, sample, count = directions_of(request)
+def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
+    """Render a prepared mesh by a plan for the directions of its pixels."""
+    evaluation = inputs.evaluation
+    picture = inputs.picture(surface, view)
+    inputs.set_lights(picture, inputs.lobes)
+    if any(lobe.sky is not None for lobe in inputs.lobes):
+        # A sky illuminates from the whole hemisphere.
+        direction_range, sample, count = directions_of(evaluation)
     else:
-        direction_range, count, sample = picture.measure_directions(request.heightfield, request.coherence)
-    if request.plan is not None:
-        warn_outside(request.plan, request.heightfield, direction_range)
-    found = wanted.planned(direction_range, sample, count)
-    if found.method == "direct":
-        picture.sum_directly(request.heightfield, found, progress=progress)
+        direction_range, count, sample = picture.measure_directions(evaluation.heightfield, evaluation.coherence)
+    if evaluation.plan is not None:
+        warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
+    plan = inputs.planned(direction_range, sample, count)
+    if plan.method == "direct":
+        picture.sum_directly(evaluation.heightfield, plan, progress=progress)
     else:
         lookup = ColourLookup(
-            request.heightfield, found, direction_range, device=request.device, threads=request.threads
+            evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
         )
-        picture.integrate(lookup, tolerance=found.tolerance, refine=wanted.refine, progress=progress)
-    return picture.image(found)
+        picture.integrate(lookup, tolerance=plan.tolerance, refine=inputs.settings.refine, progress=progress)
+    return picture.image(plan)
 
 
 # What a picture takes while it is made, as measured, of any kind.
 _BYTES_PER_PIXEL = 210
-# Points in a pixel: 256 by 256 settle whatever a picture can show, and more would be drawn for ever.
-_MOST_SAMPLES = 2**16
 # The share of the pixels that may err by more than the tolerance, and of those at edges by more than theirs.
 _MOST_UNCONVERGED, _MOST_UNCONVERGED_EDGES = 0.01, 0.05
 
 
 @dataclass(frozen=True)
-class PictureRequest:
-    """A checked request for pictures.
+class PictureInputs:
+    """Checked inputs of pictures.
 
     Attributes:
-        request: What it has in common with other requests.
-        lights: One or several.
-        pigment: Strength of the base colour.
-        shadows: Whether the mesh may hide the lights.
-        smooth: Whether vertex normals are interpolated.
-        samples: Rays a pixel.
-        refine: Whether pixels are split until they keep the tolerance.
+        evaluation: The evaluation that colours come from.
+        settings: The settings of the call.
+        lights: The lights.
+        lobes: The lobes of the lights.
     """
 
-    request: Request
+    evaluation: Evaluation
+    settings: PictureSettings
     lights: list[Light]
-    pigment: float
-    shadows: bool
-    smooth: bool
-    samples: int
-    refine: bool
+    lobes: list[Lobe]
 
     @classmethod
-    def checked(
-        cls,
-        heightfield: Any,
-        light: Any,
-        view: Any,
-        *,
-        pigment: Any,
-        shadows: Any,
-        smooth: Any,
-        footprint: Any,
-        samples_per_pixel: Any,
-        refine: Any,
-        **common: Any,
-    ) -> PictureRequest:
-        """Refuse what is no such thing, before anything is computed; ``common`` is as ``Request.checked`` has it."""
-        request = Request.checked(heightfield, by_geometry=True, **common)
-        lights = listed(light)
-        lobes = lobes_for(lights, request, refine=validation.flag(refine, "refine"))
+    def of(cls, heightfield: Any, lights: Any, view: Any, settings: PictureSettings) -> PictureInputs:
+        """Resolve checked settings for a height field, lights and a view; raise errors before any kernel runs."""
+        footprint = settings.effective_footprint
+        evaluation = Evaluation.of(heightfield, settings, by_geometry=True, footprint=footprint)
+        lights = listed(lights)
+        lobes = lobes_for(lights, evaluation, refine=settings.refine)
         validation.instance(view, View, "view")
-        validation.flag(shadows, "shadows")
-        validation.flag(smooth, "smooth")
-        pigment = validation.number(pigment, "pigment", least=0.0)
-        samples = validation.count(samples_per_pixel, "samples_per_pixel")
-        if samples > _MOST_SAMPLES:
-            raise ValueError(f"samples_per_pixel must be at most {_MOST_SAMPLES}, got {samples}")
-        require_picture_memory(view, request.device)
-        blurred = _takes_footprints(footprint, request)
+        require_picture_memory(view, evaluation.device)
         most = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
-        if blurred and samples > most:
-            raise ValueError(
-                f"samples_per_pixel must be at most {most} where pixels show means, got {samples}; "
-                "footprint=False takes more points"
+        if footprint and settings.samples_per_pixel > most:
+            raise ArgumentValueError(
+                f"{ref('samples_per_pixel')} must be at most {most} with footprints, got {settings.samples_per_pixel}; "
+                f"{ref('footprint', False)} accepts more"
             )
-        check_light_sizes(lobes, request.coherence, means=blurred)
-        plan = request.plan if request.plan is None else replace(request.plan, footprint=blurred)
-        illuminated = IlluminatedMaterial.of(
-            [name for each in lobes for name in each.illuminants], request.materials.values()
-        )
-        request = replace(request, plan=plan, footprint=blurred, illuminated=illuminated)
-        return cls(request, lights, pigment, shadows, smooth, samples, refine)
+        check_light_sizes(lobes, evaluation.coherence, means=footprint)
+        plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
+        spectra = [name for lobe in lobes for name in lobe.illuminants]
+        illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
+        return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, lobes)
 
-    @forks.cached_property
-    def lobes(self) -> list[Lobe]:
-        """The lobes of the lights."""
-        return lobes_for(self.lights, self.request, refine=self.refine)
-
-    def frame(self, surface: Surface, view: View, **options: Any) -> Picture:
-        """The arrays of a picture."""
-        # Cells beyond its edge are in the filters of its outermost pixels.
-        margin = int(self.request.footprint and (self.refine or self.samples > 1))
+    def picture(self, surface: Surface, view: View, **options: Any) -> Picture:
+        """Return the arrays of a picture."""
+        footprint, settings = self.evaluation.footprint, self.settings
+        # The filters of the outermost pixels cover cells beyond the picture's edge.
+        margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
         return Picture(
-            surface, view, smooth=self.smooth, samples=self.samples, means=self.request.footprint, margin=margin,
-            materials_of_faces=self.materials_of_faces(surface), device=self.request.device,
-            threads=self.request.threads, **options,
+            surface, view, smooth=settings.smooth, samples=settings.samples_per_pixel, means=footprint, margin=margin,
+            materials_of_faces=self.materials_of_faces(surface), device=self.evaluation.device,
+            threads=self.evaluation.threads, **options,
         )  # fmt: skip
 
     def materials_of_faces(self, surface: Surface) -> NDArray[np.int32] | None:
-        """Which of several materials each face is of; None where there is one."""
-        if "" in self.request.materials:
+        """Return the index of each face's material; None for a single material."""
+        materials = self.evaluation.materials
+        if "" in materials:
             return None
-        named, known = surface.geometry_names, list(self.request.materials)
-        if lacking := sorted(set(named) - set(known)) or sorted(set(known) - set(named)):
-            raise ValueError(
-                f"material must name each of the mesh's geometries, {', '.join(map(repr, sorted(set(named))))}, and no "
-                f"others, got {', '.join(map(repr, known))}: see {lacking[0]!r}"
+        names, known = surface.geometry_names, list(materials)
+        if differing := sorted(set(names) - set(known)) or sorted(set(known) - set(names)):
+            raise ArgumentValueError(
+                f"{ref('material')} must name each of the mesh's geometries, {', '.join(map(repr, sorted(set(names))))}, "
+                f"and no others, got {', '.join(map(repr, known))}: see {differing[0]!r}"
             )
-        return np.array([known.index(name) for name in named], dtype=np.int32)[surface.geometries]
+        return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """The plan that was given, or one for directions: one with a table where lights have a size.
+        """Return the explicit plan, or one for these directions; lights with an extent require one with a table.
 
-        Where no table keeps the tolerance for single directions, lights have the best one, and skies, whose cells are
+        Where no table meets the tolerance for single directions, lights get the best table, and skies, whose cells are
         wide, a small one.
         """
-        request = self.request
-        plan = request.plan or plan_for(request, direction_range, sample, count)
-        if not plan.uses_footprints and any(each.has_extent for each in self.lobes):
+        evaluation = self.evaluation
+        plan = evaluation.plan or plan_for(evaluation, direction_range, sample, count)
+        if not plan.uses_footprints and any(lobe.has_extent for lobe in self.lobes):
             method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
-            if any(each.deviations is not None for each in self.lobes):
-                by_table = replace(request, plan=None, method=f"{method}/table", tolerance=plan.tolerance, strict=False)
+            if any(lobe.deviations is not None for lobe in self.lobes):
+                by_table = replace(
+                    evaluation, plan=None, method=method, integration="table", tolerance=plan.tolerance, strict=False
+                )
                 plan = plan_for(by_table, direction_range, sample, count)
             else:
-                nodes, azimuths_per_width = (
+                rings, azimuths = (
                     polar_grid.smallest_sufficient_size(plan) or polar_grid.table_sizes(plan.coherence)[-1]
                 )
-                plan = replace(
-                    plan, method=method, rings_per_octave=nodes, azimuths_per_width=azimuths_per_width, footprint=True
-                )
-        return request.with_energy(plan)
+                plan = replace(plan, method=method, rings_per_octave=rings, azimuths_per_width=azimuths, footprint=True)
+        return evaluation.with_energy(plan)
 
     def set_lights(self, picture: Picture, lights: list[Lobe]) -> None:
         """Set a picture's lights."""
-        request, energy = self.request, self.request.energy_factors
+        evaluation, energy = self.evaluation, self.evaluation.energy_factors
+        area_um2 = evaluation.heightfield.size_um[0] * evaluation.heightfield.size_um[1]
         picture.set_lights(
-            lights, request.coherence, request.heightfield.size_um[0] * request.heightfield.size_um[1],
-            normal=request.normal_reflectance, materials=tuple(request.materials.values()), masking=request.masking,
-            energy=None if energy is None else energy.values, pigment=self.pigment, shadows=self.shadows,
+            lights, evaluation.coherence, area_um2, normal=evaluation.normal_reflectance,
+            materials=tuple(evaluation.materials.values()), masking=evaluation.masking,
+            energy=None if energy is None else energy.values, pigment=self.settings.pigment,
+            shadows=self.settings.shadows,
         )  # fmt: skip
 
-
-def _takes_footprints(footprint: bool | None, request: Request) -> bool:
-    """Whether pixels show means over what they see."""
-    plan = request.plan
-    method = request.method if plan is None else plan.method
-    if footprint is not None:
-        footprint = validation.flag(footprint, "footprint")
-    if footprint and method == "direct":
-        raise ValueError("footprint=True is not for method='direct', which sums single directions: use another method")
-    if footprint is not None:
-        return footprint
-    return plan.footprint if plan is not None else request.coherence.adds_powers and method != "direct"
+    def refined(self, *, refine: bool) -> PictureInputs:
+        """Return these inputs with another choice of refinement, on which the lobes of discs depend."""
+        settings = replace(self.settings, refine=refine)
+        return replace(self, settings=settings, lobes=lobes_for(self.lights, self.evaluation, refine=refine))
 
 
 def require_picture_memory(view: View, device: wp.Device) -> None:
@@ -319,68 +237,69 @@ def require_picture_memory(view: View, device: wp.Device) -> None:
 
 
 def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
-    """A context that names the picture where memory for it fails."""
-    remedy = "take a smaller view, mesh or heightfield, fewer samples_per_pixel, or a larger tolerance"
+    """Return a context that names the picture where memory for it fails."""
+    remedy = (
+        f"take a smaller {ref('view')}, {ref('mesh')} or {ref('heightfield')}, fewer {ref('samples_per_pixel')}, or a "
+        f"larger {ref('tolerance')}"
+    )
     return memory.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
 
 
 def warn_unconverged(plan: Plan) -> None:
-    """Warn of a picture that does not keep its tolerance."""
+    """Warn of a picture that does not meet its tolerance."""
     if plan.unconverged_share > _MOST_UNCONVERGED or plan.unconverged_edge_share > _MOST_UNCONVERGED_EDGES:
         warn(
-            f"{100.0 * plan.unconverged_share:.2g} % of the lit pixels are expected to err by more than "
-            f"tolerance={plan.tolerance:g}, and of those at edges {100.0 * plan.unconverged_edge_share:.2g} % by three times "
-            "as much: see image.error, or render a larger picture, or look from closer, or give an Environment more "
-            "directions, and its sun as a light of its own"
+            f"{100.0 * plan.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
+            f"{ref('tolerance', plan.tolerance)}, and {100.0 * plan.unconverged_edge_share:.2g} % of those at edges to "
+            "exceed three times the tolerance: see image.error; render a larger picture, move the camera closer, or give "
+            "an Environment more directions"
         )
 
 
-def check_light_sizes(lights: Sequence[Lobe], window: Coherence, *, means: bool) -> None:
-    """Refuse lights of a size where it is the coherence's, or where pixels show no means over directions."""
-    if not any(each.has_extent for each in lights):
+def check_light_sizes(lights: Sequence[Lobe], coherence: Coherence, *, means: bool) -> None:
+    """Refuse lights with an extent where the coherence has one itself, or where pixels show no means over directions."""
+    if not any(lobe.has_extent for lobe in lights):
         return
-    if window.kind == "source":
-        raise ValueError(
-            "light: angular_diameter_deg is given beside coherence of kind='source', whose size is that of all lights: "
-            "give one of them"
+    if coherence.kind == "source":
+        raise ArgumentValueError(
+            f"{ref('lights')} must not have an {ref('angular_diameter_deg')} of their own with {ref('coherence')} of "
+            "kind 'source', whose diameter is that of all lights: give one of them"
         )
-    if not (means and window.adds_powers):
-        raise ValueError(
-            f"light: angular_diameter_deg, or an Environment, takes footprints, which pictures of coherence "
-            f"{window.kind!r} lack, or which footprint=False or method='direct' leaves out: give several lights of "
-            "angular_diameter_deg=0"
+    if not (means and coherence.adds_powers):
+        raise ArgumentValueError(
+            f"{ref('lights')} with an {ref('angular_diameter_deg')}, or an Environment, require footprints, which "
+            f"{ref('coherence')} of kind {coherence.kind!r}, {ref('footprint', False)} or {ref('method', 'direct')} "
+            "excludes: give several lights without an extent"
         )
 
 
-def listed(light: Any) -> list[Any]:
-    """One or several lights as a list."""
-    lights = [light] if isinstance(light, Light) else light
-    if not isinstance(lights, Sequence) or not lights:
-        raise TypeError(
-            "light must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of them, got "
-            f"{light!r}"
+def listed(lights: Any) -> list[Any]:
+    """Return one or several lights as a list."""
+    several = [lights] if isinstance(lights, Light) else lights
+    if not isinstance(several, Sequence) or not several:
+        raise ArgumentTypeError(
+            f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of them, "
+            f"got {lights!r}"
         )
-    return list(lights)
+    return list(several)
 
 
-def lobes_for(lights: Sequence[Any], request: Request, *, refine: bool) -> list[Lobe]:
-    """The lobes of lights, which are checked.
-
-    Where pictures are not refined, which are turned by hand, a disc is one of them if it can be.
-    """
-    window = request.coherence
-    tolerance = request.tolerance if request.plan is None else request.plan.tolerance
+def lobes_for(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) -> list[Lobe]:
+    """Return the lobes of lights, which are checked; without refinement a disc is a single lobe where possible."""
+    coherence = evaluation.coherence
+    tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
     result: list[Lobe] = []
-    for index, each in enumerate(lights):
-        if isinstance(each, Environment):
-            if window.kind != "averaged" or window.sigma_um is None:
-                raise ValueError(
-                    f"light[{index}]: an Environment takes coherence of kind='averaged', got kind={window.kind!r}"
+    for index, light in enumerate(lights):
+        if isinstance(light, Environment):
+            if coherence.kind != "averaged" or coherence.sigma_um is None:
+                raise ArgumentValueError(
+                    f"{ref(f'lights[{index}]')} must not be an Environment for {ref('coherence')} of kind "
+                    f"{coherence.kind!r}; use an averaged window"
                 )
-            result += lobes_of_sky(each, window.sigma_um, tolerance)
+            result += lobes_of_sky(light, coherence.sigma_um, tolerance)
             continue
-        if not isinstance(each, PointLight):
-            validation.instance(each, DirectionalLight, f"light[{index}]")
-        colorimetry.check_illuminant(each.illuminant, f"light[{index}].illuminant")
-        result += lobes_of(each, window.sigma_um, single_lobe=not refine)
+        if not isinstance(light, PointLight):
+            validation.instance(light, DirectionalLight, f"lights[{index}]")
+        colorimetry.check_illuminant(light.illuminant, f"lights[{index}].illuminant")
+        result += lobes_of(light, coherence.sigma_um, single_lobe=not refine)
     return result

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction.coefficient_basis import METHODS as EXPANDED
 from warpdiff.diffraction.coefficient_basis import POWER_METHODS, holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
@@ -18,8 +19,7 @@ from warpdiff.request.directions import DirectionRange
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-INTEGRATIONS = ("sampled", "table")
-METHODS = ("auto", *EXPANDED, "direct", *(f"{name}/{how}" for how in INTEGRATIONS for name in EXPANDED))
+METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
 LABELS = {
     "low-rank": "Low-rank basis",
@@ -171,8 +171,8 @@ class Plan:
                 f"w_basis_size must be a multiple of {W_BASIS_STEP} up to {MOST_W_BASIS}, or 0, got {self.w_basis_size}"
             )
         validation.flag(self.footprint, "footprint")
-        check_method(f"{self.method}/table" if self.rings_per_octave else self.method, self.coherence)
-        check_tolerance(self.tolerance)
+        check_method(self.method, "table" if self.rings_per_octave else "sampled", self.coherence)
+        validation.number(self.tolerance, "tolerance", least=1e-5, most=0.5)
         if not 1 <= validation.count(self.terms, "terms") <= MAX_TERMS:
             raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
         weight = validation.number(self.least_weight, "least_weight", above=0.0)
@@ -309,29 +309,25 @@ class Plan:
         return f"Scalar theory itself: {scalar_validity.told(self.scalar_error)}."
 
 
-def check_tolerance(tolerance: Any) -> float:
-    """Return a tolerance within the range that float32 and a picture make sense of."""
-    return validation.number(tolerance, "tolerance", least=1e-5, most=0.5)
+def check_method(method: str, integration: str, coherence: Coherence) -> None:
+    """Refuse a method, or its integration by a table, that a coherence does not support."""
+    if _is_legal(method, integration, coherence):
+        return
+    why = f"expands powers, but coefficients of {ref('kind', coherence.kind)} add as amplitudes"
+    if integration == "table":
+        why = f"has no table for coherence of {ref('kind', coherence.kind)}"
+    legal = [name for name in METHODS if _is_legal(name, integration, coherence)]
+    others = f"use one of {', '.join(map(repr, legal))}" if legal else f"use {ref('integration', 'sampled')}"
+    raise ArgumentValueError(f"{ref('method', method)} {why}: {others}")
 
 
-def check_method(method: str, coherence: Coherence) -> None:
-    """Refuse a method that a coherence form lacks."""
-    if not _is_legal(method, coherence):
-        why = f"expands powers, but coefficients of kind={coherence.kind!r} add as amplitudes"
-        if method.endswith("/table"):
-            why = f"asks for a table, which coherence of kind={coherence.kind!r} does not have for it"
-        suffix = method.partition("/")[2]
-        legal = [each for each in METHODS if each.partition("/")[2] == suffix and _is_legal(each, coherence)]
-        others = ", ".join(map(repr, legal)) or "the methods without a table"
-        raise ValueError(f"method={method!r} {why}: use one of {others}")
-
-
-def _is_legal(method: str, coherence: Coherence) -> bool:
-    """Whether a coherence form has a method."""
-    expansion, _, integration = method.partition("/")
-    if expansion in POWER_METHODS and not coherence.adds_powers:
+def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
+    """Whether a coherence supports a method and its integration."""
+    if method in POWER_METHODS and not coherence.adds_powers:
         return False
-    return integration != "table" or has_table(expansion, coherence)
+    if integration != "table":
+        return True
+    return coherence.kind != "replicas" if method == "auto" else method != "direct" and has_table(method, coherence)
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:

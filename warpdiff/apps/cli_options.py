@@ -1,0 +1,150 @@
+"""Flags of the command line, made from the descriptions of options; a flag is the Python name with dashes."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core.options import REQUIRED
+from warpdiff.core.wording import ArgumentValueError, ref
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from warpdiff.core.options import Option
+
+_TYPES: dict[str, type] = {"integer": int, "integers": int, "number": float, "numbers": float, "pair": float}
+_METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "choices": "NAME", "object": "VALUE"}
+
+
+# Arrays of which the command line takes three numbers.
+VECTORS = ("tangents", "background")
+
+
+class Flags:
+    """The flags of one command, and what its messages call each argument.
+
+    Attributes:
+        words: The command line's words by the names of arguments in Python.
+    """
+
+    def __init__(self, parser: argparse.ArgumentParser) -> None:
+        self._parser = parser
+        self.words: dict[str, str] = {}
+
+    def group(self, title: str) -> Any:
+        """Return a group of flags with a title in the help."""
+        return self._parser.add_argument_group(title)
+
+    def add(
+        self,
+        group: Any,
+        options: Mapping[str, Option],
+        *,
+        only: Iterable[str] | None = None,
+        names: Mapping[str, str] | None = None,
+        defaults: Mapping[str, Any] | None = None,
+        prefix: str = "",
+    ) -> None:
+        """Add a flag for each option.
+
+        Args:
+            group: Group of the help that lists them.
+            options: Options by name.
+            only: Names of those that get a flag; None is all that a flag can express.
+            names: Flags that differ from the name in Python.
+            defaults: Defaults of the command that differ from the library's.
+            prefix: Beginning of the flags' names and of the attributes that values are stored in.
+        """
+        stored = prefix.replace("-", "_")
+        chosen = [
+            option for option in options.values() if (option.kind != "object" if only is None else option.name in only)
+        ]
+        # The help of one option may mention another one.
+        for option in chosen:
+            negation = "no-" if option.kind == "flag" and option.default is True else ""
+            flag = (names or {}).get(option.name) or f"--{negation}{prefix}{option.dashed}"
+            self.words[f"{stored}{option.name}"] = flag
+        for option in chosen:
+            default = (defaults or {}).get(option.name, option.default)
+            how: dict[str, Any] = {"dest": f"{stored}{option.name}", "default": argparse.SUPPRESS}
+            if option.kind == "flag" and option.optional:
+                how["action"] = argparse.BooleanOptionalAction
+            elif option.kind == "flag":
+                how |= {"action": "store_const", "const": option.default is not True}
+            else:
+                how |= {"required": default is REQUIRED, **_shape(option)}
+            how["help"] = help_text(option, default, self.words)
+            group.add_argument(self.words[how["dest"]], **how)
+
+    def finish(self, **words: str) -> None:
+        """Store the words with what is parsed; further words are by Python's names."""
+        self._parser.set_defaults(words=self.words | words)
+
+
+def _shape(option: Option) -> dict[str, Any]:
+    """Return type, number and placeholder of the values of a flag."""
+    if option.name in VECTORS:
+        return {"type": float, "nargs": 3, "metavar": ("X", "Y", "Z")}
+    kind = type(option.choices[0]) if option.choices else _TYPES.get(option.kind, str)
+    placeholder: Any = _METAVARS.get(option.kind, "X")
+    if option.kind not in ("numbers", "integers", "pair", "choices"):
+        return {"type": kind, "metavar": placeholder}
+    placeholder = {2: ("Y", "X"), 3: ("X", "Y", "Z")}.get(option.length, placeholder)
+    return {"type": kind, "metavar": placeholder, "nargs": option.length or "+"}
+
+
+def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
+    """Return the meaning, the range or choices, and the default of an option, in the command line's words."""
+
+    def code(match: re.Match[str]) -> str:
+        name, equals, value = match[1].partition("=")
+        if name == "math.inf":
+            return "inf"
+        return word(name, value if equals else None, words) if name in words else match[1]
+
+    text = re.sub(r":\w+:`~?([^`]*)`", r"\1()", option.help)
+    text = re.sub(r"``([^`]*)``", code, text)
+    text = re.sub(r"(?<![\w.])None (?:is|are) ", "without it: ", text).replace("Whether ", "", 1)
+    if option.kind == "flag" and option.default is True:
+        text = f"turn off: {text}"
+    facts = [", ".join(map(str, option.choices)), option.range]
+    if option.kind != "flag" and default is not None and default is not REQUIRED:
+        facts.append(f"default: {' '.join(map(str, default)) if isinstance(default, (tuple, list)) else default}")
+    facts = [fact for fact in facts if fact]
+    # argparse reads % as the beginning of a format.
+    return (f"{text} ({'; '.join(facts)})" if facts else text).replace("%", "%%")
+
+
+def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: str = "") -> dict[str, Any]:
+    """Return the arguments that flags gave, by name, in Python's types."""
+    values = vars(options)
+    result = {}
+    for option in described.values():
+        key = f"{prefix.replace('-', '_')}{option.name}"
+        if key in values and (option.kind != "object" or option.name in VECTORS):
+            value = values[key]
+            if option.kind == "pair":
+                if len(value) > 2:
+                    raise ArgumentValueError(f"{ref(key)} must be one number or two, got {len(value)}")
+                value = value[0] if len(value) == 1 else tuple(value)
+            result[option.name] = tuple(value) if isinstance(value, list) else value
+    return result
+
+
+def word(name: str, value: str | None, words: Mapping[str, str]) -> str:
+    """Write an argument as the command line does: ``--tolerance``, or ``--method auto``."""
+    first, rest = name, ""
+    for index, character in enumerate(name):
+        if character in "[.":
+            first, rest = name[:index], name[index:]
+            break
+    last = rest.rpartition(".")[2]
+    flag = words.get(name) or words.get(last) or words.get(first, first)
+    if value is None:
+        return flag
+    if value in ("True", "False"):
+        positive = flag.replace("--no-", "--", 1)
+        return positive if value == "True" else positive.replace("--", "--no-", 1)
+    return f"{flag} {value.strip(chr(39))}" if flag.startswith("--") else f"{flag}={value}"

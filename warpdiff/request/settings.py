@@ -1,0 +1,197 @@
+"""The options of the public functions: one frozen dataclass per group, from which everything else is derived.
+
+A field states an option's type, range and unit; ``Attributes:`` states its meaning. Python keyword arguments
+(:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the viewer's controls and the fuzz tests
+follow from these fields, so that a new option is one field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Interval
+
+from warpdiff.core.options import Checked
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics.coherence import Coherence
+from warpdiff.request.plan import Plan, check_method
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from numpy.typing import ArrayLike
+
+    from warpdiff.optics.materials import Material
+
+Method = Literal[
+    "auto", "low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred", "taylor-uncentered", "direct"
+]
+Integration = Literal["auto", "sampled", "table"]
+Energy = Literal["stam", "normalised", "normalized"]
+Layer = Literal["normal", "depth", "geometry"]
+# Limit: 256 × 256 samples converge whatever a picture can show.
+MOST_SAMPLES = 2**16
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonSettings(Checked):
+    """Options of every function that evaluates a height field.
+
+    Attributes:
+        tolerance: Error that is accepted, relative to the larger of the value and 1e-3 of the brightest: XYZ at the 99th
+            percentile of the directions or illuminated pixels, and of the bright ones separately; for spectra |Δρ|.
+        method: Expansion of exp(2πiκh). ``"auto"`` selects the cheapest one that meets the tolerance; ``"direct"`` is
+            the float64 sum without an expansion, which is slow.
+        integration: Integration over the wavelength: by sampled wavelengths, or by a precomputed table of colours.
+        coherence: Window, source or periods; None is an averaged window of σ = 16.25 µm.
+        ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. Results are
+            relative to the reflectance at normal incidence.
+        material: Material of the surface instead of ``ior``; results are then relative to a perfect mirror. Pictures
+            also take a mapping from the names of a mesh's geometries to materials.
+        strict: Whether a tolerance that cannot be met raises ``ToleranceError``; otherwise it is a warning.
+        device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
+        threads: Threads on the CPU; None is one per core. Results do not depend on it.
+    """
+
+    tolerance: Annotated[float, Interval(ge=1e-5, le=0.5)] = 1e-2
+    method: Method = "auto"
+    integration: Integration = "auto"
+    coherence: Coherence | None = None
+    ior: Annotated[float, Gt(1.0)] | None = None
+    material: Material | Mapping[str, Material] | None = None
+    strict: bool = True
+    device: str | None = None
+    threads: Annotated[int, Ge(1)] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.integration != "auto" and self.method == "direct":
+            raise ArgumentValueError(f"{ref('integration')} must be 'auto' for {ref('method', 'direct')}")
+        check_method(self.method, self.integration, self.effective_coherence)
+
+    @property
+    def effective_coherence(self) -> Coherence:
+        """The given coherence, or the default."""
+        return self.coherence or Coherence()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings(CommonSettings):
+    """Options of ``plan``.
+
+    Attributes:
+        masking: Whether V-cavity masking and shadowing of the relief is included; it has no effect for
+            ``energy="normalised"``.
+    """
+
+    masking: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedSettings(CommonSettings):
+    """Options of functions that accept an explicit plan.
+
+    Attributes:
+        plan: Explicit plan instead of ``tolerance``, ``method``, ``integration`` and ``coherence``; implies
+            ``strict=False``.
+    """
+
+    plan: Plan | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.plan is not None and self.coherence not in (None, self.plan.coherence):
+            raise ArgumentValueError(
+                f"{ref('coherence')} differs from the coherence of {ref('plan')}; give one of them, or change the plan by "
+                "dataclasses.replace"
+            )
+
+    @property
+    def effective_coherence(self) -> Coherence:
+        """The coherence of the explicit plan, the given one, or the default."""
+        return super().effective_coherence if self.plan is None else self.plan.coherence
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnergySettings(CommonSettings):
+    """Options of functions that can normalise the energy.
+
+    Attributes:
+        energy: ``"stam"``, or ``"normalised"``: the orders of a perfect mirror sum to 1 for every direction. Colours are
+            then multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the
+            wavelengths, instead of masking. It requires about two seconds, once per height field.
+    """
+
+    energy: Energy = "stam"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectralSettings(PlannedSettings, PlanSettings):
+    """Options of ``spectral_reflectance``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrdfSettings(PlannedSettings, EnergySettings):
+    """Options of ``brdf``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationSettings(PlannedSettings, EnergySettings, PlanSettings):
+    """Options of every function that computes colours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureSettings(EvaluationSettings):
+    """Options of pictures of a mesh.
+
+    Attributes:
+        pigment: Strength of the mesh's base colour (texture, vertex colours or plain), which lies under the relief.
+        shadows: Whether the mesh can occlude the lights.
+        smooth: Whether vertex normals are interpolated; otherwise facets show.
+        tangents: Direction of the height field's x axis, world frame: one per vertex, shape (n, 3), or one for all,
+            shape (3,); its component in the surface counts. None takes it from the texture coordinates.
+        footprint: Whether a pixel shows the mean over its filter, a Gaussian (σ 0.5 pixel, truncated at 1.5), instead of
+            the colour at its centre. None is on for averaged windows and sources, and off otherwise and for
+            ``method="direct"``.
+        samples_per_pixel: Number of camera rays per pixel. With 1, the ray passes through the pixel centre. With
+            footprints it is the least number of subpixel cells: 1, 4, 16, … 4,096.
+        refine: Whether pixels are subdivided until they meet the tolerance, into 4,096 cells at most, or 1,024 from
+            ``tolerance=0.05`` on. Without it the tolerance is not guaranteed; ``image.error`` estimates the error.
+    """
+
+    pigment: Annotated[float, Ge(0.0)] = 1.0
+    shadows: bool = True
+    smooth: bool = True
+    tangents: ArrayLike | None = None
+    footprint: bool | None = None
+    samples_per_pixel: Annotated[int, Interval(ge=1, le=MOST_SAMPLES)] = 1
+    refine: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        method = self.method if self.plan is None else self.plan.method
+        if self.footprint and method == "direct":
+            raise ArgumentValueError(
+                f"{ref('footprint')} must be False for {ref('method', 'direct')}, which sums single directions"
+            )
+
+    @property
+    def effective_footprint(self) -> bool:
+        """Whether pixels show means over their filter."""
+        if self.footprint is not None:
+            return self.footprint
+        if self.plan is not None:
+            return self.plan.footprint
+        return self.effective_coherence.adds_powers and self.method != "direct"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SinglePictureSettings(PictureSettings):
+    """Options of ``shade``.
+
+    Attributes:
+        layers: Further outputs, any of ``"normal"``, ``"depth"`` and ``"geometry"``, for ``image.layers``.
+    """
+
+    layers: Collection[Layer] = ()
