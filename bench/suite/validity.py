@@ -26,7 +26,7 @@ import numpy as np
 
 import warpdiff as wd
 from bench.suite import figures
-from warpdiff.heightfield.scalar_validity import UNTRUSTED, error_bound
+from warpdiff.heightfield.diagnostics import SCALAR_INVALID, scalar_error_bound
 from warpdiff.optics import reflectance_factors
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def measure(setting: Setting) -> dict[str, Any]:
                     by_depth.append(np.max(found, axis=0))
         both = np.array(by_depth).reshape(len(periods), len(depths), 2).round(5)
         maps[case] = {"error": both[..., 0].tolist(), "relative_error": both[..., 1].tolist()}
-        bounds[case] = [[error_bound(RMS[shape] * d, 2.0 * d / p, 1000.0) for d in depths] for p in periods]
+        bounds[case] = [[scalar_error_bound(RMS[shape] * d, 2.0 * d / p, 1000.0) for d in depths] for p in periods]
     return {
         "periods_in_wavelengths": periods.tolist(),
         "depths_in_wavelengths": depths.tolist(),
@@ -209,7 +209,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 def rule(found: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
     """How the library's bound does: inside it, and where it says that nothing is to be trusted."""
     error = np.array(found["error"])
-    inside, untrusted = bounds <= LIMIT, bounds >= UNTRUSTED
+    inside, untrusted = bounds <= LIMIT, bounds >= SCALAR_INVALID
     return {
         "gratings": error.size,
         "right_within_a_tenth": int(np.sum(error <= LIMIT)),
@@ -275,7 +275,9 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
         )
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
         # The bound grows with the depth: where is it at its limit?
-        limit = [np.interp(LIMIT, [error_bound(RMS[shape] * d, 2 * d / p, 1e3) for d in DENSE], DENSE) for p in fine]
+        limit = [
+            np.interp(LIMIT, [scalar_error_bound(RMS[shape] * d, 2 * d / p, 1e3) for d in DENSE], DENSE) for p in fine
+        ]
         axis.plot(fine, limit, color="#ff5a36", linewidth=2.4)
         axis.text(
             14.0, 0.82 * np.interp(14.0, fine, limit), "rule", color="white", fontsize=9, fontweight="bold",

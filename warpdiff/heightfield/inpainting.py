@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# The residual left, relative to the first.
-_SETTLED = 1e-10
+# Residual of the solution, relative to the first.
+_CONVERGED = 1e-10
 # Steps of conjugate gradients, of which some twenty suffice.
 _MOST_STEPS = 200
 # A neighbour's weight by the square of its distance, relative to the nearer ones': what is less is lost in rounding.
@@ -50,10 +50,10 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
     matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
     with single_threaded_blas():
         cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
-        solution, _ = linalg.cg(matrix, target, rtol=_SETTLED, maxiter=_MOST_STEPS, M=cycle)
-        found = mean + scale * solution
+        solution, _ = linalg.cg(matrix, target, rtol=_CONVERGED, maxiter=_MOST_STEPS, M=cycle)
+        filled = mean + scale * solution
     # As harmonic functions do, but for rounding.
-    result[gaps] = np.clip(found, known.min(), known.max())
+    result[gaps] = np.clip(filled, known.min(), known.max())
     return result
 
 
@@ -128,12 +128,12 @@ def _multigrid(
         if depth == len(levels):
             return np.asarray(inverse @ residual)
         level = levels[depth]
-        found = level.jacobi * residual
+        correction = level.jacobi * residual
         for _ in range(_SWEEPS - 1):
-            found += level.jacobi * (residual - level.matrix @ found)
-        found += level.to_finer @ cycle(level.to_finer.T @ (residual - level.matrix @ found), depth + 1)
+            correction += level.jacobi * (residual - level.matrix @ correction)
+        correction += level.to_finer @ cycle(level.to_finer.T @ (residual - level.matrix @ correction), depth + 1)
         for _ in range(_SWEEPS):
-            found += level.jacobi * (residual - level.matrix @ found)
-        return found
+            correction += level.jacobi * (residual - level.matrix @ correction)
+        return correction
 
     return cycle

@@ -1,4 +1,4 @@
-"""Periods of a height field by harmonic fits: waves of free frequency, fitted to the samples that are there."""
+"""Periods of a height field by harmonic fits: waves of free frequency, fitted to the known samples."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core.threads import single_threaded_blas
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,25 +34,27 @@ _STRAYING = 24.0
 _OVER_NOISE = 4.0
 _STEPS = 12
 # Steps of frequency, of a cycle over the field, that end the fit.
-_SETTLED = 1e-6
+_CONVERGED = 1e-6
 # A share of the variance below which nothing is looked for.
 _LEAST_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class Period:
-    """A wave that a height field holds, with its harmonics.
+    """Periodic wave in a height field, with its harmonics.
 
     Attributes:
-        period_um: Its length [µm].
-        standard_error_um: Standard error of the period [µm], from the residual's power about its frequency: that of the
-            mean over the field, for noise that has no period itself; of waviness, without what its own form adds.
+        period_um: Length of the period [µm].
+        standard_error_um: Standard error of the period [µm], from the power of the residual about its frequency. It is
+            the error of the mean over the field, for noise without a period; for waviness it excludes the error due to
+            the form of the wave.
         direction_deg: Direction of the wave vector, from x towards y, in (−90°, 90°].
-        harmonics_um: Amplitudes of the fundamental, of twice its frequency, and so on [µm]: as far as they
-            stand out of the noise, else 0; as the pitch can carry them, sixteen at most; of waviness the first.
-        share: Of the heights' variance, without tilt, that it explains with its harmonics.
-        frequency: Its wave vector (y, x) [cycles per µm].
-        is_waviness: Whether the field holds fewer than three of it, so that it may belong to the surface's form.
+        harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, as the pitch allows; 0
+            where noise hides a harmonic. Waviness has the fundamental alone.
+        share: Share of the variance of the heights, without tilt, that the wave explains with its harmonics.
+        frequency: Wave vector (y, x) [cycles per µm].
+        is_waviness: Whether the field contains fewer than three periods, so that the wave may belong to the form of the
+            surface.
     """
 
     period_um: float
@@ -69,15 +72,18 @@ class Period:
         length = f"{self.period_um:.{digits}f} ± {self.standard_error_um:.{digits}f} µm"
         return f"{length} at {round(self.direction_deg)}°{' (waviness)' if self.is_waviness else ''}"
 
+    def __repr__(self) -> str:
+        return f"Period({self}, share {self.share:.3g})"
 
-def fitted(heightfield: HeightField, count: int) -> tuple[Period, ...]:
+
+def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
     """The strongest periods, see `HeightField.periods`."""
     field = heightfield.levelled(1)
     known = ~field.missing
     heights = np.where(known, field.heights_um, 0.0)
     scale = max(float(np.max(np.abs(heightfield.heights_um[known]))), 1e-300)
     variance = float(np.mean(heights[known] ** 2))
-    found: list[Period] = []
+    result: list[Period] = []
     for _ in range(count):
         if variance <= (1e-10 * scale) ** 2 or np.mean(heights[known] ** 2) <= _LEAST_SHARE * variance:
             break
@@ -85,9 +91,9 @@ def fitted(heightfield: HeightField, count: int) -> tuple[Period, ...]:
             period, wave = _strongest(heights, known, heightfield.pitch_um, variance)
         if period.share < _LEAST_SHARE:
             break
-        found.append(period)
+        result.append(period)
         heights = np.where(known, heights - wave, 0.0)
-    return tuple(sorted(found, key=lambda each: -each.share))
+    return tuple(sorted(result, key=lambda period: -period.share))
 
 
 def _strongest(
@@ -96,20 +102,20 @@ def _strongest(
     """The strongest wave of heights without tilt, and its heights."""
     means = _Means.of(heights, known, pitch, _peak(heights, pitch))
     fit = means.fitted()
-    left = np.where(known, heights - fit.heights(means), 0.0)
+    residual = np.where(known, heights - fit.heights(means), 0.0)
     # Harmonics that are no more than noise carry the frequency away with them.
-    of_amplitudes = 2.0 * float(np.mean(left[known] ** 2)) / np.count_nonzero(known)
-    heard = fit.amplitudes > _OVER_NOISE * math.sqrt(of_amplitudes)
-    heard[0] = True
-    if not heard.all():
-        means.q, means.orders = fit.q, means.orders[heard]
+    amplitude_variance = 2.0 * float(np.mean(residual[known] ** 2)) / np.count_nonzero(known)
+    significant = fit.amplitudes > _OVER_NOISE * math.sqrt(amplitude_variance)
+    significant[0] = True
+    if not significant.all():
+        means.q, means.orders = fit.q, means.orders[significant]
         fit = means.fitted()
-        left = np.where(known, heights - fit.heights(means), 0.0)
+        residual = np.where(known, heights - fit.heights(means), 0.0)
     # In units of a cycle over the field; the noise that moves a frequency is that beside it.
     free = means.free
     normal = np.stack(fit.columns, axis=1)
     covariance = np.linalg.pinv((normal * means.weights[:, None]).T @ normal)[-len(free) :, -len(free) :]
-    noise = _noise(left, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
+    noise = _noise(residual, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
     # Where the wave's power is not far above the noise, a peak may lie beside it.
     power = float(np.sum((means.orders * fit.amplitudes) ** 2)) * np.count_nonzero(known) / 4.0
     covariance *= noise * (1.0 + _STRAYING * noise / max(power, 1e-300))
@@ -125,10 +131,10 @@ def _strongest(
         standard_error_um=math.sqrt(max(float(along @ covariance @ along), 0.0)) / frequency**2,
         direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0,
         harmonics_um=tuple(harmonics.tolist()),
-        share=max(float(np.mean(heights[known] ** 2) - np.mean(left[known] ** 2)) / variance, 0.0),
+        share=max(float(np.mean(heights[known] ** 2) - np.mean(residual[known] ** 2)) / variance, 0.0),
         frequency=(qy, qx),
         is_waviness=math.hypot(qy * means.sizes[0], qx * means.sizes[1]) < FEWEST_PERIODS,
-    ), heights - left
+    ), heights - residual
 
 
 @dataclass
@@ -168,18 +174,19 @@ class _Means:
         """Means over blocks of the size that a wave and its harmonics leave."""
         orders, blocks = _orders_and_blocks(q, heights.shape, pitch)
         shape = [n // block for n, block in zip(heights.shape, blocks, strict=True)]
-        kept = tuple(slice(n * block) for n, block in zip(shape, blocks, strict=True))
+        whole = tuple(slice(n * block) for n, block in zip(shape, blocks, strict=True))
         total, number = (
-            each[kept].reshape(shape[0], blocks[0], shape[1], blocks[1]).sum(axis=(1, 3)) for each in (heights, known)
+            array[whole].reshape(shape[0], blocks[0], shape[1], blocks[1]).sum(axis=(1, 3))
+            for array in (heights, known)
         )
-        taken = number > 0
+        filled = number > 0
         places = [
             (np.arange(n) * block + (block - 1) / 2.0 - size / 2.0) * step
             for n, block, size, step in zip(shape, blocks, heights.shape, pitch, strict=True)
         ]
-        y, x = (each[taken] for each in np.meshgrid(*places, indexing="ij"))
-        weights = number[taken].astype(np.float64)
-        return cls(y, x, total[taken] / weights, weights, heights.shape, pitch, blocks, q, orders)
+        y, x = (grid[filled] for grid in np.meshgrid(*places, indexing="ij"))
+        weights = number[filled].astype(np.float64)
+        return cls(y, x, total[filled] / weights, weights, heights.shape, pitch, blocks, q, orders)
 
     @property
     def sizes(self) -> list[float]:
@@ -207,21 +214,21 @@ class _Means:
             cosines, sines = fades * np.cos(angles), fades * np.sin(angles)
             columns = [*cosines.T, *sines.T, np.ones_like(self.values), *relative]
             linear = _solved(columns, self.values, root)
-            left = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
+            residual = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
             slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
             # What a cycle more over the field adds.
             columns += [slope * place for place in relative]
-            if left < least:
-                best, least = _Fit(q.copy(), linear, columns, count), left
+            if residual < least:
+                best, least = _Fit(q.copy(), linear, columns, count), residual
             step = np.clip(_solved(columns, self.values, root)[-len(relative) :], -0.5, 0.5)
-            if np.max(np.abs(step)) < _SETTLED:
+            if np.max(np.abs(step)) < _CONVERGED:
                 break
             for axis, change in zip(self.free, step, strict=True):
                 q[axis] += change / self.sizes[axis]
             if math.hypot(*(q * self.sizes)) < _LEAST_CYCLES:
                 # So little of a wave, and a tilt, are any form.
                 break
-        assert best is not None  # noqa: S101 - told to mypy; there is a first step
+        assert best is not None  # noqa: S101 - for mypy; there is a first step
         return best
 
 
@@ -259,13 +266,13 @@ def _orders_and_blocks(
     """Choose the harmonics that are fitted, and to means over blocks of how many samples along y and x."""
     cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
     most = max(1, min(_MOST_HARMONICS, math.floor(0.5 * _OF_NYQUIST / max(cycles))))
-    if math.hypot(*(each * n for each, n in zip(cycles, shape, strict=True))) < FEWEST_PERIODS:
+    if math.hypot(*(cycle * n for cycle, n in zip(cycles, shape, strict=True))) < FEWEST_PERIODS:
         # Harmonics of so few periods are any surface.
         most = 1
     while True:
         # As many blocks along each axis as if it held at least one period.
-        longest = [_SAMPLES_A_PERIOD * most * max(each, 1.0 / n) for each, n in zip(cycles, shape, strict=True)]
-        blocks = [max(1, math.floor(1.0 / each)) for each in longest]
+        density = [_SAMPLES_A_PERIOD * most * max(cycle, 1.0 / n) for cycle, n in zip(cycles, shape, strict=True)]
+        blocks = [max(1, math.floor(1.0 / samples)) for samples in density]
         numbers = math.prod(n // block for n, block in zip(shape, blocks, strict=True)) * (2 * most + 5)
         if most == 1 or numbers <= _MOST_NUMBERS:
             return np.arange(1, most + 1), blocks
@@ -303,28 +310,28 @@ def _solved(
     return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ (values * root), rcond=1e-12)[0], dtype=np.float64)
 
 
-def _noise(left: NDArray[np.float64], q: NDArray[np.float64], sizes: list[float]) -> float:
+def _noise(residual: NDArray[np.float64], q: NDArray[np.float64], sizes: list[float]) -> float:
     """Variance a sample of white noise of the residual's power about a frequency."""
-    ny, nx = left.shape
-    power = np.abs(np.fft.fft2(left)) ** 2 / left.size
+    ny, nx = residual.shape
+    power = np.abs(np.fft.fft2(residual)) ** 2 / residual.size
     cycles_y, cycles_x = np.fft.fftfreq(ny, 1.0 / ny), np.fft.fftfreq(nx, 1.0 / nx)
     away = np.hypot(cycles_y[:, None] - q[0] * sizes[0], cycles_x - q[1] * sizes[1])
-    # Nearer lies what the fit itself has taken.
-    beside = power[(away > 1.0) & (away < 4.0)]
-    return float(np.mean(beside)) if beside.size else float(np.mean(left**2))
+    # Nearer power is what the fit itself has removed.
+    nearby = power[(away > 1.0) & (away < 4.0)]
+    return float(np.mean(nearby)) if nearby.size else float(np.mean(residual**2))
 
 
-def whole(heightfield: HeightField) -> HeightField:
+def cut_whole(heightfield: HeightField) -> HeightField:
     """The largest part of whole periods, see `HeightField.whole_periods`."""
-    found = [each for each in fitted(heightfield, 3) if not each.is_waviness]
-    if not found:
-        raise ValueError(
-            "whole_periods() needs a period of which the field holds three or more, found none; use periodic(), or a "
-            "larger patch"
+    periods = [period for period in fit(heightfield, 3) if not period.is_waviness]
+    if not periods:
+        raise ArgumentValueError(
+            f"{ref('whole_periods()')} needs a period that repeats at least three times, and this field has none; use "
+            f"{ref('periodic()')}, or a larger patch"
         )
     size = []
     for axis in (0, 1):
-        frequency = abs(found[0].frequency[axis])
+        frequency = abs(periods[0].frequency[axis])
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
         # Along its grooves a wave drifts by less than a period: nothing to cut.
         size.append(number / frequency if number else heightfield.size_um[axis])
