@@ -84,7 +84,7 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     capsys.readouterr()
     wrong = {
         "--environment: there is no file": ["--environment", "none.exr"],
-        "--environment-directions must be an integer >= 16": ["--environment-directions", "3"],
+        "--environment-directions must be an integer, at least 16": ["--environment-directions", "3"],
         "--environment-behind is for .png": ["--environment-behind"],
     }
     for said, options in wrong.items():
@@ -146,7 +146,7 @@ def test_brdf_writes_a_map(tmp_path):
         (["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
         (["--coherence", "source"], "source of 0.53° in diameter"),
         (["--coherence", "source", "--angular-diameter-deg", "2"], "source of 2° in diameter"),
-        (["--coherence", "replicas", "--copies", "1", "12"], "1 × 12 copies in step"),
+        (["--coherence", "replicas", "--copies", "1", "12"], "1 × 12 periods"),
         (["--method", "power"], "Chebyshev series of the powers"),
     ],
 )
@@ -257,7 +257,7 @@ def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monk
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr("warpdiff.device.devices.load", lambda *_: pytest.fail("kernels are loaded"))
     assert cli.main(arguments) == 2
-    assert "may not be written to; name another one" in capsys.readouterr().err
+    assert "is not writable; use another one" in capsys.readouterr().err
 
 
 def test_the_tolerance_is_that_of_the_library():

@@ -63,7 +63,7 @@ def test_an_unwritable_folder_is_refused_before_measuring(tmp_path, monkeypatch,
     # Nothing is denied to root.
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert command.main(["--filter", "pareto"]) == 2
-    assert "may not be written to; name another one" in capsys.readouterr().err
+    assert "is not writable; use another one" in capsys.readouterr().err
 
 
 def test_figures_are_one_a_line(tmp_path):

@@ -112,7 +112,7 @@ def test_flat_fields_have_no_period_and_one_row_has_one():
     assert found.period_um == pytest.approx(1.7, rel=1e-6)
     assert found.harmonics_um[0] == pytest.approx(0.1, rel=1e-4)
     assert found.direction_deg == pytest.approx(0.0)
-    with pytest.raises(ValueError, match="count must be an integer >= 1"):
+    with pytest.raises(ValueError, match="count must be an integer, at least 1"):
         row.periods(0)
 
 

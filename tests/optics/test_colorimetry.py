@@ -142,7 +142,7 @@ def test_the_package_announces_nothing_of_colour_science():
     ("wavelengths", "message"),
     [
         ([500.0, 400.0], "strictly increasing"),
-        ([0.5, 0.6], "they are nanometres"),
+        ([0.5, 0.6], "give wavelengths in nanometres"),
         ([], "shape"),
         ([[400.0, 500.0]], "shape"),
         ([np.nan], "finite"),

@@ -134,14 +134,14 @@ def test_other_files_are_refused(text, tmp_path):
 
 
 BAD = {
-    "give ior or material, not both": lambda: wd.reflectance(flat(), UP, UP, ior=1.5, material=GOLD),
-    "n must be a finite number > 1": lambda: wd.Material.dielectric(1.0),
+    "ior must not be given with material": lambda: wd.reflectance(flat(), UP, UP, ior=1.5, material=GOLD),
+    "n must be a finite number, more than 1": lambda: wd.Material.dielectric(1.0),
     "symbol must be one of 'Al', 'Ag'": lambda: wd.Material.metal("Fe"),
     "k must lie within 0 to 100": lambda: wd.Material([500.0], 1.5, -0.1),
     "k must have one number": lambda: wd.Material([500.0, 600.0], 1.5, [0.1, 0.2, 0.3]),
     "strictly increasing": lambda: wd.Material([600.0, 500.0], 1.5),
-    "a film already": lambda: FILM.coated(GOLD, 10.0),
-    "thickness_nm must be a finite number > 0 <= 1000": lambda: GOLD.coated(GOLD, 2000.0),
+    "only one film layer is supported": lambda: FILM.coated(GOLD, 10.0),
+    "thickness_nm must be a finite number, more than 0 and at most 1000": lambda: GOLD.coated(GOLD, 2000.0),
     "film must be a material without": lambda: wd.Material([500.0], 1.5, film=FILM, film_nm=10.0),
     "is tabulated from 400 to 600 nm": lambda: wd.reflectance(
         flat(), UP, UP, material=wd.Material([400.0, 600.0], [1.5, 1.5])

@@ -70,9 +70,9 @@ BAD = {
     "strictly increasing": lambda: wd.Spectrum([380.0, 780.0, 700.0], [1.0, 1.0, 1.0]),
     "must cover 380 to 780 nm, got 400 to 800": lambda: wd.Spectrum([400.0, 800.0], [1.0, 1.0]),
     "must not be negative": lambda: wd.Spectrum([380.0, 780.0], [1.0, -1.0]),
-    "there must be light between 400 and 700": lambda: wd.Spectrum([380.0, 780.0], [0.0, 0.0]),
-    "temperature_k must be a finite number >= 4000": lambda: wd.Spectrum.daylight(3000.0),
-    "temperature_k must be a finite number >= 500": lambda: wd.Spectrum.blackbody(0.0),
+    "values must exceed 1e-15 between 400 and 700 nm, got 0": lambda: wd.Spectrum([380.0, 780.0], [0.0, 0.0]),
+    "temperature_k must be a finite number, at least 4000": lambda: wd.Spectrum.daylight(3000.0),
+    "temperature_k must be a finite number, at least 500": lambda: wd.Spectrum.blackbody(0.0),
 }
 
 

@@ -170,7 +170,7 @@ def test_a_plan_reads_as_a_paragraph(rough):
     assert "source of 0.53° in diameter" in source
     assert "equally spaced in log λ" in source
     periods = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("replicas", periods=(1, 200))))
-    assert "1 × 200 copies in step" in periods
+    assert "1 × 200 periods" in periods
     assert "for the copies' factor" in periods
     assert "neighbours" not in periods
 

@@ -59,5 +59,5 @@ def test_pictures_of_any_power_are_finite(fingers, power, tmp_path):
 
 
 def test_too_much_power_is_refused():
-    with pytest.raises(ValueError, match=r"power must be a finite number >= 0 <= 1e\+12, got 1e\+300"):
+    with pytest.raises(ValueError, match=r"power must be a finite number, at least 0 and at most 1e\+12, got 1e\+300"):
         wd.DirectionalLight((0.0, 0.0, 1.0), power=1e300)

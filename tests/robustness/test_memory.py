@@ -102,7 +102,7 @@ limit(taken + (1 << 28))
 try:
     wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
 except MemoryError as error:
-    assert str(error).startswith("reflectance() takes another ") and "GB are free: take a larger" in str(error), error
+    assert str(error).startswith("reflectance() requires another ") and "GB are free: take a larger" in str(error), error
 else:
     raise AssertionError
 """
@@ -121,17 +121,17 @@ def test_what_does_not_fit_is_refused_at_once(code, tmp_path):
 
 
 def test_allocations_that_fail_are_told_in_the_librarys_words():
-    said = r"it takes another \S+ GB at once, and \S+ GB are free: take less"
+    said = r"it requires another \S+ GB at once, and \S+ GB are free: take less"
     with pytest.raises(MemoryError, match=said), memory.as_memory_error("it", "take less"):
         np.empty(10**15)
     with pytest.raises(MemoryError, match=said), memory.as_memory_error("it", "take less"):
         wp.empty((2**30, 2**20), dtype=wp.float32, device="cpu")
     with (
-        pytest.raises(MemoryError, match="it takes more memory than there is"),
+        pytest.raises(MemoryError, match="it requires more memory than is free"),
         memory.as_memory_error("it", "take less"),
     ):
         raise MemoryError
-    for error in (MemoryError("a picture takes about 9 GB, and 1 GB are free"), RuntimeError("failed")):
+    for error in (MemoryError("a picture requires about 9 GB, and 1 GB are free"), RuntimeError("failed")):
         with pytest.raises(type(error)) as raised, memory.as_memory_error("it", "take less"):
             raise error
         assert raised.value is error
@@ -148,7 +148,7 @@ def test_bodies_that_do_not_fit_after_all_say_so(monkeypatch):
     """Their bytes are known about."""
     monkeypatch.setattr(memory, "require_faces", lambda *_: None)
     for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):
-        with pytest.raises(MemoryError, match=r"a body of so many faces takes another .* GB are free: take fewer"):
+        with pytest.raises(MemoryError, match=r"a body of so many faces requires another .* GB are free: take fewer"):
             call()
 
 
@@ -183,7 +183,7 @@ def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
     )
     monkeypatch.setattr(memory, "available", lambda: 1e9)
     many = dataclasses.replace(plan, wavelengths=10**8)
-    with pytest.raises(MemoryError, match=r"a quadrature of \d+ wavelengths takes .* copies"):
+    with pytest.raises(MemoryError, match=r"a quadrature of \d+ wavelengths requires .* copies"):
         wd.reflectance(heightfield, (0, 0, 1), (0.3, 0, 1), plan=many)
 
 
