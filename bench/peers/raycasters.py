@@ -162,12 +162,12 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
 
     def trace(threads: int) -> None:
         frame.rays.options["threads"] = threads
-        frame.cast(0)
+        frame.trace(0)
 
     def found() -> Found:
-        hit = frame.seen.pixels.hit.numpy() == 1
+        hit = frame.gbuffer.pixels.hit.numpy() == 1
         # Where nothing is met, normals are whatever was there.
-        return Found(hit, np.where(hit[:, None], frame.seen.pixels.normal.numpy(), 0.0).astype(np.float64))
+        return Found(hit, np.where(hit[:, None], frame.gbuffer.pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster("all of a pixel", trace, found)
 

@@ -41,8 +41,8 @@ class SkySums:
         """Cast the rays."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
         frame = Picture(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
-        frame.cast(0)
-        pixels, shape = frame.seen.pixels, (fine.height, fine.width)
+        frame.trace(0)
+        pixels, shape = frame.gbuffer.pixels, (fine.height, fine.width)
         self._hit = pixels.hit.numpy().reshape(shape) != 0
         axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
         self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)

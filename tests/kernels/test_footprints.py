@@ -233,9 +233,9 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     surface, deviation = prepare_surface(tube), 0.4
     frame = Picture(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
     frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
-    frame.deflect(0, 0)
-    rays, pixels, found = frame.rays, frame.seen.pixels, frame.seen.footprints
-    launch_pipeline([rays.footprints(frame.seen, deviation)], 48 * 36, **rays.options)
+    frame.scatter(0, 0)
+    rays, pixels, found = frame.rays, frame.gbuffer.pixels, frame.gbuffer.footprints
+    launch_pipeline([rays.footprints(frame.gbuffer, deviation)], 48 * 36, **rays.options)
     hit = np.flatnonzero(pixels.hit.numpy())
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]

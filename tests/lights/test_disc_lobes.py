@@ -148,14 +148,16 @@ def test_a_size_is_said_once_and_takes_footprints(fingers):
         wd.View((0, 0, 4), (0, 0, 0), width=8, height=6),
     )
     for options, message in {
-        "source": ({"coherence": wd.Coherence("source")}, "beside coherence of kind='source'"),
-        "points": ({"footprint": False}, "takes footprints"),
-        "centred": ({"coherence": wd.Coherence("centred")}, "takes footprints"),
-        "direct": ({"method": "direct"}, "takes footprints"),
+        "source": ({"coherence": wd.Coherence("source")}, "kind 'source', whose diameter is that of all lights"),
+        "points": ({"footprint": False}, "require footprints"),
+        "centred": ({"coherence": wd.Coherence("centred")}, "require footprints"),
+        "direct": ({"method": "direct"}, "require footprints"),
     }.values():
         with pytest.raises(ValueError, match=message):
             wd.shade(wd.meshes.disc(), fingers, light, view, **options)
-    with pytest.raises(ValueError, match="angular_diameter_deg must be a finite number >= 0 <= 60, got 61"):
+    with pytest.raises(
+        ValueError, match="angular_diameter_deg must be a finite number, at least 0 and at most 60, got 61"
+    ):
         wd.DirectionalLight(TOWARDS, angular_diameter_deg=61)
 
 

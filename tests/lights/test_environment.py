@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -11,9 +12,11 @@ from conftest import slow
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
+from warpdiff.lights.environment import lobes_of_sky
 from warpdiff.lights.sky_maps import blurred_grids, extract_suns, maps_of
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
+from warpdiff.render import picture
 from warpdiff.tables.sky_cells import cells, tree
 
 WINDOW = wd.Coherence(sigma_um=8.0)
@@ -245,7 +248,7 @@ def test_files_are_read_and_refused(tmp_path, square):
         output.write_image(pixels)
         output.close()
     assert np.array_equal(wd.Environment.load(tmp_path / "sky.exr").radiance_rgb, given)
-    with pytest.raises(ValueError, match=r"dark\.exr' must hold light somewhere"):
+    with pytest.raises(ValueError, match=r"dark\.exr' must have a component above 0"):
         wd.Environment.load(tmp_path / "dark.exr")
     with pytest.raises(ValueError, match=r"nan\.exr' must be finite"):
         wd.Environment.load(tmp_path / "nan.exr")
@@ -256,9 +259,9 @@ def test_files_are_read_and_refused(tmp_path, square):
         wd.Environment.load(tmp_path / "none.exr")
     sky, flat = wd.Environment(given), wd.HeightField(np.zeros((8, 8)), 0.09)
     for coherence in (wd.Coherence("source"), wd.Coherence("centred")):
-        with pytest.raises(ValueError, match=r"light\[0\]: an Environment takes coherence of kind='averaged'"):
+        with pytest.raises(ValueError, match=r"lights\[0\] must not be an Environment for coherence of kind"):
             wd.shade(square, flat, sky, seen_at(20.0), coherence=coherence)
-    with pytest.raises(ValueError, match="an Environment, takes footprints"):
+    with pytest.raises(ValueError, match="an Environment, require footprints"):
         wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
 
 
@@ -365,3 +368,50 @@ def test_a_bright_even_sky_has_no_sun_beside_its_own():
     grid, suns = extract_suns(sky)
     assert len(suns) == 1
     assert grid.max() == pytest.approx(1.19, rel=1e-5)
+
+
+def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_same_launches(square, monkeypatch):
+    uploads, keys = [], []
+    upload, set_lights = picture.upload_sky, picture.Picture.set_lights
+
+    def counted(*args):
+        uploads.append(args)
+        return upload(*args)
+
+    def followed(self, *args, **options):
+        set_lights(self, *args, **options)
+        keys.append(self.launches_depend_on)
+
+    monkeypatch.setattr(picture, "upload_sky", counted)
+    monkeypatch.setattr(picture.Picture, "set_lights", followed)
+    flat, lights = wd.HeightField(np.zeros((8, 8)), 0.09), [wd.Environment(np.ones((4, 8, 3)), directions=16)]
+    renderer = wd.Renderer(square, flat, lights, seen_at(20.0), **UNDER)
+    first = renderer.draw(lights).numpy().copy()
+    second = renderer.draw(lights, seen_at(20.0)).numpy()
+    assert len(uploads) == 1
+    assert len(keys) == 3
+    assert len(set(keys)) == 1
+    np.testing.assert_array_equal(first, second)
+    # Another picture shares the arrays; another sky has its own, and other launches.
+    wd.shade(square, flat, lights, seen_at(20.0), **UNDER)
+    assert len(uploads) == 1
+    renderer.draw(wd.Environment(np.ones((4, 8, 3)), directions=16))
+    assert len(uploads) == 2
+    assert keys[-1] != keys[0]
+
+
+def test_an_environment_keeps_few_lobes_and_its_copies_none():
+    sky = wd.Environment(0.5 + 0.5 * middles(16)[0], directions=16)
+    lobes = lobes_of_sky(sky, 8.0, 1e-1)
+    assert lobes_of_sky(sky, 8.0, 1e-2) is lobes
+    others = [lobes_of_sky(sky, sigma_um, 1e-1) for sigma_um in (4.0, 5.0, 6.0, 7.0)]
+    assert len({id(each[0].sky) for each in others} | {id(lobes[0].sky)}) == 5
+    assert lobes_of_sky(sky, 7.0, 1e-1) is others[-1]
+    again = lobes_of_sky(sky, 8.0, 1e-1)
+    assert again is not lobes
+    np.testing.assert_array_equal(again[0].sky.texels, lobes[0].sky.texels)
+    copied = copy.copy(sky)
+    assert "_lobes" not in vars(copied)
+    np.testing.assert_array_equal(lobes_of_sky(copied, 8.0, 1e-1)[0].sky.texels, lobes[0].sky.texels)
+    assert repr(copied) == "Environment(16 × 32 pixels, rotation_deg=0, scale=1, directions=16)"
+    assert copied != sky

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the name its own documentation uses)
 import pytest
@@ -9,8 +11,9 @@ import trimesh
 from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
-from warpdiff.render.layers import NAMES
+from warpdiff.request.settings import Layer
 
+NAMES = get_args(Layer)
 HF = wd.gratings.sinusoidal(2.0, 0.2)
 LIGHT = wd.DirectionalLight((0.2, 0.3, 1.0))
 # Texture coordinates that run along a surface wherever it is no plane at right angles to both.

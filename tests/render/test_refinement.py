@@ -215,7 +215,7 @@ def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
-    edges = renderer._mine.frame._seen_of(renderer._mine.frame._edges)
+    edges = renderer._mine.picture._cropped(renderer._mine.picture._edges)
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
     # Some are crossed by so little that none of 16 cells tells.
@@ -324,11 +324,11 @@ def test_errors_are_estimated_by_those_beside(size, slices, rng):
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)
     uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
-    seen = kernels.Seen()
-    seen.scattering_vectors = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
+    unevenness = kernels.Unevenness()
+    unevenness.scattering_vectors = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
     given = [
         wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
-        seen,
+        unevenness,
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
         size[1],
         wp.array([0.8], dtype=wp.float32, device="cpu"),

@@ -1,4 +1,4 @@
-"""Rays through the pixels of a picture: which faces they meet, found by rasterizing these or by a hierarchy."""
+"""Camera rays: the faces that rays through the pixels of a picture hit, by rasterization or by a hierarchy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PixelRays:
         width: Pixels in a row, with those of the margin.
         height: Rows, likewise.
         options: The device and the number of threads of launches.
-        seen: The G-buffer of the pixels' own rays, under the last light.
+        gbuffer: The G-buffer of the pixels' own rays, under the last light.
     """
 
     def __init__(
@@ -66,25 +66,26 @@ class PixelRays:
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
         coloured = surface.has_base_colour
-        self.seen = GBuffer.allocate(self._size, device=device, means=means, coloured=coloured, materials=materials)
+        self.gbuffer = GBuffer.allocate(self._size, device=device, means=means, coloured=coloured, materials=materials)
         self.set_view(view)
 
     def set_view(self, view: View) -> None:
         """Set the view, of the same size as any before."""
         self.view = view
         self._camera = device_mesh.camera(view, self._surface, axes=self._axes, margin=self._margin)
-        self.may_be_hidden = device_mesh.needs_shadow_rays(self._surface, view)
+        self.may_be_occluded = device_mesh.needs_shadow_rays(self._surface, view)
 
-    def cast(self, sample: int, samples: int) -> list[KernelCall]:
+    def trace(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel."""
-        return self.steps(self._sampling(sample, samples), self.seen.pixels)
+        return self.calls(self._sampling(sample, samples), self.gbuffer.pixels)
 
-    def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
+    def calls(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
         inputs = [self._camera, self._scene.with_hierarchy(), sampling]
-        return [KernelCall(bvh.trace_bvh, inputs, [pixels.nearest], in_runs=True), *self._known(sampling, pixels)]
+        trace = KernelCall(bvh.trace_bvh, inputs, [pixels.nearest], in_runs=True)
+        return [trace, *self._known_face_calls(sampling, pixels)]
 
-    def _known(self, sampling: Any, pixels: Any) -> list[KernelCall]:
+    def _known_face_calls(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the faces that are known to be nearest, and shading frames there."""
         inputs = [self._camera, self._scene.bare, sampling, pixels]
         return [
@@ -99,21 +100,21 @@ class PixelRays:
             if not len(self._offsets):
                 self._offsets = wp.empty(self._size, dtype=wp.vec2d, device=self.options["device"])
             launch(
-                primary_hits.place_samples, self._size, [sample, samples, _SEED], [self._offsets], slice_size=RAYS_OF_SLICE,
-                in_runs=True, **self.options,
+                primary_hits.place_samples, self._size, [sample, samples, _SEED], [self._offsets],
+                slice_size=RAYS_OF_SLICE, in_runs=True, **self.options,
             )  # fmt: skip
             sampling.offsets = self._offsets
         return sampling
 
-    def footprints(self, seen: GBuffer, deviation: float) -> KernelCall:
+    def footprints(self, gbuffer: GBuffer, deviation: float) -> KernelCall:
         """The call that finds the footprints of filters of a deviation [pixels]."""
-        inputs = [self._camera, self._scene.bare, seen.pixels, seen.scattering_vectors, deviation]
-        return KernelCall(light_samples.pixel_footprints, inputs, [seen.footprints], in_runs=True)
+        inputs = [self._camera, self._scene.bare, gbuffer.pixels, gbuffer.scattering_vectors, deviation]
+        return KernelCall(light_samples.pixel_footprints, inputs, [gbuffer.footprints], in_runs=True)
 
-    def turned_footprints(self, seen: GBuffer, lights: Any, light_index: int, deviation: float) -> KernelCall:
+    def rotated_footprints(self, gbuffer: GBuffer, lights: Any, light_index: int, deviation: float) -> KernelCall:
         """The call that adds to footprints how the direction to a light at a place changes over them."""
-        inputs = [self._camera, self._scene.bare, seen.pixels, lights, light_index, deviation]
-        return KernelCall(light_samples.add_light_rotation, inputs, [seen.footprints], in_runs=True)
+        inputs = [self._camera, self._scene.bare, gbuffer.pixels, lights, light_index, deviation]
+        return KernelCall(light_samples.add_light_rotation, inputs, [gbuffer.footprints], in_runs=True)
 
     def shadow_grid(self, _to_light: Sequence[float] | None, _rays: int, _pixels: int | None = None) -> Any:
         """What asks the hierarchy, for any light."""
@@ -123,16 +124,16 @@ class PixelRays:
 class RasterizedRays(PixelRays):
     """Rays through pixels on the CPU, where faces are rasterized first: a ray then meets a known one, or none."""
 
-    def cast(self, sample: int, samples: int) -> list[KernelCall]:
+    def trace(self, sample: int, samples: int) -> list[KernelCall]:
         """The calls that send one ray through every pixel, whose faces are found at once."""
-        sampling, nearest = self._sampling(sample, samples), self.seen.pixels.nearest
+        sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
-        return self.steps(sampling, self.seen.pixels)
+        return self.calls(sampling, self.gbuffer.pixels)
 
-    def steps(self, sampling: Any, pixels: Any) -> list[KernelCall]:
+    def calls(self, sampling: Any, pixels: Any) -> list[KernelCall]:
         """The calls that find where rays meet the mesh, and its shading frames there."""
-        return self._known(sampling, pixels)
+        return self._known_face_calls(sampling, pixels)
 
     def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
         """Rasterize the cells of so many pixels: the nearest faces, one pixel's after the other."""
@@ -140,9 +141,9 @@ class RasterizedRays(PixelRays):
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
 
-    def _rasterize(self, sampling: Any, cells: Any, neighbour_extent: float, nearest: wp.array) -> None:
+    def _rasterize(self, sampling: Any, cells: Any, most_offset: float, nearest: wp.array) -> None:
         """Let faces find their rays."""
-        inputs = [self._camera, self._scene.bare, sampling, cells, neighbour_extent]
+        inputs = [self._camera, self._scene.bare, sampling, cells, most_offset]
         launch(
             primary_hits.rasterize, self._scene.face_count, inputs, [nearest], slice_size=_FACES_OF_SLICE, in_runs=True,
             **self.options,
@@ -151,10 +152,10 @@ class RasterizedRays(PixelRays):
     def shadow_grid(self, to_light: Sequence[float] | None, rays: int, pixels: int | None = None) -> Any:
         """A grid of faces where it is worth it for so many rays of each pixel, once the first are cast.
 
-        Pixels are those that meet the mesh unless their number is told. Otherwise, and for a light at a place, which
-        has no one direction, it is the hierarchy that is asked.
+        Without a number of pixels, those that hit the mesh count. Otherwise, and for a point light, which has no single
+        direction, shadow rays go through the hierarchy.
         """
-        pixels = int(np.count_nonzero(self.seen.pixels.hit.numpy())) if pixels is None else pixels
+        pixels = int(np.count_nonzero(self.gbuffer.pixels.hit.numpy())) if pixels is None else pixels
         # A face takes a fifth of the time in a grid that a ray does through the hierarchy, and a ray a quarter.
         if to_light is None or _FACES_PER_RAY * rays * pixels <= self._scene.face_count:
             return no_grid(self._scene)

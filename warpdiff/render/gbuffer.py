@@ -1,4 +1,4 @@
-"""G-buffers of a picture's pixels, and buffers for tiles of cells, of which threads take parts again and again."""
+"""G-buffers: arrays of what rays hit, for the pixels of a picture and for tiles of subpixel cells."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 class GBuffer:
     """The G-buffer of rays: hits and frames, and under the last light shadows, deflections, directions to it, gains.
 
-    ``hidden_from_any`` is of all lobes of a light together.
+    ``any_occluded`` is of all lobes of a light together.
     """
 
     pixels: Any
     occluded: wp.array
-    hidden_from_any: wp.array
+    any_occluded: wp.array
     scattering_vectors: wp.array
     to_lights: wp.array
     gains: wp.array
     footprints: wp.array
-    gains_of_one: wp.array
+    material_gains: wp.array
 
     @classmethod
     def allocate(
@@ -58,9 +58,9 @@ class GBuffer:
             setattr(pixels, name, empty(wp.vec3f))
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
         footprints = empty(Footprint, rays if means else 0)
-        gains, of_one = empty(wp.float32), empty(wp.float32, rays * materials)
+        gains, material_gains = empty(wp.float32), empty(wp.float32, rays * materials)
         occluded = empty(wp.bool), empty(wp.bool)
-        return cls(pixels, *occluded, empty(wp.vec3d), empty(wp.vec3f), gains, footprints, of_one)
+        return cls(pixels, *occluded, empty(wp.vec3d), empty(wp.vec3f), gains, footprints, material_gains)
 
     @property
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:
@@ -81,13 +81,13 @@ class TileBuffers:
     """Buffers for the rays of cells: their G-buffer, colours, and the pixels that they belong to.
 
     Attributes:
-        seen: What they see.
+        gbuffer: Their G-buffer.
         colours: Theirs.
         unserved_gain: What a table leaves out of them.
         tiles: By level, the pixels whose cells these are.
     """
 
-    seen: GBuffer
+    gbuffer: GBuffer
     colours: wp.array
     unserved_gain: wp.array
     tiles: dict[int, wp.array]
@@ -101,8 +101,8 @@ class TileBuffers:
             level: wp.empty(rays // refinement_levels.rays_at(level), dtype=wp.int32, device=device)
             for level in refinement_levels.LEVELS
         }
-        seen = GBuffer.allocate(rays, device=device, means=True, coloured=kind.coloured, materials=kind.materials)
-        return cls(seen, colours, unserved_gain, tiles)
+        gbuffer = GBuffer.allocate(rays, device=device, means=True, coloured=kind.coloured, materials=kind.materials)
+        return cls(gbuffer, colours, unserved_gain, tiles)
 
 
 class SharedTileBuffers:
@@ -119,10 +119,10 @@ class SharedTileBuffers:
         self._size = -(-pixel_filter.MOST_RAYS // whole) * whole
         rays = parts * self._size
         self.buffers = TileBuffers.allocate(rays, kind=kind, device=device)
-        self._nearest = self.buffers.seen.pixels.nearest.numpy()
+        self._nearest = self.buffers.gbuffer.pixels.nearest.numpy()
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
         self._colours = self.buffers.colours.numpy()
-        self._gains = [self.buffers.seen.gains.numpy(), self.buffers.seen.gains_of_one.numpy()]
+        self._gains = [self.buffers.gbuffer.gains.numpy(), self.buffers.gbuffer.material_gains.numpy()]
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]
 
@@ -148,10 +148,10 @@ class SharedTileBuffers:
             for part in pixel_filter.slices(len(among), level, threads)
         ]
         # The largest first, so that threads finish together.
-        slices.sort(key=lambda each: -len(each[1]))
+        slices.sort(key=lambda piece: -len(piece[1]))
 
-        def work(each: tuple[Pipeline, range]) -> None:
-            pipeline, part = each
+        def work(piece: tuple[Pipeline, range]) -> None:
+            pipeline, part = piece
             first = self._free.pop()
             end = first + len(part) * rays
             self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]

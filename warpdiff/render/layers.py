@@ -1,4 +1,4 @@
-"""Layers besides colours: the shading normal, the depth and the geometry that pixels' central rays meet."""
+"""Layers of a picture: shading normal, depth and geometry at the hits of the pixels' central rays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import validation
 from warpdiff.render.picture import Picture
 
 if TYPE_CHECKING:
@@ -16,21 +15,11 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
-NAMES = ("normal", "depth", "geometry")
-
-
-def check_layers(names: Any) -> tuple[str, ...]:
-    """Return the names of layers, each once."""
-    if not validation.is_sequence(names):
-        raise TypeError(f"layers must be names in a tuple or list, such as ('normal',), got {names!r}")
-    return tuple(dict.fromkeys(validation.choice(name, "layers", NAMES) for name in names))
-
-
 def layers_of(
     surface: Surface, view: View, names: tuple[str, ...], *, smooth: bool, device: wp.Device, threads: int
 ) -> dict[str, NDArray[Any]]:
     """The layers of a picture by name, see :attr:`warpdiff.Image.layers`."""
-    hit, face, place, normal = Picture(surface, view, smooth=smooth, device=device, threads=threads).met()
+    hit, face, place, normal = Picture(surface, view, smooth=smooth, device=device, threads=threads).central_hits()
     hit, face, place = hit != 0, face[hit != 0], place[hit != 0].astype(np.float64)
     shape = (view.height, view.width)
     result: dict[str, NDArray[Any]] = {}
@@ -51,10 +40,10 @@ def layers_of(
 def _distances(
     surface: Surface, view: View, face: NDArray[np.int32], place: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """How far the points are that rays meet [the mesh's unit]: ``place`` is the first two corners' shares, (n, 2)."""
-    filtered_sums = np.column_stack([place, 1.0 - place.sum(axis=1)])
+    """Distances to hits [mesh units]; ``place`` holds the first two barycentric coordinates, (n, 2)."""
+    barycentric = np.column_stack([place, 1.0 - place.sum(axis=1)])
     corners = surface.vertices[surface.faces[face]].astype(np.float64)
-    points = np.einsum("nk,nkc->nc", filtered_sums, corners) * surface.radius + surface.centre
+    points = np.einsum("nk,nkc->nc", barycentric, corners) * surface.radius + surface.centre
     frame = view.frame()
     if frame.orthographic:
         return np.asarray((frame.origin - points) @ frame.back)

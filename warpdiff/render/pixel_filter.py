@@ -46,7 +46,7 @@ _LEAST_RAYS, MOST_RAYS = 8192, 32_768
 _MOST_RASTERIZED = 1 << 24
 
 
-def bound_at(level: int, tolerance: float) -> float:
+def threshold_at(level: int, tolerance: float) -> float:
     """From which errors, relative to the colour, pixels at a level are split."""
     return float(tolerance / THRESHOLD_DIVISOR[level])
 
@@ -99,7 +99,7 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 
 @functools.cache
-def per_thirds_on(means: bool, device: str) -> wp.array:
+def filter_normalisation_on(means: bool, device: str) -> wp.array:
     """By level, from 0 on, what the filter has in each of three pixels in a row over what weights have there, (n, 3).
 
     On the device of a name.

@@ -1,4 +1,4 @@
-"""Adaptive supersampling: the calls that say which pixels are split into cells, shade these, and compare levels."""
+"""Adaptive supersampling: kernel calls that select pixels to subdivide, shade their cells, and compare levels."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LightRefinement:
     """A picture under one light, by one ray a pixel, and how its pixels are split.
 
     Attributes:
-        frame: What rays meet.
+        picture: The picture.
         lookup: What colours are from.
         lobes: Which of the picture's lobes it has.
         colours: XYZ of pixels, before and after.
@@ -40,7 +40,7 @@ class LightRefinement:
         refine: Whether any are split further.
     """
 
-    frame: Picture
+    picture: Picture
     lookup: ColourLookup
     lobes: range
     colours: wp.array
@@ -53,83 +53,83 @@ class LightRefinement:
     @property
     def buffer_kind(self) -> BufferKind:
         """The arrays that cells take."""
-        return BufferKind(self.lookup.needs_sampling, self.frame.pigmented, self.frame.has_materials)
+        return BufferKind(self.lookup.needs_sampling, self.picture.pigmented, self.picture.has_materials)
 
     @property
     def subdivides(self) -> bool:
         """Whether any pixels are split."""
         return self.refine or self.least > 0
 
-    def _bound_at(self, level: int, *, settled: bool = False) -> float:
-        """From which errors pixels at a level are split, or those that had settled and take cells of others."""
+    def _threshold(self, level: int, *, converged: bool = False) -> float:
+        """From which errors pixels at a level are split, or those that had converged and take cells of others."""
         last = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
         if not self.refine or level >= last:
             return np.inf
-        return self.tolerance if settled else pixel_filter.bound_at(level, self.tolerance)
+        return self.tolerance if converged else pixel_filter.threshold_at(level, self.tolerance)
 
-    def _goes_on(self, level: int) -> tuple[bool, int]:
+    def _must_subdivide(self, level: int) -> tuple[bool, int]:
         """Whether all pixels are split beyond a level, and to which the rims are."""
         return level < self.least, pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
-    def estimate_errors(self, floor: wp.array, wanted: wp.array) -> KernelCall:
+    def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
         """The call that estimates the error of every pixel by one ray, and says which are to be split."""
-        pixels = self.frame.seen
-        seen = subdivision.Unevenness()
-        seen.scattering_vectors, seen.mirrored = pixels.scattering_vectors, pixels.to_lights
-        seen.estimates = self.frame.estimates_of(self.lobes)
+        gbuffer = self.picture.gbuffer
+        unevenness = subdivision.Unevenness()
+        unevenness.scattering_vectors, unevenness.mirrored = gbuffer.scattering_vectors, gbuffer.to_lights
+        unevenness.estimates = self.picture.estimates_of(self.lobes)
         inputs = [
-            self.colours, seen, pixels.pixels.hit, self.frame.rays.width, floor, self._bound_at(0), self.least > 0,
-            self.refine,
+            self.colours, unevenness, gbuffer.pixels.hit, self.picture.rays.width, floor, self._threshold(0),
+            self.least > 0, self.refine,
         ]  # fmt: skip
-        return KernelCall(subdivision.estimate_errors, inputs, [self.errors, wanted], in_runs=True)
+        return KernelCall(subdivision.estimate_errors, inputs, [self.errors, marks], in_runs=True)
 
-    def splat_cells(self, level: int, buffers: TileBuffers, given: Any, *, shadows: bool) -> list[KernelCall]:
+    def splat_cells(self, level: int, buffers: TileBuffers, sums: Any, *, shadows: bool) -> list[KernelCall]:
         """The calls that shade the cells in the buffers and splat them to the pixels around."""
-        means, name = self.lookup.uses_footprints, self.frame.rays.options["device"].alias
-        steps = self.frame.steps_of_cells(self.lookup, self.lobes, level, buffers, shadows=shadows)
+        gbuffer, means, name = buffers.gbuffer, self.lookup.uses_footprints, self.picture.rays.options["device"].alias
+        steps = self.picture.cell_calls(self.lookup, self.lobes, level, buffers, shadows=shadows)
         weights = pixel_filter.weights_at(level, means, name)
         inputs = [
-            buffers.colours, buffers.seen.pixels.hit, self.frame.hidden_of(buffers.seen, self.lobes, shadows=shadows),
-            buffers.seen.gains, buffers.tiles[level], self.colours, self.errors, given.ranks, weights, level,
+            buffers.colours, gbuffer.pixels.hit, self.picture.occlusion_of(gbuffer, self.lobes, shadows=shadows),
+            gbuffer.gains, buffers.tiles[level], self.colours, self.errors, sums.ranks, weights, level,
         ]  # fmt: skip
         outputs = [
-            given.filtered_sums,
-            given.means,
-            given.level_difference,
-            given.levels,
-            given.has_unlit_quadrant,
-            given.has_edge,
+            sums.filtered_sums,
+            sums.means,
+            sums.level_difference,
+            sums.levels,
+            sums.has_unlit_quadrant,
+            sums.has_edge,
         ]
         return [
             *steps,
             KernelCall(subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)),
         ]
 
-    def resolve_pixels(self, level: int, given: Any, pixels: wp.array, floor: wp.array, wanted: wp.array) -> KernelCall:
+    def resolve_pixels(self, level: int, sums: Any, pixels: wp.array, floor: wp.array, marks: wp.array) -> KernelCall:
         """The call that sets pixels to the sums of the cells around, and compares these with the level before."""
-        rays = self.frame.rays
+        rays = self.picture.rays
         inputs = [
-            given, pixels, rays.width, rays.height, floor, self._bound_at(level), self._bound_at(level, settled=True),
-            level, *self._goes_on(level),
+            sums, pixels, rays.width, rays.height, floor, self._threshold(level),
+            self._threshold(level, converged=True), level, *self._must_subdivide(level),
         ]  # fmt: skip
         return KernelCall(
-            subdivision.resolve_pixels, inputs, [self.colours, self.errors, *self.others, wanted], in_runs=True
+            subdivision.resolve_pixels, inputs, [self.colours, self.errors, *self.others, marks], in_runs=True
         )
 
     def select_cells(
-        self, level: int, given: Any, tiles: wp.array, floor: wp.array, wanted: wp.array, chosen: wp.array
+        self, level: int, sums: Any, tiles: wp.array, floor: wp.array, marks: wp.array, chosen: wp.array
     ) -> KernelCall:
         """The call that says which pixels are split again."""
-        rays = self.frame.rays
+        rays = self.picture.rays
         inputs = [
-            given, tiles, wanted, self.colours, self.others[0], rays.width, rays.height, floor,
-            self._bound_at(level), level, *self._goes_on(level),
+            sums, tiles, marks, self.colours, self.others[0], rays.width, rays.height, floor,
+            self._threshold(level), level, *self._must_subdivide(level),
         ]  # fmt: skip
         return KernelCall(subdivision.select_cells, inputs, [chosen], in_runs=True)
 
-    def empty_shares(self, pixels: int) -> Any:
+    def empty_tile_sums(self, pixels: int) -> Any:
         """The struct ``Shares`` of the kernels for so many pixels that are split."""
-        device = self.frame.rays.options["device"]
+        device = self.picture.rays.options["device"]
         result = subdivision.Shares()
         result.filtered_sums = wp.empty((pixels, 9), dtype=wp.vec4f, device=device)
         result.means = wp.empty(pixels, dtype=wp.vec3f, device=device)
@@ -137,5 +137,5 @@ class LightRefinement:
         result.levels, result.has_unlit_quadrant = (wp.empty(pixels, dtype=wp.uint8, device=device) for _ in range(2))
         result.has_edge = wp.empty(pixels, dtype=wp.bool, device=device)
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
-        result.filter_normalisation = pixel_filter.per_thirds_on(self.lookup.uses_footprints, device.alias)
+        result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookup.uses_footprints, device.alias)
         return result

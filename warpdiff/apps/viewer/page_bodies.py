@@ -95,10 +95,10 @@ def local_directions(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
     )  # fmt: skip
-    seen = Picture(surface, one, smooth=smooth, device=device, threads=threads)
-    seen.set_view(one)
-    seen.cast(0)
-    pixels = seen.seen.pixels
+    picture = Picture(surface, one, smooth=smooth, device=device, threads=threads)
+    picture.set_view(one)
+    picture.trace(0)
+    pixels = picture.gbuffer.pixels
     if not pixels.hit.numpy()[0]:
         return None
     axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)
