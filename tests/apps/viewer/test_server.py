@@ -238,8 +238,7 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
 
 
 def test_a_page_that_reads_nothing_is_let_go():
-    with serving() as (server, studio):
-        page = page_of(server, max_queue=1)
+    with serving() as (server, studio), page_of(server, max_queue=1, close_timeout=0.1) as page:
         with contextlib.suppress(websockets.exceptions.ConnectionClosed, OSError):
             for _ in range(2000):
                 page.send('{"do": "shown"}')

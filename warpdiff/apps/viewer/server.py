@@ -111,6 +111,8 @@ class ViewServer:
         given = parse_qs(asked.query).get("token", [""])[0]
         origins = f"http://{host}", f"https://{host}"
         refusals = [
+            # Before version 17, websockets refuses other methods itself, and requests have no such attribute.
+            (getattr(request, "method", "GET") != "GET", 405, "the method must be GET"),
             (not self._is_ours(host), 403, "another host is meant"),
             (
                 not hmac.compare_digest(given.encode(), self.token.encode()),
