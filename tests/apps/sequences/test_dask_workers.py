@@ -45,7 +45,7 @@ def test_frames_are_those_drawn_here(renderer, expected, tmp_path, workers, kill
     assert [path.read_bytes() for path in paths] == expected
 
 
-def test_an_error_of_a_worker_is_told_and_what_is_there_stays(renderer, tmp_path):
+def test_an_error_of_a_worker_is_raised_and_existing_frames_stay(renderer, tmp_path):
     options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     with distributed.LocalCluster(**options, processes=False) as cluster, distributed.Client(cluster) as client:
 

@@ -38,19 +38,19 @@ def test_a_turntable_turns_once_about_the_target():
     np.testing.assert_allclose(eyes.sum(axis=0)[[0, 2]], 0.0, atol=1e-9)
     np.testing.assert_allclose(eyes[:, 1], 2.0)
     # The light keeps its place to the camera, which goes clockwise, as the body turns counter-clockwise.
-    towards = np.array([each.light[0].to_light for each in shots])
+    towards = np.array([each.lights[0].to_light for each in shots])
     np.testing.assert_allclose(np.sum(towards * eyes, axis=1), towards[0] @ eyes[0])
     before, after = eyes[0, [0, 2]], eyes[1, [0, 2]]
     assert before[1] * after[0] - before[0] * after[1] < 0.0
     around = wd.turntable(LIGHT, VIEW, count=8, turns=-0.5, lights_follow=False)
-    assert {each.light for each in around} == {(LIGHT,)}
+    assert {each.lights for each in around} == {(LIGHT,)}
     # Half of a half turn, counter-clockwise as seen from above.
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
 
 
 def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
     shots = wd.light_sweep(LIGHT, VIEW, (-1.0, 0.2, 0.3), count=7)
-    towards = np.array([each.light[0].to_light for each in shots])
+    towards = np.array([each.lights[0].to_light for each in shots])
     np.testing.assert_allclose(towards[0], LIGHT.to_light)
     np.testing.assert_allclose(towards[-1], np.array([-1.0, 0.2, 0.3]) / np.linalg.norm([-1.0, 0.2, 0.3]))
     np.testing.assert_allclose(np.sum(towards[1:] * towards[:-1], axis=1), towards[0] @ towards[1])
@@ -68,7 +68,7 @@ def test_a_path_is_read_from_a_file(tmp_path):
     assert [each.view.fov_y_deg for each in shots] == [50.0, 40.0, 30.0]
     between = wd.camera_path(path, LIGHT, VIEW, count=5)
     np.testing.assert_allclose([each.view.eye[0] for each in between], [0.0, 0.5, 1.0, 1.5, 2.0], atol=1e-12)
-    for text, said in (
+    for text, message in (
         ("", "must begin with columns"),
         ("eye_x,eye_y\n1,2\n", "must begin with columns"),
         ("eye_x,eye_y,eye_z,target_x,target_y,target_z\n1,2,3,4,5\n", "row 1"),
@@ -77,26 +77,26 @@ def test_a_path_is_read_from_a_file(tmp_path):
         ("eye_x,eye_y,eye_z,target_x,target_y,target_z\n", "1 to"),
     ):
         path.write_text(text)
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             wd.camera_path(path, LIGHT, VIEW)
 
 
 def test_frames_are_the_renderer_s_at_one_exposure(renderer, tmp_path):
     shots = wd.turntable(LIGHT, VIEW, count=5)
-    told = []
-    paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=told.append)
+    shares = []
+    paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=shares.append)
     assert [each.name for each in paths] == [f"frame_{k:04d}{end}" for end in (".png", ".exr") for k in range(5)]
-    np.testing.assert_allclose(told, np.arange(6) / 5)
+    np.testing.assert_allclose(shares, np.arange(6) / 5)
     exposure = json.loads((tmp_path / "turn" / "sequence.json").read_text())["exposure"]
     for index, shot in enumerate(shots):
-        renderer.draw(shot.light, shot.view)
+        renderer.draw(shot.lights, shot.view)
         expected = renderer.image().save(tmp_path / "expected.png", exposure=exposure)
         np.testing.assert_array_equal(pixels(paths[index]), pixels(expected))
         xyz = oiio.ImageBuf(str(paths[5 + index])).get_pixels(oiio.FLOAT)[..., 4:7]
         np.testing.assert_array_equal(xyz, renderer.image().xyz)
     factors = []
     for shot in shots:
-        renderer.draw(shot.light, shot.view)
+        renderer.draw(shot.lights, shot.view)
         factors.append(renderer.image().auto_exposure)
     assert min(factors) <= exposure <= max(factors)
 
@@ -118,7 +118,7 @@ def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_p
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
     draw = wd.Renderer.draw
-    monkeypatch.setattr(wd.Renderer, "draw", lambda self, light, view: drawn.append(view) or draw(self, light, view))
+    monkeypatch.setattr(wd.Renderer, "draw", lambda self, lights, view: drawn.append(view) or draw(self, lights, view))
     # A renderer like it in another process.
     paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (our own)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]

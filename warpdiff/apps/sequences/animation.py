@@ -1,10 +1,11 @@
-"""An animated file of frames, by Pillow: WebP, APNG or GIF."""
+"""Animated files (WebP, APNG, GIF), written by Pillow from PNG frames."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core import files, validation
+from warpdiff.core.wording import ArgumentValueError, marked, ref
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -20,15 +21,17 @@ _WRITERS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def check_target(path: Any, suffixes: Sequence[str]) -> Path:
-    """Return the path of an animated file that can be written there, of PNG frames."""
+    """Return the path of an animated file of PNG frames; refuse one that cannot be written."""
     target = validation.path(path, "animation")
     if target.suffix.lower() not in _WRITERS:
-        raise ValueError(f"animation must end in {', '.join(_WRITERS)}, got {target.name!r}")
+        raise ArgumentValueError(f"{ref('animation')} must end in {', '.join(_WRITERS)}, got {target.name!r}")
     if ".png" not in suffixes:
-        raise ValueError("animation is made of PNG frames: take '.png' among formats")
+        raise ArgumentValueError(
+            f"{ref('animation')} is made of PNG frames, but {ref('formats')} is {', '.join(suffixes)}: add '.png' to it"
+        )
     files.check_folder(target.parent, "animation")
     if target.is_dir():
-        raise IsADirectoryError(f"animation: {target} is a folder; name a file")
+        raise marked(IsADirectoryError, f"{ref('animation')}: {target} is a folder; name a file")
     return target
 
 
@@ -53,7 +56,7 @@ def _opened(path: Path) -> Image:
 
 
 class _Opened:
-    """Frames that are opened as they are asked for, more than once by some writers."""
+    """Frames that are opened one at a time; some writers read them more than once."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = paths

@@ -1,10 +1,10 @@
-"""Frames drawn by workers of a Dask cluster (https://distributed.dask.org), whichever of them go or come."""
+"""Frames drawn by the workers of a Dask cluster (https://distributed.dask.org), which may join or leave."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.apps.sequences.frames import FrameJob, drawn_by_worker
+from warpdiff.apps.sequences.frames import FrameJob, draw_in_worker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -17,7 +17,7 @@ _RETRIES = 5
 _AHEAD = 2
 
 
-def drawn_by_workers(
+def draw_by_workers(
     client: Any, job: FrameJob, pickled: bytes, shots: Mapping[int, Shot]
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
     """Frames by their index, in the order in which they are ready; the first error ends it.
@@ -27,16 +27,16 @@ def drawn_by_workers(
     """
     from distributed import CancelledError, as_completed
 
-    left = dict(shots)
+    remaining = dict(shots)
     for attempt in range(_RETRIES + 1):
         sent = client.scatter(pickled, broadcast=True, hash=False)
-        waiting = iter(tuple(left.items()))
+        waiting = iter(tuple(remaining.items()))
         index_of: dict[str, int] = {}
 
         def submit(count: int, waiting: Any = waiting, sent: Any = sent, index_of: Any = index_of) -> list[Any]:
             futures = []
             for (index, shot), _ in zip(waiting, range(count), strict=False):
-                future = client.submit(drawn_by_worker, job, sent, shot, pure=False, retries=_RETRIES)
+                future = client.submit(draw_in_worker, job, sent, shot, pure=False, retries=_RETRIES)
                 index_of[future.key] = index
                 futures.append(future)
             return futures
@@ -48,15 +48,15 @@ def drawn_by_workers(
                 files = future.result()
                 index = index_of.pop(future.key)
                 yield index, files
-                del left[index]
+                del remaining[index]
                 future.release()
-                for each in submit(1):
-                    ready.add(each)
+                for more in submit(1):
+                    ready.add(more)
         except CancelledError:
             # What was scattered is gone with its workers, and cannot be computed again.
             if attempt == _RETRIES:
                 raise
         finally:
             ready.clear()
-        if not left:
+        if not remaining:
             return

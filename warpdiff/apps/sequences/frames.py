@@ -1,4 +1,4 @@
-"""One frame as files, drawn here or by a worker elsewhere: the same bytes."""
+"""Files of one frame, drawn in this process or by a worker: the bytes are the same."""
 
 from __future__ import annotations
 
@@ -18,40 +18,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FrameJob:
-    """What all frames of a sequence share.
+    """The part of the work that all frames of a sequence share.
 
     Attributes:
-        key: A hash of all that tells.
-        suffixes: Of a frame's files: ``".png"``, ``".exr"``.
-        how: How they are saved, by suffix: keyword arguments of ``Image.save``.
+        key: Hash of everything that the frames depend on.
+        suffixes: Suffixes of a frame's files: ``".png"``, ``".exr"``.
+        saving: Keyword arguments of ``Image.save`` by suffix.
     """
 
     key: str
     suffixes: tuple[str, ...]
-    how: Mapping[str, Mapping[str, Any]]
+    saving: Mapping[str, Mapping[str, Any]]
 
 
-def drawn(job: FrameJob, renderer: Renderer, shot: Shot) -> dict[str, bytes]:
-    """A frame's files by their suffixes."""
-    renderer.draw(shot.light, shot.view)
+def draw_frame(job: FrameJob, renderer: Renderer, shot: Shot) -> dict[str, bytes]:
+    """Return the contents of a frame's files by suffix."""
+    renderer.draw(shot.lights, shot.view)
     image = renderer.image()
     with tempfile.TemporaryDirectory(prefix="warpdiff-") as folder:
         return {
-            suffix: image.save(Path(folder) / f"frame{suffix}", **job.how[suffix]).read_bytes()
+            suffix: image.save(Path(folder) / f"frame{suffix}", **job.saving[suffix]).read_bytes()
             for suffix in job.suffixes
         }
 
 
-# The renderer of a worker, by the key of its sequence: another one takes its place.
-_kept: dict[str, Renderer] = {}
+# The renderer of a worker by the key of its sequence: only the last one stays.
+_renderers: dict[str, Renderer] = {}
 _making = threading.Lock()
 
 
-def drawn_by_worker(job: FrameJob, pickled: bytes, shot: Shot) -> dict[str, bytes]:
-    """The same where the renderer has to be made first, once for all frames that come here."""
+def draw_in_worker(job: FrameJob, pickled: bytes, shot: Shot) -> dict[str, bytes]:
+    """Return the same in a worker, which makes the renderer once for all frames that it draws."""
     with _making:
-        if job.key not in _kept:
-            _kept.clear()
-            _kept[job.key] = pickle.loads(pickled)  # noqa: S301 (the caller's own, as all that Dask carries)
-        renderer = _kept[job.key]
-    return drawn(job, renderer, shot)
+        if job.key not in _renderers:
+            _renderers.clear()
+            _renderers[job.key] = pickle.loads(pickled)  # noqa: S301 (the caller's own, as all that Dask carries)
+        renderer = _renderers[job.key]
+    return draw_frame(job, renderer, shot)
