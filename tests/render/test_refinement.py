@@ -204,7 +204,7 @@ def test_what_cells_do_not_settle_is_warned_of(fingers, table):
     """A body far away, of which a pixel sees thousands of lumps."""
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
-    with pytest.warns(wd.WarpdiffWarning, match=r"of the lit pixels are expected to err .* see image.error"):
+    with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
         image = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
     assert image.plan.unconverged_share > 0.01
     assert "are expected to err by more" in str(image.plan)

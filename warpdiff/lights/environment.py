@@ -213,9 +213,9 @@ def _lobes_of_sky(environment: Environment, sigma_um: float, directions: int) ->
     """
     texels, sides, blur, suns = environment._maps
     primaries, per_radiance = _spectra()
-    of_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
+    per_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
     scale = environment.scale * 4.0 * math.pi * sigma_um**2
-    powers = texels * (scale * np.append(per_radiance, of_luminance))
+    powers = texels * (scale * np.append(per_radiance, per_luminance))
     powers_of_suns = [scale * float(sun.rgb @ per_radiance) for sun in suns]
     strongest = max([4.0 * math.pi * float(powers[:, :3].max()), *powers_of_suns])
     if strongest > MOST_POWER:

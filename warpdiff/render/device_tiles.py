@@ -39,8 +39,8 @@ class DeviceSchedule:
         self._tiles, self._tile_count = empty(pixels), empty(1)
         self._marked_count, self._largest_count = empty(1), wp.zeros(1, dtype=wp.int32, device=device)
         self._offset, self._remaining = empty(1), empty(1)
-        whole = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
-        rays = -(-min(whole * pixels, _MOST_RAYS) // whole) * whole
+        cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
+        rays = -(-min(cells * pixels, _MOST_RAYS) // cells) * cells
         self._buffers = TileBuffers.allocate(rays, kind=light.buffer_kind, device=device)
 
     @property
@@ -62,7 +62,7 @@ class DeviceSchedule:
         _previews: Sequence[tuple[float, Callable[[], None]]],
     ) -> None:
         """Launch what splits pixels until none is left; previews are not made."""
-        self._find_floor(light.colours, light.others[1])
+        self._find_floor(light.colours, light.accumulators[1])
         self._marked_count.zero_()
         self._launch_step(light.estimate_errors(self._floor, self._marks))
         if light.subdivides:

@@ -10,7 +10,7 @@ import warp as wp
 
 from warpdiff.core.threads import parallel_for
 from warpdiff.kernels import refinement_levels
-from warpdiff.kernels.colour_lookup import RUN
+from warpdiff.kernels.colour_lookup import BATCH
 from warpdiff.kernels.structs import Footprint, Pixels
 from warpdiff.render import pixel_filter
 
@@ -115,8 +115,8 @@ class SharedTileBuffers:
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Make so many parts."""
         # Whole pixels of any level, and whole runs of look-ups.
-        whole = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), RUN)
-        self._size = -(-pixel_filter.MOST_RAYS // whole) * whole
+        multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
+        self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
         rays = parts * self._size
         self.buffers = TileBuffers.allocate(rays, kind=kind, device=device)
         self._nearest = self.buffers.gbuffer.pixels.nearest.numpy()
@@ -159,7 +159,7 @@ class SharedTileBuffers:
             self._colours[first:end] = 0.0
             # Look-ups take whole runs.
             for gains in self._gains:
-                gains[end : -(-end // RUN) * RUN] = 0.0
+                gains[end : -(-end // BATCH) * BATCH] = 0.0
             try:
                 pipeline.launch(range(first, end))
             finally:

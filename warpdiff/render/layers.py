@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
+
 def layers_of(
     surface: Surface, view: View, names: tuple[str, ...], *, smooth: bool, device: wp.Device, threads: int
 ) -> dict[str, NDArray[Any]]:

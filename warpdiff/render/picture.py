@@ -212,12 +212,12 @@ class Picture:
                 setattr(self._lights, name, wp.empty(len(lights), dtype=dtype, device=self._device))
             self._lights.deviations = wp.empty((len(lights), 2), dtype=wp.vec3f, device=self._device)
             self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
-        of_pigment = pigment / normal if self.pigmented else 0.0
+        pigment_strength = pigment / normal if self.pigmented else 0.0
         self._are_points = [lobe.position is not None for lobe in lights]
         self._lights.places.assign(np.array([self._homogeneous(lobe) for lobe in lights]))
         # Powers refer to distances in mesh units, and kernels take these in radii of the mesh.
         falloffs = [self._surface.radius**-2.0 if is_point else 1.0 for is_point in self._are_points]
-        strengths = [(lobe.power * falloff, of_pigment) for lobe, falloff in zip(lights, falloffs, strict=True)]
+        strengths = [(lobe.power * falloff, pigment_strength) for lobe, falloff in zip(lights, falloffs, strict=True)]
         for (strength, _), is_point in zip(strengths, self._are_points, strict=True):
             if is_point and strength > _MOST_NEARBY:
                 raise ArgumentValueError(
@@ -432,36 +432,36 @@ class Picture:
                 wp.empty(self._size, wp.float32, device=self._device) for _ in range(2)
             )
         unserved_gain = self._unserved_gain_buffer(lookup)
-        several, (colours, illuminated) = len(self._lobes_of_lights) > 1, self._light_sums
-        errors = self._errors[several]
+        has_several, (colours, illuminated) = len(self._lobes_of_lights) > 1, self._light_sums
+        errors = self._errors[has_several]
         self._errors[0].zero_()
         self._edges.zero_()
         self._estimates.zero_()
         self._penumbra_errors.zero_()
         self._refined = refine
-        if several:
+        if has_several:
             self._sums[0].zero_()
             self._sums[2].zero_()
         for index, lobes in enumerate(self._lobes_of_lights):
-            if several:
+            if has_several:
                 errors.zero_()
                 illuminated.zero_()
             count = len(self._lobes_of_lights)
             share = subprogress(progress, index / count, (index + 1) / count)
-            first, rest = (
+            unrefined, refined = (
                 subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS),
                 subprogress(share, _PROGRESS_OF_FIRST_RAYS, 1.0),
             )
-            self._add_first_rays(lookup, lobes, colours, unserved_gain, first)
+            self._add_first_rays(lookup, lobes, colours, unserved_gain, unrefined)
             light = refinement.LightRefinement(
                 self, lookup, lobes, colours, errors, [self._sums[1], illuminated, self._edges], tolerance,
                 pixel_filter.level_of(self._least, means=lookup.uses_footprints), refine,
             )  # fmt: skip
             self._schedule = self._schedule or self._make_schedule(light)
-            self._schedule.split(light, rest, previews)
-            if rest is not None:
-                rest(1.0)
-            if several:
+            self._schedule.split(light, refined, previews)
+            if refined is not None:
+                refined(1.0)
+            if has_several:
                 sums = [self._sums[0], self._errors[0], self._sums[2]]
                 self._launch([KernelCall(subdivision.accumulate, [colours, errors, illuminated], sums, in_runs=True)])
 
@@ -686,8 +686,8 @@ class Picture:
         errors = plan.error * size
         if self._means:
             # Beside the outermost ones are those of the margin.
-            whole = sums[0].reshape(self.rays.height, self.rays.width, 3)
-            contrasts = self._cropped(pixel_filter.contrasts(whole).ravel())[illuminated]
+            padded = sums[0].reshape(self.rays.height, self.rays.width, 3)
+            contrasts = self._cropped(pixel_filter.contrasts(padded).ravel())[illuminated]
             errors = _MEAN_ERROR_PER_PLAN_ERROR * plan.error * np.sqrt(np.sqrt(np.sqrt(size**7 * contrasts)))
         if self._errors:
             # Neither depends on the other.

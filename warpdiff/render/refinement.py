@@ -34,7 +34,7 @@ class LightRefinement:
         lobes: Which of the picture's lobes it has.
         colours: XYZ of pixels, before and after.
         errors: What they err by, ‖ΔXYZ‖.
-        others: Their coverage, which are lit, and through which an edge passes.
+        accumulators: Their coverage, which are illuminated, and through which an edge passes.
         tolerance: From which errors, relative to the colour, pixels are split.
         least: The level that all pixels are split to.
         refine: Whether any are split further.
@@ -45,7 +45,7 @@ class LightRefinement:
     lobes: range
     colours: wp.array
     errors: wp.array
-    others: Sequence[wp.array]
+    accumulators: Sequence[wp.array]
     tolerance: float
     least: int
     refine: bool
@@ -113,7 +113,7 @@ class LightRefinement:
             self._threshold(level, converged=True), level, *self._must_subdivide(level),
         ]  # fmt: skip
         return KernelCall(
-            subdivision.resolve_pixels, inputs, [self.colours, self.errors, *self.others, marks], in_runs=True
+            subdivision.resolve_pixels, inputs, [self.colours, self.errors, *self.accumulators, marks], in_runs=True
         )
 
     def select_cells(
@@ -122,15 +122,15 @@ class LightRefinement:
         """The call that says which pixels are split again."""
         rays = self.picture.rays
         inputs = [
-            sums, tiles, marks, self.colours, self.others[0], rays.width, rays.height, floor,
+            sums, tiles, marks, self.colours, self.accumulators[0], rays.width, rays.height, floor,
             self._threshold(level), level, *self._must_subdivide(level),
         ]  # fmt: skip
         return KernelCall(subdivision.select_cells, inputs, [chosen], in_runs=True)
 
     def empty_tile_sums(self, pixels: int) -> Any:
-        """The struct ``Shares`` of the kernels for so many pixels that are split."""
+        """The struct ``FilteredSums`` of the kernels for so many pixels that are split."""
         device = self.picture.rays.options["device"]
-        result = subdivision.Shares()
+        result = subdivision.FilteredSums()
         result.filtered_sums = wp.empty((pixels, 9), dtype=wp.vec4f, device=device)
         result.means = wp.empty(pixels, dtype=wp.vec3f, device=device)
         result.level_difference = wp.empty(pixels, dtype=wp.float32, device=device)

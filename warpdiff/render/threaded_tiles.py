@@ -55,15 +55,15 @@ class HostSchedule:
         """
         cache = _CachedTiles() if previews else None
         before = 0 if light.lobes.start == 0 else self.count
-        changing = light.colours, *light.others
-        of_one_ray = [array.numpy().copy() for array in changing] if previews else []
+        changing = light.colours, *light.accumulators
+        unrefined = [array.numpy().copy() for array in changing] if previews else []
         for index, tolerance in enumerate([*(preview for preview, _ in previews), light.tolerance]):
             part = subprogress(progress, index / (len(previews) + 1), (index + 1) / (len(previews) + 1))
             splitting = _Splitting(replace(light, tolerance=tolerance), self._rays, cache)
             self.count = max(before, splitting.run(self._buffers, part))
             if index < len(previews):
                 previews[index][1]()
-                for array, values in zip(changing, of_one_ray, strict=True):
+                for array, values in zip(changing, unrefined, strict=True):
                     array.numpy()[:] = values
 
 
@@ -74,7 +74,7 @@ class TileGroup:
     Attributes:
         pixels: Those that were to be refined at first, and others that are between their tiles.
         tiles: Pixels whose cells refine these: they, and those around.
-        sums: What cells give, the struct ``Shares`` of the kernels.
+        sums: What cells give, the struct ``FilteredSums`` of the kernels.
         ranks: Where in it each pixel of the picture comes.
         chosen: By pixel of the picture, whether it is among the tiles.
     """
@@ -126,7 +126,7 @@ class _Splitting:
         self._light, self._rays, self._cache, self._device = light, rays, cache, rays.options["device"]
         self._width, self._height = rays.width, rays.height
         size = self._width * self._height
-        floor = pixel_filter.floor_of(light.colours, light.others[1])
+        floor = pixel_filter.floor_of(light.colours, light.accumulators[1])
         self._floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._marks = np.zeros(size, dtype=np.uint8)
         self._marks_out = self._array(self._marks, wp.uint8)
