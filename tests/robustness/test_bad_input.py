@@ -274,7 +274,7 @@ SINGLE = [
         r"to_light must have shape \(3,\) for a map, got \(2, 3\)",
     ),
     # Meshes, lights and views of a picture
-    (lambda d: shade(d / "no.obj"), FileNotFoundError, "mesh: there is no file .*no.obj"),
+    (lambda d: shade(d / "no.obj"), FileNotFoundError, "the mesh file .*no.obj' does not exist"),
     (lambda d: shade(text(d / "a.txt")), ValueError, "mesh must be a file that trimesh can read"),
     (lambda d: shade(text(d / "a.obj")), ValueError, "mesh must "),
     (lambda _: shade(None), TypeError, "mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got NoneType"),
@@ -284,7 +284,7 @@ SINGLE = [
     (lambda _: shade(bare(faces=np.zeros((0, 3), int))), ValueError, "mesh must have faces, got 3 vertices and no"),
     (lambda _: shade(bare(TRIANGLE * math.nan)), ValueError, "mesh must have finite vertices, got 3"),
     (lambda _: shade(bare(faces=[[0, 1, 3]])), ValueError, "mesh must have face indices within 0 to 2"),
-    (lambda _: shade(bare()), ValueError, "mesh has neither texture coordinates nor tangents=; give tangents="),
+    (lambda _: shade(bare()), ValueError, "mesh has neither texture coordinates nor tangents; give tangents"),
     (
         lambda _: shade(bare(TRIANGLE * [1, 0, 0]), tangents=np.ones((3, 3))),
         ValueError,

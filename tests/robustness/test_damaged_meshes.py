@@ -1,4 +1,4 @@
-"""Damaged mesh files are refused by one error with their path; a lost texture is told of by its name."""
+"""Damaged mesh files are refused by one error with their path; a lost texture is reported by its name."""
 
 from __future__ import annotations
 
@@ -53,34 +53,34 @@ def too_large(folder):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda _: None, r"'.*mesh\.obj' names 'paint\.png', which is left out: there is no such file"),
-        (no_image, r"names 'paint\.png', which is left out: it is no image that Pillow can read"),
-        (too_large, r"names 'paint\.png', which is left out: Image size .* exceeds limit"),
-        (damaged, r"texture 'paint\.png' is damaged and left out: .*truncated"),
-        (spoilt, r"texture 'paint\.png' is damaged and left out: broken PNG file"),
+        (lambda _: None, r"'.*mesh\.obj' refers to 'paint\.png', which is ignored: the file does not exist"),
+        (no_image, r"refers to 'paint\.png', which is ignored: Pillow cannot read it as an image"),
+        (too_large, r"refers to 'paint\.png', which is ignored: Image size .* exceeds limit"),
+        (damaged, r"texture 'paint\.png' is damaged and ignored: .*truncated"),
+        (spoilt, r"texture 'paint\.png' is damaged and ignored: broken PNG file"),
     ],
     ids=["missing", "no-image", "too-large", "cut-off", "broken"],
 )
-def test_a_lost_texture_is_told_of_and_the_plain_colour_stands_in(tmp_path, make, message):
+def test_a_lost_texture_is_reported_and_the_plain_colour_stands_in(tmp_path, make, message):
     (tmp_path / "mesh.obj").write_text(OBJ)
     (tmp_path / "paint.mtl").write_text(MTL)
     make(tmp_path)
-    with pytest.warns(WarpdiffWarning, match=message) as told:
+    with pytest.warns(WarpdiffWarning, match=message) as caught:
         surface = prepare_surface(tmp_path / "mesh.obj")
-    assert len(told) == 1
+    assert len(caught) == 1
     assert surface.texture.shape == (1, 1, 3)
     np.testing.assert_allclose(surface.texture[0, 0], [0.2140, 0.0509, 1.0], atol=4e-3)
 
 
-def test_a_refused_texture_and_a_lost_library_are_told_of(tmp_path):
+def test_a_refused_texture_and_a_lost_library_are_reported(tmp_path):
     folder = tmp_path / "mesh"
     folder.mkdir()
     (folder / "mesh.obj").write_text(OBJ)
-    with pytest.warns(WarpdiffWarning, match=r"names 'paint\.mtl', which is left out: there is no such file"):
+    with pytest.warns(WarpdiffWarning, match=r"refers to 'paint\.mtl', which is ignored: the file does not exist"):
         prepare_surface(folder / "mesh.obj")
     Image.new("RGB", (2, 2)).save(tmp_path / "outside.png")
     (folder / "paint.mtl").write_text(MTL.replace("paint.png", "../outside.png"))
-    with pytest.warns(WarpdiffWarning, match=r"'\.\./outside\.png'.* left out: it lies outside of the mesh's folder"):
+    with pytest.warns(WarpdiffWarning, match=r"'\.\./outside\.png'.* ignored: it lies outside the mesh's folder"):
         prepare_surface(folder / "mesh.obj")
     (folder / "paint.mtl").write_text(MTL.replace("map_Kd paint.png\n", ""))
     with warnings.catch_warnings():
@@ -88,14 +88,14 @@ def test_a_refused_texture_and_a_lost_library_are_told_of(tmp_path):
         prepare_surface(folder / "mesh.obj")
 
 
-def test_a_damaged_texture_of_gltf_is_told_of(tmp_path):
+def test_a_damaged_texture_of_gltf_is_reported(tmp_path):
     (tmp_path / "mesh.gltf").write_text(gltf(image="paint.png"))
     damaged(tmp_path)
-    with pytest.warns(WarpdiffWarning, match=r"texture 'paint\.png' is damaged and left out"):
+    with pytest.warns(WarpdiffWarning, match=r"texture 'paint\.png' is damaged and ignored"):
         prepare_surface(tmp_path / "mesh.gltf")
 
 
-def test_a_damaged_texture_inside_of_a_glb_is_told_of(tmp_path):
+def test_a_damaged_texture_inside_of_a_glb_is_reported(tmp_path):
     image = Image.new("RGB", (8, 8), "white")
     material = PBRMaterial(baseColorFactor=[255, 128, 0, 255], baseColorTexture=image)
     visual = TextureVisuals(uv=CORNERS[:, :2], material=material)
@@ -103,18 +103,18 @@ def test_a_damaged_texture_inside_of_a_glb_is_told_of(tmp_path):
     data = trimesh.Scene(mesh).export(file_type="glb")
     begin = data.index(b"IDAT") + 6
     (tmp_path / "mesh.glb").write_bytes(data[:begin] + b"\xff" * 6 + data[begin + 6 :])
-    with pytest.warns(WarpdiffWarning, match=r"texture 'an image in mesh\.glb' is damaged and left out"):
+    with pytest.warns(WarpdiffWarning, match=r"texture 'an image in mesh\.glb' is damaged and ignored"):
         surface = prepare_surface(tmp_path / "mesh.glb")
     np.testing.assert_allclose(surface.texture[0, 0], [1.0, 128 / 255, 0.0], atol=1e-6)
 
 
-def test_a_damaged_texture_of_a_mesh_in_memory_is_told_of(tmp_path):
+def test_a_damaged_texture_of_a_mesh_in_memory_is_reported(tmp_path):
     spoilt(tmp_path)
     material = SimpleMaterial(image=Image.open(tmp_path / "paint.png"), diffuse=[255, 0, 0, 255])
     visual = TextureVisuals(uv=CORNERS[:, :2], material=material)
     mesh = trimesh.Trimesh(CORNERS, [[0, 1, 2]], visual=visual, process=False)
     for _ in range(2):
-        with pytest.warns(WarpdiffWarning, match="texture 'an image' is damaged and left out: broken PNG file"):
+        with pytest.warns(WarpdiffWarning, match="texture 'an image' is damaged and ignored: broken PNG file"):
             surface = prepare_surface(mesh)
     np.testing.assert_allclose(surface.texture[0, 0], [1.0, 0.0, 0.0], atol=1e-6)
 
@@ -128,8 +128,8 @@ def test_an_obj_file_cut_off_anywhere_is_read_or_refused_by_its_path(tmp_path):
             prepare_surface(path)
         except ValueError as error:
             refusals.add(str(error))
-    assert all("mesh " in each and str(path) in each and "matmul" not in each for each in refusals)
-    assert any("vertices of 3 coordinates" in each for each in refusals)
+    assert all("mesh " in message and str(path) in message and "matmul" not in message for message in refusals)
+    assert any("vertices of 3 coordinates" in message for message in refusals)
 
 
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
@@ -137,6 +137,6 @@ def test_a_damaged_file_of_another_format_is_refused_by_its_path(tmp_path, suffi
     path = tmp_path / f"cut.{suffix}"
     wd.meshes.tube(segments_along=12, segments_around=12).export(path)
     path.write_bytes(path.read_bytes()[:400])
-    with pytest.raises(ValueError, match=r"mesh must be a file that trimesh can read, .*damaged, cut off") as refused:
+    with pytest.raises(ValueError, match=r"mesh must be a file that trimesh can read, .*damaged, truncated") as refused:
         prepare_surface(path)
     assert str(path) in str(refused.value)

@@ -29,19 +29,19 @@ def render(path, **options):
         try:
             image = wd.shade(path, HF, LIGHT, VIEW, plan=plan(), threads=1, **options)
         except ValueError as error:
-            said = str(error)
+            message = str(error)
         else:
-            said = ""
+            message = ""
             assert np.isfinite(image.xyz).all()
-    assert not said or (str(path) in said and re.search(r"\bmesh\b", said) and "\n" not in said), said
-    return said
+    assert not message or (str(path) in message and re.search(r"\bmesh\b", message) and "\n" not in message), message
+    return message
 
 
 def tangents_for(path, rng):
     """Any, for a file without texture coordinates."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return rng.normal(size=(sum(len(each.mesh.vertices) for each in mesh_import._geometries(path)), 3))
+        return rng.normal(size=(sum(len(geometry.mesh.vertices) for geometry in mesh_import._geometries(path)), 3))
 
 
 @pytest.mark.permanent("hostile mesh files of every format")

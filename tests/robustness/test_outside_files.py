@@ -30,7 +30,7 @@ def watch(event, arguments):
 sys.addaudithook(watch)
 warnings.simplefilter("ignore")
 for line in sys.stdin:
-    folder, watched = (pathlib.Path(each).resolve() for each in line.rstrip().split("|"))
+    folder, watched = (pathlib.Path(part).resolve() for part in line.rstrip().split("|"))
     try:
         surface = prepare_surface(next(folder.glob("mesh.*")))
     except ValueError as error:
@@ -80,12 +80,12 @@ def load():
 
         def read(folder, watched):
             print(folder, watched, sep="|", file=reader.stdin, flush=True)
-            told = list(iter(lambda: reader.stdout.readline().rstrip("\n") or "end", "end"))
+            lines = list(iter(lambda: reader.stdout.readline().rstrip("\n") or "end", "end"))
             errors.seek(0)
             assert reader.poll() is None, errors.read()
             # The hook is at work: it saw the mesh itself.
-            assert any(line.startswith("inside mesh.") for line in told)
-            return told
+            assert any(line.startswith("inside mesh.") for line in lines)
+            return lines
 
         yield read
 
@@ -96,9 +96,9 @@ def test_what_lies_beside_the_mesh_is_read(folders, load, kind):
     Image.new("RGB", (2, 3), (200, 30, 30)).save(folder / "paint.png")
     (folder / "paint.mtl").write_text(material("paint.png"))
     (folder / f"mesh.{kind}").write_text(OBJ.format(library="paint.mtl") if kind == "obj" else gltf())
-    told = load(folder, watched)
-    assert "inside paint.png" in told
-    assert told[-1] == "base colour True"
+    lines = load(folder, watched)
+    assert "inside paint.png" in lines
+    assert lines[-1] == "base colour True"
 
 
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
@@ -129,6 +129,6 @@ def test_nothing_outside_of_the_meshs_folder_is_opened(folders, load, files):
     folder, watched = folders
     for name, text in files.items():
         (folder / name).write_text(text.replace("{watched}", str(watched)))
-    told = load(folder, watched)
-    assert not [line for line in told if line.startswith(("outside", "net"))]
-    assert told[-1] == "base colour False" or told[-1].startswith("refused")
+    lines = load(folder, watched)
+    assert not [line for line in lines if line.startswith(("outside", "net"))]
+    assert lines[-1] == "base colour False" or lines[-1].startswith("refused")

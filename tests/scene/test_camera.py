@@ -1,4 +1,4 @@
-"""Cameras and lights: orientation, and what they refuse."""
+"""Cameras: orientation, framing, and refusals."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 
-from warpdiff.lights.directional import DirectionalLight
 from warpdiff.scene.camera import View
+from warpdiff.scene.mesh_import import prepare_surface
 
 EYE, TARGET = (0.0, 0.0, 5.0), (0.0, 0.0, 0.0)
 
@@ -59,28 +60,31 @@ def test_views_are_values():
     ("changed", "error", "message"),
     [
         ({"eye": TARGET}, ValueError, "eye and target must be two different points"),
-        ({"eye": (1, 2)}, ValueError, "eye must be a vector of 3"),
+        ({"eye": (1, 2)}, ValueError, "eye must be 3 numbers"),
         ({"eye": "here"}, TypeError, "eye must be an array"),
         ({"target": (0, 0, math.nan)}, ValueError, "target must be finite"),
         ({"up": (0, 0, 1)}, ValueError, "up must not be parallel"),
         ({"up": (0, 0, -2e-9)}, ValueError, "up must not be parallel"),
         ({"up": (0, 0, 0)}, ValueError, "up must not contain zero"),
+        ({"up": (0, 1e16, 0)}, ValueError, "up must lie within"),
         ({"fov_y_deg": 0}, ValueError, "fov_y_deg must be"),
-        ({"fov_y_deg": 180}, ValueError, "fov_y_deg must be"),
+        ({"fov_y_deg": 180}, ValueError, "fov_y_deg must be less than 180, got 180"),
         ({"fov_y_deg": math.nan}, ValueError, "fov_y_deg must be"),
         ({"fov_y_deg": "wide"}, TypeError, "fov_y_deg must be a number"),
-        ({"width": 0}, ValueError, "width must be an integer >= 1"),
+        ({"width": 0}, ValueError, "width must be an integer, at least 1"),
         ({"width": 2.5}, TypeError, "width must be an integer"),
-        ({"height": -1}, ValueError, "height must be an integer >= 1"),
+        ({"height": -1}, ValueError, "height must be an integer, at least 1"),
         ({"height": True}, TypeError, "height must be an integer"),
         ({"extent_y": 0.0}, ValueError, "extent_y must be"),
+        ({"extent_y": 1e-16}, ValueError, "extent_y must be at least 1e-15"),
+        ({"width": 2**20, "height": 2**20}, ValueError, "width times height must be at most"),
     ],
 )
 def test_bad_views(changed, error, message):
-    given = {"eye": EYE, "target": TARGET} | changed
-    eye, target = given.pop("eye"), given.pop("target")
+    arguments = {"eye": EYE, "target": TARGET} | changed
+    eye, target = arguments.pop("eye"), arguments.pop("target")
     with pytest.raises(error, match=message):
-        View(eye, target, **given)
+        View(eye, target, **arguments)
 
 
 @pytest.mark.parametrize("extent_y", [0.0, -1.0, math.inf])
@@ -89,28 +93,58 @@ def test_bad_extents(extent_y):
         View.orthographic(EYE, TARGET, extent_y=extent_y)
 
 
-def test_the_direction_to_the_light_is_normalised():
-    light = DirectionalLight([0.0, 3e200, 4e200])
-    np.testing.assert_allclose(light.to_light, (0.0, 0.6, 0.8), rtol=1e-15)
-    assert (light.illuminant, light.power) == ("D65", 1.0)
-    assert DirectionalLight((0, 0, 1), power=0).power == 0.0
+def shares(view, points):
+    """How far points lie from the middle of an image, over half its width and half its height, shape (2, n)."""
+    frame = view.frame()
+    rays = points - frame.origin
+    depth = -rays @ frame.back
+    return np.abs([rays @ frame.right / depth / frame.half_width, rays @ frame.up / depth / frame.half_height])
+
+
+@pytest.mark.parametrize("direction", [None, (0, 0, 1e-200), (-1, 2, 3)])
+@pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
+def test_a_view_frames_a_mesh(direction, size, tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
+    ball.apply_translation((5, 6, 7))
+    view = View.fit(ball, direction, **size)
+    np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
+    # The sphere about the bounding box, whose half diagonal is √3 radii, touches the narrower pair of edges.
+    largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
+    assert 0.99 < largest.max() < 1.0
+    expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back
+    np.testing.assert_allclose(view.frame().back, expected, atol=1e-12)
+    ball.export(tmp_path / "ball.ply")
+    for same in (trimesh.Scene(ball), prepare_surface(ball, tangents=(1, 2, 3)), tmp_path / "ball.ply"):
+        again = View.fit(same, direction, **size)
+        np.testing.assert_allclose(again.eye, view.eye, rtol=1e-5)
+
+
+def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
+    box = trimesh.creation.box()
+    centre, moved = View.fit(box), View.fit(box, target=(1, 2, 3))
+    np.testing.assert_allclose(np.subtract(moved.eye, centre.eye), (1, 2, 3), atol=1e-12)
+    assert moved.target == (1.0, 2.0, 3.0)
+    view = View.fit(box, up=(0, 0, 2))
+    np.testing.assert_allclose(view.frame().back, np.array([0, -1, 0.6]) / math.hypot(1, 0.6), atol=1e-12)
+    # Faces' colours and textures are of no account, damaged ones included.
+    box.visual.face_colors = np.full((12, 3), 200)
+    assert View.fit(box) == centre
 
 
 @pytest.mark.parametrize(
-    ("changed", "error", "message"),
+    ("arguments", "error", "message"),
     [
-        ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero"),
-        ({"to_light": (0, math.inf, 0)}, ValueError, "to_light must be finite"),
-        ({"to_light": (1, 0)}, ValueError, "to_light must be a vector of 3"),
-        ({"to_light": [[0, 0, 1]]}, ValueError, "to_light must be a vector of 3"),
-        ({"to_light": None}, TypeError, "to_light must be an array"),
-        ({"illuminant": 65}, TypeError, "illuminant must be the name"),
-        ({"power": -1.0}, ValueError, "power must be a finite number >= 0"),
-        ({"power": math.nan}, ValueError, "power must be a finite number >= 0"),
-        ({"power": "bright"}, TypeError, "power must be a number"),
+        ({"direction": (0, 0, 0)}, ValueError, "direction must not contain zero"),
+        ({"direction": (0, -3, 0)}, ValueError, "up must not be parallel"),
+        ({"direction": (1, 2)}, ValueError, "direction must be a vector of 3"),
+        ({"up": (0, 0, 0)}, ValueError, "up must not contain zero"),
+        ({"fov_y_deg": 180}, ValueError, "fov_y_deg must be less than 180"),
+        ({"height": 0}, ValueError, "height must be an integer"),
+        ({"target": "there"}, TypeError, "target must be an array"),
+        ({"mesh": "no.obj"}, FileNotFoundError, r"the mesh file 'no\.obj' does not exist"),
+        ({"mesh": None}, TypeError, "mesh must be a trimesh.Trimesh"),
     ],
 )
-def test_bad_lights(changed, error, message):
-    given = {"to_light": (0, 0, 1)} | changed
+def test_bad_frames(arguments, error, message):
     with pytest.raises(error, match=message):
-        DirectionalLight(given.pop("to_light"), **given)
+        View.fit(**{"mesh": trimesh.creation.box()} | arguments)

@@ -1,22 +1,31 @@
-"""Cameras: from where, and through which pixels, a mesh is seen."""
+"""Cameras: position, orientation and pixels of a view."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Gt, Interval, Unit
 
 from warpdiff.core import forks, validation
 from warpdiff.core.memory import MOST_ELEMENTS
+from warpdiff.core.options import Checked
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene.mesh_import import bounding_sphere
 
 if TYPE_CHECKING:
+    import os
+
+    import trimesh
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.scene.mesh_import import Surface
 
 
 class ViewFrame(NamedTuple):
-    """A view as the rays need it.
+    """Origin and axes of a view.
 
     A pixel's place on the image plane is x = half_width · (2 (column + 0.5) / width − 1) along ``right`` and
     y = half_height · (1 − 2 (row + 0.5) / height) along ``up``. A perspective ray leaves ``origin`` along
@@ -42,47 +51,42 @@ class ViewFrame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class View:
-    """A camera: right-handed, it looks along its −z from ``eye`` to ``target``, with +y up.
+class View(Checked):
+    """Camera: right-handed, it looks along its −z axis from ``eye`` to ``target``, with its +y axis up.
 
-    Pixels are square, their centres lie at +0.5, and row 0 is the top one. The camera is a perspective one;
-    :meth:`orthographic` makes the other kind.
+    Pixels are square, their centres lie at +0.5, and row 0 is at the top. The camera is a perspective one;
+    :meth:`orthographic` makes the other kind, and :meth:`fit` frames a mesh.
 
     Attributes:
-        eye: Where the camera is, world frame.
-        target: The point in the middle of the image, world frame.
-        up: A direction that points up in the image; it need not be perpendicular to the line of sight.
-        fov_y_deg: Vertical field of view [degrees], within 0 to 180; an orthographic camera has no use for it.
-        width: Pixels in a row.
-        height: Rows.
-        extent_y: Height of an orthographic image [the mesh's unit]; ``None`` is a perspective camera.
+        eye: Position of the camera, world frame.
+        target: Point in the middle of the image, world frame.
+        up: Direction that points up in the image; it need not be perpendicular to the line of sight.
+        fov_y_deg: Vertical field of view, less than 180; ignored for orthographic cameras.
+        width: Width of the image.
+        height: Height of the image.
+        extent_y: Height of an orthographic image in the unit of the mesh; None is a perspective camera.
     """
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     _: KW_ONLY
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    fov_y_deg: float = 40.0
-    width: int = 640
-    height: int = 480
-    extent_y: float | None = None
+    fov_y_deg: Annotated[float, Interval(gt=0.0, lt=180.0), Unit("degrees")] = 40.0
+    width: Annotated[int, Ge(1), Unit("pixels")] = 640
+    height: Annotated[int, Ge(1), Unit("pixels")] = 480
+    extent_y: Annotated[float, Gt(0.0)] | None = None
 
     def __post_init__(self) -> None:
-        for name, most in {"eye": validation.MOST, "target": validation.MOST, "up": math.inf}.items():
-            x, y, z = validation.vector(getattr(self, name), name, most=most).tolist()
-            object.__setattr__(self, name, (x, y, z))
-        fov = validation.positive(self.fov_y_deg, "fov_y_deg")
-        if fov >= 180.0:
-            raise ValueError(f"fov_y_deg must be a finite number > 0 and < 180, got {self.fov_y_deg!r}")
-        object.__setattr__(self, "fov_y_deg", fov)
-        object.__setattr__(self, "width", validation.count(self.width, "width"))
-        object.__setattr__(self, "height", validation.count(self.height, "height"))
-        if self.width * self.height > MOST_ELEMENTS:
-            raise ValueError(
-                f"width times height must be at most {MOST_ELEMENTS} pixels, got {self.width} × {self.height}"
-            )
+        super().__post_init__()
+        if validation.positive(self.fov_y_deg, "fov_y_deg") >= 180.0:
+            raise ArgumentValueError(f"{ref('fov_y_deg')} must be less than 180, got {self.fov_y_deg!r}")
         if self.extent_y is not None:
-            object.__setattr__(self, "extent_y", validation.positive(self.extent_y, "extent_y"))
+            validation.positive(self.extent_y, "extent_y")
+        if self.width * self.height > MOST_ELEMENTS:
+            raise ArgumentValueError(
+                f"{ref('width')} times {ref('height')} must be at most {MOST_ELEMENTS} pixels, "
+                f"got {self.width} × {self.height}"
+            )
         # Refuses what makes none.
         self.frame()
 
@@ -97,23 +101,68 @@ class View:
         width: int = 640,
         height: int = 480,
     ) -> View:
-        """A camera with parallel rays; what lies behind the plane through ``eye`` is not seen.
+        """Make an orthographic camera; points behind the plane through ``eye`` are invisible.
 
         Args:
-            eye: A point of the plane that the rays leave from, world frame, shape (3,).
-            target: The point in the middle of the image, world frame, shape (3,).
-            up: A direction that points up in the image, shape (3,).
-            extent_y: Height of the image [the mesh's unit].
-            width: Pixels in a row.
-            height: Rows.
+            eye: Point of the plane where the rays start, world frame, shape (3,).
+            target: Point in the middle of the image, world frame, shape (3,).
+            up: Direction that points up in the image, shape (3,).
+            extent_y: Height of the image in the unit of the mesh.
+            width: Width of the image in pixels.
+            height: Height of the image in pixels.
         """
         # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
         operands: Any = (eye, target, up)
         extent = validation.positive(extent_y, "extent_y")
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
 
+    @classmethod
+    def fit(
+        cls,
+        mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
+        direction: ArrayLike | None = None,
+        *,
+        target: ArrayLike | None = None,
+        up: ArrayLike = (0.0, 1.0, 0.0),
+        fov_y_deg: float = 40.0,
+        width: int = 640,
+        height: int = 480,
+    ) -> View:
+        """Frame a mesh: the image holds its bounding sphere.
+
+        Args:
+            mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file.
+            direction: Direction from the mesh to the camera, world frame, shape (3,). None is the front, which is +z,
+                or −y for an ``up`` near ±z, raised by 31° towards ``up``.
+            target: Point in the middle of the image, world frame, shape (3,). None is the bounding sphere's centre.
+            up: Direction that points up in the image, shape (3,).
+            fov_y_deg: Vertical field of view [degrees], less than 180.
+            width: Width of the image in pixels.
+            height: Height of the image in pixels.
+
+        Raises:
+            FileNotFoundError: The mesh file does not exist.
+            ValueError: An argument is not accepted, or the mesh file cannot be read.
+        """
+        if direction is None:
+            above = validation.directions(validation.vector(up, "up"), "up")[0][0]
+            front = np.array([0.0, 0.0, 1.0]) if abs(above[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
+            front = front - (front @ above) * above
+            back = front / np.linalg.norm(front) + 0.6 * above
+        else:
+            back = validation.directions(validation.vector(direction, "direction"), "direction")[0][0]
+        # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
+        operands: Any = (back, up)
+        view = cls(operands[0], (0.0, 0.0, 0.0), up=operands[1], fov_y_deg=fov_y_deg, width=width, height=height)
+        half = math.radians(view.fov_y_deg) / 2.0
+        # The narrower of the two fields of view holds the bounding sphere.
+        half = min(half, math.atan(math.tan(half) * view.width / view.height))
+        centre, radius = bounding_sphere(mesh)
+        middle: Any = centre if target is None else validation.vector(target, "target")
+        return replace(view, eye=middle + radius / math.sin(half) * back / np.linalg.norm(back), target=middle)
+
     def frame(self) -> ViewFrame:
-        """The camera's origin and axes, in float64, not to be written to."""
+        """Return the camera's origin and axes, in float64, read-only."""
         return self._frame
 
     @forks.cached_property
@@ -121,17 +170,20 @@ class View:
         origin = np.array(self.eye)
         distance = origin - np.array(self.target)
         if not np.any(distance):
-            raise ValueError(
-                f"eye and target must be two different points, got eye={self.eye!r}, target={self.target!r}"
+            raise ArgumentValueError(
+                f"{ref('eye')} and {ref('target')} must be two different points, got {self.eye!r} and {self.target!r}"
             )
         back = validation.directions(distance, "eye - target")[0][0]
         across = _cross(validation.directions(self.up, "up")[0][0], back)
         if float(np.linalg.norm(across)) < 1e-6:
-            raise ValueError(f"up must not be parallel to the line of sight from eye to target, got {self.up!r}")
+            raise ArgumentValueError(
+                f"{ref('up')} must not be parallel to the line of sight from {ref('eye')} to {ref('target')}, "
+                f"got {self.up!r}"
+            )
         right = validation.directions(across, "up")[0][0]
         up = _cross(back, right)
-        for each in (origin, right, up, back):
-            each.setflags(write=False)
+        for vector in (origin, right, up, back):
+            vector.setflags(write=False)
         half_height = float(np.tan(np.radians(self.fov_y_deg) / 2.0)) if self.extent_y is None else self.extent_y / 2.0
         half_width = half_height * self.width / self.height
         return ViewFrame(origin, right, up, back, half_width, half_height, self.extent_y is not None)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _LEAF = 4
 # A hierarchy is built once, by one thread.
 _once = forks.lock()
-_kept: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
+_cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
 # Of the last lights.
 _MOST_GRIDS = 4
 
@@ -80,8 +80,8 @@ class SceneArrays:
 
 def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
     """The arrays of a surface, made or found again."""
-    kept = _kept.setdefault(surface, LruCache())
-    return kept.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
+    scenes = _cached.setdefault(surface, LruCache())
+    return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
 
 def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Any:

@@ -1,4 +1,4 @@
-"""Mesh files: read by trimesh, with a word on whatever they name that cannot be had."""
+"""Mesh files: read by trimesh, with warnings about files that they refer to and that cannot be read."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpdiff.core import validation
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, marked, ref
 
 if TYPE_CHECKING:
     import os
@@ -18,49 +19,49 @@ if TYPE_CHECKING:
 
 
 def load(path: str | os.PathLike[str]) -> trimesh.Scene:
-    """Read a mesh file, and what it names in its own folder; what lies elsewhere is not opened.
+    """Read a mesh file and the files that it refers to in its own folder; files elsewhere are not opened.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It cannot be read.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file cannot be read.
     """
     import trimesh
 
     file = validation.path(path, "mesh")
     if not file.exists():
-        raise FileNotFoundError(f"mesh: there is no file {str(file)!r}")
-    found: dict[str, bytes] = {}
-    lost: dict[str, str] = {}
+        raise marked(FileNotFoundError, f"the {ref('mesh')} file {str(file)!r} does not exist")
+    contents: dict[str, bytes] = {}
+    reasons: dict[str, str] = {}
     try:
         # process=False: merging vertices would tear the texture along its seams.
-        scene = trimesh.load_scene(file, process=False, resolver=_resolver(file, found, lost))
+        scene = trimesh.load_scene(file, process=False, resolver=_resolver(file, contents, reasons))
     except Exception as error:
         # trimesh's loaders raise whatever their parser happened to stumble over.
-        raise ValueError(
-            f"mesh must be a file that trimesh can read, got {str(file)!r}, which is damaged, cut off or of another "
-            f"kind: {error}"
+        raise ArgumentValueError(
+            f"{ref('mesh')} must be a file that trimesh can read, got {str(file)!r}, which is damaged, truncated or of "
+            f"another format: {error}"
         ) from error
     if file.suffix.lower() == ".stl":
         # Of several bodies trimesh merges vertices all the same: their faces would be smooth.
         for geometry in scene.geometry.values():
             geometry.unmerge_vertices()
-    for name, data in found.items():
+    for name, data in contents.items():
         reason = _why_no_image(name, data)
         if reason:
-            lost[name] = reason
-    for name, reason in lost.items():
-        warn(f"mesh: {str(file)!r} names {name!r}, which is left out: {reason}")
+            reasons[name] = reason
+    for name, reason in reasons.items():
+        warn(f"{ref('mesh')}: {str(file)!r} refers to {name!r}, which is ignored: {reason}")
     for image in _images(scene):
         # Where it is found to be damaged once it is decoded: OBJ files' images tell their names themselves.
         stream = getattr(image, "fp", None)
-        held = stream.getvalue() if isinstance(stream, io.BytesIO) else None
-        names = [name for name, data in found.items() if data == held]
+        content = stream.getvalue() if isinstance(stream, io.BytesIO) else None
+        names = [name for name, data in contents.items() if data == content]
         image.info.setdefault("file_path", names[0] if names else f"an image in {file.name}")
     return scene
 
 
-def _resolver(file: Path, found: dict[str, bytes], lost: dict[str, str]) -> Any:
-    """A resolver of the files that a mesh names, which notes what was ``found`` and why others were ``lost``."""
+def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> Any:
+    """A resolver of the files that a mesh names, which notes their ``contents``, or the ``reasons`` if it has none."""
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):  # type: ignore[misc]
@@ -68,13 +69,13 @@ def _resolver(file: Path, found: dict[str, bytes], lost: dict[str, str]) -> Any:
             try:
                 data: bytes = super().get(name)
             except FileNotFoundError:
-                lost[name] = "there is no such file"
+                reasons[name] = "the file does not exist"
                 raise
             except (OSError, ValueError) as error:
                 outside = not isinstance(error, OSError)
-                lost[name] = "it lies outside of the mesh's folder" if outside else str(error)
+                reasons[name] = "it lies outside the mesh's folder" if outside else str(error)
                 raise
-            found[name] = data
+            contents[name] = data
             return data
 
     return Resolver(str(file))
@@ -92,7 +93,7 @@ def _why_no_image(name: str, data: bytes) -> str:
     except Image.DecompressionBombError as error:
         return str(error)
     except Exception:
-        return "it is no image that Pillow can read"
+        return "Pillow cannot read it as an image"
 
 
 def _images(scene: trimesh.Scene) -> Iterator[Image.Image]:

@@ -1,4 +1,4 @@
-"""Normals, tangent field and convexity of a mesh, from its positions, faces and texture coordinates.
+"""Normals, tangents and convexity of a mesh, from its vertices, faces and texture coordinates.
 
 Vectors are stored by component, (3, n), and faces by corner, (3, m): NumPy is several times faster along rows than
 across them.
@@ -12,6 +12,7 @@ import numpy as np
 
 from warpdiff.core import forks
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -129,11 +130,11 @@ def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) ->
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Numbers of 0 … count − 1 that are there, in order, and the indices among these."""
-    taken = np.zeros(count, dtype=np.bool_)
-    taken[indices] = True
-    if taken.all():
+    is_used = np.zeros(count, dtype=np.bool_)
+    is_used[indices] = True
+    if is_used.all():
         return np.arange(count), indices
-    return np.flatnonzero(taken), (np.cumsum(taken) - 1).take(indices)
+    return np.flatnonzero(is_used), (np.cumsum(is_used) - 1).take(indices)
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -228,10 +229,10 @@ def fill(
     if not missing.any():
         return field
     if missing.all():
-        raise ValueError(f"{name} must define a direction along the surface, got none at any vertex")
+        raise ArgumentValueError(f"{name} must define a direction along the surface, got none at any vertex")
     warn(
         f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(missing)} vertices; "
-        "filled from their neighbours"
+        "they get the mean direction of their neighbours"
     )
     count = int(welded.max()) + 1
     corners = welded[faces]
@@ -279,10 +280,10 @@ def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) ->
     from scipy.sparse import coo_array, csgraph
 
     ends = start[:2].ravel(), end[:2].ravel()
-    parts, subprogress = csgraph.connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(count, count)))
-    first, second, third = (vertices.take(each, axis=1) for each in faces)
-    sixfold = np.bincount(subprogress[start[0]], dot(first, np.cross(second, third, axis=0)), parts)
-    return bool(np.all(sixfold[np.unique(subprogress[start[0]])] > 0.0))
+    bodies, body = csgraph.connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(count, count)))
+    first, second, third = (vertices.take(corner, axis=1) for corner in faces)
+    sixfold = np.bincount(body[start[0]], dot(first, np.cross(second, third, axis=0)), bodies)
+    return bool(np.all(sixfold[np.unique(body[start[0]])] > 0.0))
 
 
 def is_convex(

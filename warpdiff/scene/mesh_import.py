@@ -1,10 +1,11 @@
-"""Triangle meshes made ready for rays: normals, a tangent field, and base colours at the vertices.
+"""Import of triangle meshes: normals, tangents and base colours at the vertices.
 
-Whatever is loaded ends as a :class:`Surface`: plain float32 arrays, faces with area only, every vertex in use.
+Every mesh becomes a :class:`Surface`: plain float32 arrays, only faces that have an area, only vertices of faces.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +15,7 @@ import numpy as np
 from warpdiff.core import forks, validation
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics.colorimetry import srgb_decode
 from warpdiff.scene import mesh_files
 from warpdiff.scene.mesh_geometry import (
@@ -32,15 +34,18 @@ from warpdiff.scene.mesh_geometry import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import trimesh
     from numpy.typing import ArrayLike, NDArray
 
 HOW_TO_GET_TANGENTS = (
-    "give tangents= (world frame, along the height field's x axis: (3,) for all vertices, or one for each, (n, 3)), "
-    "or a mesh with texture coordinates, whose u axis then is the direction"
+    f"give {ref('tangents')} (directions of the height field's x axis, world frame: (n, 3), one per vertex, or (3,), "
+    "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
 )
 
-
+# Labels of geometries begin with it.
+_GEOMETRY = f"{ref('mesh')}'s geometry "
 # What Pillow's image holds of its own decoding.
 _DAMAGE = "warpdiff:damage"
 
@@ -91,62 +96,76 @@ class Surface:
 def prepare_surface(
     mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str], *, tangents: ArrayLike | None = None
 ) -> Surface:
-    """Check a mesh and work out its normals, tangents and base colours.
+    """Check a mesh and compute its normals, tangents and base colours.
 
-    Normals are the file's own at vertices where it has any, else angle-weighted means over all faces that meet at a
-    position, so that seams of the texture are none of the shading; an STL file has the facets' alone. The tangent field
-    is ``tangents`` or else ∂P/∂u of the texture coordinates, averaged across seams at which its direction goes on
-    (within 30°).
+    Normals are the file's own at vertices that have one, else angle-weighted means over all faces that meet at a
+    position, so that seams of the texture are invisible; an STL file has those of its facets. Tangents are ``tangents``
+    or else ∂P/∂u of the texture coordinates, averaged across seams where their direction differs by less than 30°.
 
     Args:
-        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a file. For a
-            mesh built or loaded without ``process=False`` trimesh itself may have merged vertices. What was prepared
-            before is returned as it is.
-        tangents: Directions along the height field's x axis, world frame, one per vertex (of a scene: of its
-            geometries, in the order of its nodes), shape (n, 3), or one for all, shape (3,); they need not be unit
-            vectors, nor lie in the surface.
+        mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a mesh file. trimesh
+            itself may have merged vertices of a mesh built or loaded without ``process=False``. A :class:`Surface` is
+            returned unchanged.
+        tangents: Directions of the height field's x axis, world frame, one per vertex (of a scene: of its geometries,
+            in the order of its nodes), shape (n, 3), or one for all, shape (3,); of any length, not necessarily
+            tangential. None takes them from the texture coordinates.
 
     Returns:
         The surface.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        TypeError: ``mesh`` is nothing of the kind.
-        ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or indexes
-            vertices it lacks; there is no tangent field; several textures would have to be used at once.
+        FileNotFoundError: The file does not exist.
+        TypeError: ``mesh`` is of another type.
+        ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or its faces have
+            indices without a vertex; there are neither tangents nor texture coordinates; there are several textures.
     """
     if isinstance(mesh, Surface) and tangents is None:
         return mesh
+    with _naming_file(mesh):
+        geometries = _geometries(mesh)
+        field = None if tangents is None else validation.finite_array(tangents, "tangents")
+        with single_threaded_blas():
+            part = _join([_named_part(geometry) for geometry in geometries])
+            if field is not None and field.shape == (3,):
+                field = np.broadcast_to(field, (part.count, 3))
+            _check_tangents(part, field)
+            return replace(_build(part, field), geometry_names=tuple(geometry.name for geometry in geometries))
+
+
+def bounding_sphere(
+    mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
+) -> tuple[NDArray[np.float64], float]:
+    """Return ``centre`` and ``radius`` of a mesh's :class:`Surface`, without its colours and tangents."""
+    if isinstance(mesh, Surface):
+        return mesh.centre, mesh.radius
+    with _naming_file(mesh), single_threaded_blas():
+        part = _join([_named_part(geometry, colours=False) for geometry in _geometries(mesh)])
+        index, _ = compacted(part.faces.T, len(part.vertices))
+        return _sphere(part.vertices.T.take(index, axis=1))
+
+
+@contextlib.contextmanager
+def _naming_file(mesh: Any) -> Iterator[None]:
+    """Add the path of a mesh file to errors that do not name it."""
     try:
-        return _prepared(_geometries(mesh), tangents)
+        yield
     except ValueError as error:
         if isinstance(mesh, (str, os.PathLike)) and str(mesh) not in str(error):
-            raise ValueError(f"{error} (in {str(mesh)!r})") from error
+            raise ArgumentValueError(f"{getattr(error, 'marked', error)} (in {str(mesh)!r})") from error
         raise
 
 
-def _prepared(geometries: list[_Geometry], tangents: ArrayLike | None) -> Surface:
-    """The surface of some geometries."""
-    given = None if tangents is None else validation.finite_array(tangents, "tangents")
-    with single_threaded_blas():
-        part = _join([_named_part(each) for each in geometries])
-        if given is not None and given.shape == (3,):
-            given = np.broadcast_to(given, (part.count, 3))
-        _check_tangents(part, given)
-        return replace(_build(part, given), geometry_names=tuple(each.name for each in geometries))
-
-
 class _Geometry(NamedTuple):
-    """A mesh with its transform, how messages call it, ``mesh`` or by its name if there are several, and its name."""
+    """A mesh with its transform, its label in messages, which is its name if there are several, and its name."""
 
     mesh: Any
     transform: NDArray[np.float64]
-    called: str
+    label: str
     name: str
 
 
 @dataclass
-class TileGroup:
+class _Part:
     """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` given ones."""
 
     vertices: NDArray[np.float64]
@@ -158,7 +177,7 @@ class TileGroup:
     texture: NDArray[np.float32] | None
     colours: NDArray[np.float64] | None
     geometries: NDArray[np.int32]
-    called: str = "mesh"
+    label: str = ref("mesh")
 
 
 def _geometries(mesh: Any) -> list[_Geometry]:
@@ -168,52 +187,56 @@ def _geometries(mesh: Any) -> list[_Geometry]:
     if isinstance(mesh, (str, os.PathLike)):
         return _geometries(mesh_files.load(mesh))
     if isinstance(mesh, trimesh.Trimesh):
-        return [_Geometry(mesh, np.eye(4), "mesh", "")]
+        return [_Geometry(mesh, np.eye(4), ref("mesh"), "")]
     if not isinstance(mesh, trimesh.Scene):
-        raise TypeError(f"mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}")
-    found = []
+        raise ArgumentTypeError(
+            f"{ref('mesh')} must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}"
+        )
+    geometries = []
     for node in mesh.graph.nodes_geometry:
         transform, name = mesh.graph[node]
         geometry = mesh.geometry[name]
         if isinstance(geometry, trimesh.Trimesh):
-            called = f"mesh's geometry {name!r}"
-            found.append(_Geometry(geometry, np.asarray(transform, dtype=np.float64), called, str(name)))
-    if not found:
-        raise ValueError("mesh must have triangles, got a scene or file without any")
-    return found if len(found) > 1 else [found[0]._replace(called="mesh")]
+            label = f"{_GEOMETRY}{name!r}"
+            geometries.append(_Geometry(geometry, np.asarray(transform, dtype=np.float64), label, str(name)))
+    if not geometries:
+        raise ArgumentValueError(f"{ref('mesh')} must have triangles, got a scene or file without any")
+    return geometries if len(geometries) > 1 else [geometries[0]._replace(label=ref("mesh"))]
 
 
-def _named_part(geometry: _Geometry) -> TileGroup:
-    """A geometry checked; what is wrong with it is told by its name."""
+def _named_part(geometry: _Geometry, *, colours: bool = True) -> _Part:
+    """A geometry checked; errors begin with its label."""
     try:
-        part = _part(geometry.mesh, geometry.transform)
+        part = _part(geometry.mesh, geometry.transform, colours=colours)
     except ValueError as error:
-        raise ValueError(f"{geometry.called}{str(error).removeprefix('mesh')}") from error
-    part.called = geometry.called
+        message = getattr(error, "marked", str(error)).removeprefix(ref("mesh"))
+        raise ArgumentValueError(f"{geometry.label}{message}") from error
+    part.label = geometry.label
     return part
 
 
-def _part(mesh: Any, transform: NDArray[np.float64]) -> TileGroup:
+def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
     """Check one mesh and take its arrays."""
     vertices = np.array(mesh.vertices, dtype=np.float64)
     faces = np.array(mesh.faces, dtype=np.int64)
     if vertices.shape[1:] != (3,):
-        raise ValueError(
-            f"mesh must have vertices of 3 coordinates, shape (n, 3), got {vertices.shape}; a file may be cut off"
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have vertices of 3 coordinates, shape (n, 3), got {vertices.shape}; "
+            "a file may be truncated"
         )
     if len(vertices) == 0:
-        raise ValueError("mesh must have vertices, got none")
+        raise ArgumentValueError(f"{ref('mesh')} must have vertices, got none")
     if len(faces) == 0:
-        raise ValueError(f"mesh must have faces, got {len(vertices)} vertices and no face")
+        raise ArgumentValueError(f"{ref('mesh')} must have faces, got {len(vertices)} vertices and no face")
     if not np.isfinite(vertices).all():
         bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
-        raise ValueError(f"mesh must have finite vertices, got {bad} with NaN or infinite coordinates")
+        raise ArgumentValueError(f"{ref('mesh')} must have finite vertices, got {bad} with NaN or infinite coordinates")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(
-            f"mesh must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
             f"got {faces.min()} to {faces.max()}"
         )
-    part = TileGroup(
+    part = _Part(
         vertices=vertices,
         faces=faces,
         source=np.arange(len(vertices)),
@@ -224,7 +247,8 @@ def _part(mesh: Any, transform: NDArray[np.float64]) -> TileGroup:
         colours=None,
         geometries=np.zeros(len(faces), np.int32),
     )
-    _take_colours(mesh, part)
+    if colours:
+        _take_colours(mesh, part)
     part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
     determinant = float(np.linalg.det(transform[:3, :3]))
     if determinant < 0.0:
@@ -280,13 +304,13 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
     sound = np.all(np.abs(uvs) <= validation.MOST, axis=1)
     if not sound.all():
         bad = int(np.count_nonzero(~sound))
-        raise ValueError(
-            f"mesh must have finite texture coordinates, got {bad} NaN, infinite or beyond {validation.MOST:g}"
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have finite texture coordinates, got {bad} NaN, infinite or beyond {validation.MOST:g}"
         )
     return uvs
 
 
-def _take_colours(mesh: Any, part: TileGroup) -> None:
+def _take_colours(mesh: Any, part: _Part) -> None:
     """Set the part's texture or colours; face colours need vertices of each face's own."""
     visual = mesh.visual
     if visual.kind == "vertex":
@@ -300,9 +324,9 @@ def _take_colours(mesh: Any, part: TileGroup) -> None:
         part.faces = np.arange(len(corner)).reshape(-1, 3)
     elif hasattr(visual, "material"):
         if getattr(visual, "face_materials", None) is not None:
-            raise ValueError(
-                "mesh must have one material a geometry, got face materials; split it by material, or bake them "
-                "into one texture"
+            raise ArgumentValueError(
+                f"{ref('mesh')} must have one material per geometry, got face materials; split it by material, or bake "
+                "them into one texture"
             )
         texture, colour = _material(visual.material)
         if texture is not None and part.uvs is not None:
@@ -344,7 +368,7 @@ def _image(image: Any) -> NDArray[np.float32] | None:
     """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
     if damage := _damage(image):
         texture = image.info.get("file_path") or "an image"
-        warn(f"mesh: texture {texture!r} is damaged and left out: {damage}")  # fmt: skip
+        warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
         return None
     if image.mode.startswith("I"):
         # 16-bit grey; converting it to RGB would clip at 255.
@@ -367,7 +391,7 @@ def _damage(image: Any) -> str:
     return str(image.info[_DAMAGE])
 
 
-def _join(parts: list[TileGroup]) -> TileGroup:
+def _join(parts: list[_Part]) -> _Part:
     """Join parts to one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
     if len(parts) == 1:
         return parts[0]
@@ -376,13 +400,13 @@ def _join(parts: list[TileGroup]) -> TileGroup:
     for part in parts:
         if part.texture is not None and not any(np.array_equal(part.texture, known) for known in textures):
             textures.append(part.texture)
-            textured.append(part.called.removeprefix("mesh's geometry "))
+            textured.append(part.label.removeprefix(_GEOMETRY))
     if len(textures) > 1:
-        raise ValueError(
-            f"mesh must have at most one texture image, got a scene with {len(textures)}, of {', '.join(textured)}; "
-            "render its geometries one by one, or bake them into one texture"
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have at most one texture image, got a scene with {len(textures)}, of "
+            f"{', '.join(textured)}; render its geometries one by one, or bake them into one texture"
         )
-    bare = [part.called for part in parts if part.uvs is None]
+    without_uvs = [part.label for part in parts if part.uvs is None]
     vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
     source_start = np.cumsum([0, *(part.count for part in parts)])
 
@@ -391,14 +415,14 @@ def _join(parts: list[TileGroup]) -> TileGroup:
         if all(array is None for array in arrays):
             return None
         missing = [np.full((len(part.vertices), columns), np.nan) for part in parts]
-        return np.concatenate([m if array is None else array for array, m in zip(arrays, missing, strict=True)])
+        return np.concatenate([gap if array is None else array for array, gap in zip(arrays, missing, strict=True)])
 
     colours = gather("colours", 3)
     if colours is not None:
         # Without a colour there is no pigment: black.
         none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
         colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
-    return TileGroup(
+    return _Part(
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
         source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
@@ -408,30 +432,38 @@ def _join(parts: list[TileGroup]) -> TileGroup:
         texture=textures[0] if textures else None,
         colours=colours,
         geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
-        called=bare[0] if bare else "mesh",
+        label=without_uvs[0] if without_uvs else ref("mesh"),
     )
 
 
-def _build(part: TileGroup, given: NDArray[np.float64] | None) -> Surface:
-    """Drop what has no area, then normals, tangents and the arrays for the device."""
-    index, faces = compacted(part.faces.T, len(part.vertices))
-    world = part.vertices.T.take(index, axis=1)
+def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Centre and radius of the sphere about the bounding box of positions, shape (3, n)."""
     low, high = world.min(axis=1), world.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
     # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
     if not validation.LEAST <= radius <= validation.MOST:
-        raise ValueError(f"mesh must have a radius of {validation.LEAST:g} to {validation.MOST:g}, got {radius:g}")
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have a radius of {validation.LEAST:g} to {validation.MOST:g}, got {radius:g}"
+        )
+    return centre, radius
+
+
+def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
+    """Drop faces without area; compute normals, tangents and the arrays for the device."""
+    index, faces = compacted(part.faces.T, len(part.vertices))
+    world = part.vertices.T.take(index, axis=1)
+    centre, radius = _sphere(world)
     # float32 first: what has no area in the kernels shall have none here.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
     keep, geometries = geometry.has_area, part.geometries
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
-        raise ValueError(f"mesh must have a face with an area, got {dropped} without")
+        raise ArgumentValueError(f"{ref('mesh')} must have a face with an area, got {dropped} without")
     if dropped:
-        warn(f"mesh: left out {dropped} of {len(keep)} faces, which have no area")
+        warn(f"{ref('mesh')}: {dropped} of {len(keep)} faces have no area and are ignored")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
         geometries = geometries[keep]
         index, vertices = index[used], vertices.take(used, axis=1)
@@ -439,8 +471,8 @@ def _build(part: TileGroup, given: NDArray[np.float64] | None) -> Surface:
 
     uvs = None if part.uvs is None else part.uvs.T.take(index, axis=1)
     handedness = np.ones(len(index))
-    if given is None:
-        assert uvs is not None  # noqa: S101 - told to mypy; refused above
+    if tangents is None:
+        assert uvs is not None  # noqa: S101 - for mypy; refused above
         texture_geometry = TextureGeometry(uvs, faces)
         mirrored = texture_geometry.mirrored(faces, len(index))
         if mirrored.any():
@@ -453,14 +485,14 @@ def _build(part: TileGroup, given: NDArray[np.float64] | None) -> Surface:
     welded, order = weld(vertices)
     own = None if part.normals is None else part.normals.T.take(index, axis=1)
     normals = vertex_normals(geometry, faces, welded, own)
-    if given is not None:
-        scale = np.max(np.abs(given), initial=0.0)
-        field = given.T.take(part.source[index], axis=1) / (scale if scale > 0.0 else 1.0)
-        name = "tangents"
+    if tangents is not None:
+        scale = np.max(np.abs(tangents), initial=0.0)
+        field = tangents.T.take(part.source[index], axis=1) / (scale if scale > 0.0 else 1.0)
+        name = ref("tangents")
     else:
         field = tangents_from_uvs(geometry, texture_geometry, faces, normals)
         field = join_seams(field, welded, order, handedness)
-        name = "mesh's texture coordinates"
+        name = f"{ref('mesh')}'s texture coordinates"
     field = fill(unit(tangential(field, normals)), normals, faces, welded, name)
 
     has_colour = part.texture is not None or part.colours is not None
@@ -486,15 +518,15 @@ def _build(part: TileGroup, given: NDArray[np.float64] | None) -> Surface:
     )
 
 
-def _check_tangents(part: TileGroup, given: NDArray[np.float64] | None) -> None:
+def _check_tangents(part: _Part, tangents: NDArray[np.float64] | None) -> None:
     """There must be a tangent for each vertex; without any the part must have texture coordinates."""
-    if given is not None:
-        if given.shape != (part.count, 3):
-            raise ValueError(
-                f"tangents must have shape ({part.count}, 3), one vector for each of the mesh's vertices, or (3,), "
-                f"got {given.shape}"
+    if tangents is not None:
+        if tangents.shape != (part.count, 3):
+            raise ArgumentValueError(
+                f"{ref('tangents')} must have shape ({part.count}, 3), one vector per vertex of the mesh, or (3,), "
+                f"got {tangents.shape}"
             )
     elif part.uvs is None:
-        raise ValueError(f"mesh has neither texture coordinates nor tangents=; {HOW_TO_GET_TANGENTS}")
+        raise ArgumentValueError(f"{ref('mesh')} has neither texture coordinates nor tangents; {HOW_TO_GET_TANGENTS}")
     elif np.any(np.isnan(part.uvs)):
-        raise ValueError(f"{part.called} has no texture coordinates; {HOW_TO_GET_TANGENTS}")
+        raise ArgumentValueError(f"{part.label} has no texture coordinates; {HOW_TO_GET_TANGENTS}")

@@ -50,9 +50,9 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
     across /= np.linalg.norm(across)
     up = np.cross(towards, across)
     with single_threaded_blas():
-        seen = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
+        projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
     # What a kernel rounds otherwise is within a step or two.
-    low, high = np.floor(seen.min(axis=1)) - 2.0, np.ceil(seen.max(axis=1)) + 2.0
+    low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
     # As many cells as faces.
@@ -71,10 +71,10 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
         return no_grid(scene)
     counts = wp.zeros(grid.columns * grid.rows, dtype=wp.int32, device=device)
     launch(shadow_rays.count, faces, [grid], [counts], **options)
-    found = counts.numpy().astype(np.int64)
-    if found @ found > _MOST_LISTED * listed:
+    face_counts = counts.numpy().astype(np.int64)
+    if face_counts @ face_counts > _MOST_LISTED * listed:
         return no_grid(scene)
-    starts = np.concatenate([[0], np.cumsum(found)]).astype(np.int32)
+    starts = np.concatenate([[0], np.cumsum(face_counts)]).astype(np.int32)
     grid.faces = wp.empty(listed, dtype=wp.int32, device=device)
     grid.tops = wp.empty(listed, dtype=wp.float32, device=device)
     counts.assign(starts[:-1])
