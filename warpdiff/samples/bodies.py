@@ -1,14 +1,19 @@
-"""Sample bodies with texture coordinates whose u axis is the height field's x, the direction of dispersion."""
+"""Sample bodies with texture coordinates; their tangent t, along increasing u, is the x axis of the height field.
+
+A grating that varies along x spreads its colours along t. ``tube`` and ``snake``: t runs around the body with
+``tangent="around"``, and from head to tail with ``"along"``. ``disc``: t runs radially outwards.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from warpdiff.core import memory, validation
-from warpdiff.samples.corn_snake import snake
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.samples.corn_snake import Tangent, snake
 
 if TYPE_CHECKING:
     import trimesh
@@ -17,58 +22,64 @@ if TYPE_CHECKING:
 __all__ = ["disc", "snake", "tube"]
 
 
-@memory.as_memory_error("a body of so many faces", "take fewer segments")
+@memory.as_memory_error(
+    "a body of this many faces", f"take fewer {ref('segments_along')}, or fewer {ref('segments_around')}"
+)
 def tube(
     *,
     radius: float = 0.12,
     length: float = 3.0,
     bend_deg: float = 50.0,
     waves: float = 1.5,
-    tangent: str = "around",
+    tangent: Tangent = "around",
     segments_along: int = 256,
     segments_around: int = 96,
 ) -> trimesh.Trimesh:
-    """A snake's body: a round tube that winds from side to side, with a blunt head and a tapering tail.
+    """Make the body of a snake: a round tube that winds from side to side, with a blunt head and a tapering tail.
 
-    It lies in the xz plane about the origin, from the head at −x to the tail at +x, with its back towards +y. The
-    centre line is the meander of heading ``bend_deg`` · cos(2π ``waves`` s / ``length``). The texture's seam runs
+    The tube lies in the xz plane about the origin, from the head at −x to the tail at +x, with its back towards +y. The
+    centre line is the meander of heading ``bend_deg`` · cos(2π ``waves`` s / ``length``). The seam of the texture runs
     along the belly.
 
     With ``tangent="around"`` t runs around the body, as on a snake, whose fingers are long along the body and follow
-    each other across it: the colours are bands along the body. With ``"along"`` t runs from head to tail and the bands
-    lie across the body.
+    each other across it: the colours are bands along the body. Then (t, head to tail, outwards) is right-handed. With
+    ``"along"`` t runs from head to tail, and the bands lie across the body.
 
     Args:
-        radius: Of the body at its thickest.
-        length: Of the centre line; at least 5 radii.
-        bend_deg: Greatest angle between the centre line and the x axis [degrees]; 0 is a straight body.
-        waves: Number of periods of the meander.
-        tangent: ``"around"`` or ``"along"``.
-        segments_along: Rings of quadrilaterals from head to tail, at least 12.
-        segments_around: Quadrilaterals in a ring, at least 3.
+        radius: Radius of the body at its thickest [mesh units], more than 0.
+        length: Length of the centre line [mesh units], at least 5 radii.
+        bend_deg: Greatest angle between the centre line and the x axis [degrees], 0 (a straight body) to 120.
+        waves: Number of periods of the meander, at least 0.
+        tangent: Direction of t, ``"around"`` (default) or ``"along"`` the body.
+        segments_along: Number of rings of quadrilaterals from head to tail, at least 12.
+        segments_around: Number of quadrilaterals per ring, at least 3.
 
     Returns:
-        A mesh with texture coordinates and vertex normals, 2 · (segments_along − 1) · segments_around faces, closed
-        but for the seam, at which vertices are doubled.
+        A mesh with texture coordinates and vertex normals, of 2 · (segments_along − 1) · segments_around faces. It is
+        closed; vertices are doubled along the seam.
+
+    Raises:
+        ValueError: An argument is out of its range, or the bends are narrower than the body.
     """
     validation.positive(radius, "radius")
     validation.positive(length, "length")
     validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
     validation.number(waves, "waves", least=0.0)
-    validation.choice(tangent, "tangent", ("around", "along"))
+    validation.choice(tangent, "tangent", get_args(Tangent))
     validation.count(segments_along, "segments_along", least=12)
     validation.count(segments_around, "segments_around", least=3)
     memory.require_faces(
-        2 * segments_along * segments_around, "take {share} of segments_along, or of segments_around"
+        2 * segments_along * segments_around,
+        f"take {{share}} of {ref('segments_along')}, or of {ref('segments_around')}",
     )
     if length < 5.0 * radius:
-        raise ValueError(f"length must be at least 5 radii ({5.0 * radius:g}), got {length:g}")
+        raise ArgumentValueError(f"{ref('length')} must be at least 5 radii ({5.0 * radius:g}), got {length:g}")
     bend = math.radians(bend_deg)
     curvature = bend * 2.0 * math.pi * waves / length
     if curvature * radius > 0.9:
-        raise ValueError(
-            f"bend_deg and waves must leave the bends wider than the body: their sharpest has a radius of "
-            f"{1.0 / curvature:g}, the body one of {radius:g}"
+        raise ArgumentValueError(
+            f"{ref('bend_deg')} and {ref('waves')} must leave the bends wider than the body, got a bend of radius "
+            f"{1.0 / curvature:g} for a body of radius {radius:g}; reduce one of them"
         )
 
     # Rings: half ellipses for head and tail, spaced evenly in the ellipse's angle, which resolves their tips.
@@ -119,32 +130,37 @@ def tube(
     return _mesh(vertices, np.concatenate([first_cap, inner, last_cap]), normals, uvs)
 
 
-@memory.as_memory_error("a body of so many faces", "take fewer segments")
+@memory.as_memory_error("a body of this many faces", f"take fewer {ref('segments')}, or fewer {ref('rings')}")
 def disc(
     *, inner_radius: float = 0.4, outer_radius: float = 1.0, segments: int = 512, rings: int = 24
 ) -> trimesh.Trimesh:
-    """A flat ring in the xy plane about the origin that faces +z: an optical disc.
+    """Make an optical disc: a flat ring in the xy plane about the origin that faces +z.
 
-    t runs radially outwards, for the tracks run around; the texture's u grows from the inner to the outer rim, v
-    around it counter-clockwise as seen from +z. The seam is on the +x axis.
+    t runs radially outwards, as the tracks run around the disc. The texture's u grows from the inner to the outer rim,
+    and v counter-clockwise as seen from +z. The seam is on the +x axis.
 
     Args:
-        inner_radius: Of the hole, at least 0: a disc without one is a ring with a hole of radius 0.
-        outer_radius: Of the rim.
-        segments: Quadrilaterals around, at least 3.
-        rings: Quadrilaterals from rim to rim, at least 1; several keep t radial within each.
+        inner_radius: Radius of the hole [mesh units], at least 0 (no hole) and less than ``outer_radius``.
+        outer_radius: Radius of the rim [mesh units], more than 0.
+        segments: Number of quadrilaterals around, at least 3.
+        rings: Number of quadrilaterals from rim to rim, at least 1; with several, t is radial within each.
 
     Returns:
-        A mesh with texture coordinates and vertex normals, 2 · segments · rings faces (one ring's worth of
-        triangles fewer where there is no hole).
+        A mesh with texture coordinates and vertex normals, of 2 · segments · rings faces; without a hole it has
+        ``segments`` triangles fewer.
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
     validation.number(inner_radius, "inner_radius", least=0.0)
     validation.positive(outer_radius, "outer_radius")
     if inner_radius >= outer_radius:
-        raise ValueError(f"inner_radius must be below outer_radius ({outer_radius:g}), got {inner_radius:g}")
+        raise ArgumentValueError(
+            f"{ref('inner_radius')} must be below {ref('outer_radius')} ({outer_radius:g}), got {inner_radius:g}"
+        )
     validation.count(segments, "segments", least=3)
     validation.count(rings, "rings", least=1)
-    memory.require_faces(2 * segments * rings, "take {share} of segments, or of rings")
+    memory.require_faces(2 * segments * rings, f"take {{share}} of {ref('segments')}, or of {ref('rings')}")
     turn = np.arange(segments + 1) / segments
     phi = 2.0 * math.pi * turn
     phi[-1] = 0.0

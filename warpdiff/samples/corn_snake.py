@@ -1,4 +1,4 @@
-"""A snake: a body of overlapping scales on the ground, with the pattern of a corn snake (*Pantherophis guttatus*).
+"""Sample body of a snake: overlapping scales, with the pattern of a corn snake (*Pantherophis guttatus*).
 
 Everything is laid out on the unrolled skin, in lattice coordinates (x, τ): x counts rows of scales across the back,
 from one edge of the belly to the other, τ counts scales from the neck to the tail. A scale is the rhombus of half
@@ -9,17 +9,20 @@ in x lie half a scale on. The half rhombi at the edges of the belly are the ends
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from warpdiff.core import memory, validation
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     import trimesh
     from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
+
+Tangent = Literal["around", "along"]
 
 # Outlines. Of the head by its length, of the body by the rest, in radii of the body: half width, height above the
 # centre line, depth below it, and the exponent of the cross section (2 is an ellipse, more is squarer).
@@ -105,47 +108,50 @@ def snake(
     length: float = 4.6,
     bend_deg: float = 95.0,
     waves: float = 1.75,
-    tangent: str = "around",
+    tangent: Tangent = "around",
     scale_rows: int = 27,
     ventrals: int = 130,
     segments: int = 4,
     seed: int = 0,
 ) -> trimesh.Trimesh:
-    """A corn snake on the plane y = 0: overlapping scales, shields on its head, saddles on its back.
+    """Make a corn snake on the plane y = 0: overlapping scales, shields on its head, saddles on its back.
 
-    It lies about the y axis, from the head at −x to the tail at +x, with its back towards +y. The centre line is the
-    meander of heading ``bend_deg`` · cos(2π ``waves`` s), s from 0 to 1 behind the head. Every scale overlaps the next
-    ones towards the tail, with a free edge at which the surface and its normals step; all of it is one closed surface.
-    The texture is the pattern of *Pantherophis guttatus*, which follows the scales; its seam runs along the belly.
+    The snake lies about the y axis, from the head at −x to the tail at +x, with its back towards +y. The centre line is
+    the meander of heading ``bend_deg`` · cos(2π ``waves`` s), s from 0 to 1 behind the head. Every scale overlaps the
+    next ones towards the tail, with a free edge at which the surface and its normals step. The surface is closed. The
+    texture is the pattern of *Pantherophis guttatus*, which follows the scales; its seam runs along the belly.
 
-    As on ``tube``, t runs around the body with ``tangent="around"``, across the nano-fingers, which are long along the
-    body, and from head to tail with ``"along"``.
+    With ``tangent="around"`` t runs around the body, across the nano-fingers, which are long along the body; (t, head
+    to tail, outwards) is right-handed. With ``"along"`` t runs from head to tail. Both are as for ``tube``.
 
     Args:
-        radius: Half the width of the body at its thickest.
-        length: Of the centre line; 16 to 1000 radii.
-        bend_deg: Greatest angle between the centre line and the x axis [degrees]; 0 is a straight body.
-        waves: Number of periods of the meander.
-        tangent: ``"around"`` or ``"along"``.
-        scale_rows: Rows of scales across the back, odd and at least 5; a corn snake has 27.
-        ventrals: Scutes of the belly from neck to tail, as many as there are scales in a row, at least 8.
-        segments: Parts of a scale's edge, at least 2; a scale has 2 · segments² faces, its free edge 4 · segments.
-        seed: Seed of the pattern.
+        radius: Half the width of the body at its thickest [mesh units], more than 0.
+        length: Length of the centre line [mesh units], 16 to 1000 radii.
+        bend_deg: Greatest angle between the centre line and the x axis [degrees], 0 (a straight body) to 120.
+        waves: Number of periods of the meander, at least 0.
+        tangent: Direction of t, ``"around"`` (default) or ``"along"`` the body.
+        scale_rows: Number of rows of scales across the back, odd and at least 5; a corn snake has 27.
+        ventrals: Number of scutes of the belly from neck to tail, and of scales in a row, at least 8.
+        segments: Number of parts of a scale's edge, at least 2; a scale has 2 · segments² faces, its free edge
+            4 · segments.
+        seed: Seed of the pattern, at least 0.
 
     Returns:
-        A mesh with texture coordinates, vertex normals and a texture, some 200,000 faces by default. Vertices are
+        A mesh with texture coordinates, vertex normals and a texture, of about 200,000 faces by default. Vertices are
         doubled at the seam, at free edges, and where scales meet the head and the end of the tail.
 
     Raises:
-        ValueError: An argument is out of its range, or the body would meet itself.
+        ValueError: An argument is out of its range, or the body would intersect itself.
     """
     validation.positive(radius, "radius")
     validation.positive(length, "length")
     validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
     validation.number(waves, "waves", least=0.0)
-    validation.choice(tangent, "tangent", ("around", "along"))
+    validation.choice(tangent, "tangent", get_args(Tangent))
     if validation.count(scale_rows, "scale_rows", least=5) % 2 == 0:
-        raise ValueError(f"scale_rows must be odd, a row on the spine and as many on either side, got {scale_rows}")
+        raise ArgumentValueError(
+            f"{ref('scale_rows')} must be odd (a row on the spine and as many on either side), got {scale_rows}"
+        )
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
@@ -153,12 +159,13 @@ def snake(
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
-        "take {share} of scale_rows or ventrals, or {side} of segments",
+        f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
     # Outlines of the head and of the body are one spline.
     if not 16.0 * radius <= length <= _LONGEST * radius:
-        raise ValueError(
-            f"length must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), got {length:g}"
+        raise ArgumentValueError(
+            f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
+            f"got {length:g}"
         )
 
     skin = _Skin(radius, length, math.radians(bend_deg), waves, scale_rows + 1, ventrals)
@@ -201,24 +208,25 @@ class _Skin:
         # The head is stiff: bends begin behind it. All of the belly touches the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
-            raise ValueError(
-                f"bend_deg and waves must leave the bends wider than the body: their sharpest has a radius of "
-                f"{1.0 / (bend * frequency):g}, the body one of {radius:g}"
+            raise ArgumentValueError(
+                f"{ref('bend_deg')} and {ref('waves')} must leave the bends wider than the body, got a bend of radius "
+                f"{1.0 / (bend * frequency):g} for a body of radius {radius:g}; reduce one of them"
             )
         heading = bend * np.cos(frequency * np.maximum(s - head, 0.0))
         y = _hermite(s, self._stations, self._outline)[:, 2]
         slope = np.gradient(y, s)
         level = np.sqrt(1.0 - slope**2)
         x, z = _integral(s, level * np.cos(heading)), _integral(s, level * np.sin(heading))
-        x, z = (each - (each.min() + each.max()) / 2.0 for each in (x, z))
+        x, z = (places - (places.min() + places.max()) / 2.0 for places in (x, z))
         self._centre = np.stack([x, y, z], axis=1)
         self._forward = np.stack([level * np.cos(heading), slope, level * np.sin(heading)], axis=1)
         self._side = np.stack([np.sin(heading), np.zeros_like(s), -np.cos(heading)], axis=1)
-        some = slice(None, None, 16)
-        gap = np.hypot(x[some, None] - x[some], z[some, None] - z[some]) - 1.05 * (width[some, None] + width[some])
-        if np.any((gap < 0.0) & (np.abs(s[some, None] - s[some]) > 4.0 * radius)):
-            raise ValueError(
-                f"bend_deg must leave the bends apart, got {math.degrees(bend):g}; make it less, or the body thinner"
+        part = slice(None, None, 16)
+        gap = np.hypot(x[part, None] - x[part], z[part, None] - z[part]) - 1.05 * (width[part, None] + width[part])
+        if np.any((gap < 0.0) & (np.abs(s[part, None] - s[part]) > 4.0 * radius)):
+            raise ArgumentValueError(
+                f"{ref('bend_deg')} must leave the bends apart, got {math.degrees(bend):g}; reduce it, or "
+                f"{ref('radius')}"
             )
 
         # Scales are as long as the body is thick there, but for the thinnest part of the tail.
@@ -231,11 +239,11 @@ class _Skin:
 
     def outline(self, s: Floats) -> Floats:
         """Half width, height, depth and exponent at ``s``, shape (k, 4); closed at the ends."""
-        found = _hermite(s, self._stations, self._outline)
+        outline = _hermite(s, self._stations, self._outline)
         snout = np.clip(1.0 - s / (_SNOUT * self.radius), 0.0, 1.0)
         tip = np.clip((s - self._length) / (_TIP * self.radius) + 1.0, 0.0, 1.0)
-        found[:, :3] *= np.sqrt((1.0 - snout**2) * (1.0 - tip**2))[:, None]
-        return found
+        outline[:, :3] *= np.sqrt((1.0 - snout**2) * (1.0 - tip**2))[:, None]
+        return outline
 
     def turn(self, x: Floats) -> Floats:
         """Share of the way around from the middle of the belly."""
@@ -315,8 +323,8 @@ def _patches(
     corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
     """Like patches (m, k) of vertices with the ``faces`` of one."""
-    m, k = np.broadcast_shapes(*(each.shape for each in corners))
-    x, tau, shift, rise, u, v = (np.broadcast_to(each, (m, k)).ravel() for each in (*corners, *texture))
+    m, k = np.broadcast_shapes(*(corner.shape for corner in corners))
+    x, tau, shift, rise, u, v = (np.broadcast_to(array, (m, k)).ravel() for array in (*corners, *texture))
     return _Patch(
         x, tau, shift, rise, u, v, np.full(m * k, wall), (k * np.arange(m)[:, None, None] + faces).reshape(-1, 3)
     )
@@ -341,10 +349,10 @@ def _grid(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]
 def _scales(skin: _Skin, n: int) -> list[_Patch]:
     """The rhombic scales with their free edges, cut at the neck and the end of the tail and at the belly."""
     step = np.arange(n + 1) / n
-    b, a = (each.ravel() for each in np.meshgrid(step, step, indexing="ij"))
+    b, a = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
     odd, even = np.arange(1, skin.breadth, 2), np.arange(2, skin.breadth, 2)
     middles = np.arange(skin.count) + 0.5
-    # Rows, places along them, the part of the rhombus that is there, and which of its free edges are. Where a scale is
+    # Rows, places along them, the part of the rhombus that exists, and its free edges. Where a scale is
     # cut the diagonals of its cells lie along the cut.
     kinds: list[tuple[ArrayLike, ArrayLike, NDArray[np.bool_], tuple[bool, bool], bool]] = [
         (odd, np.arange(1, skin.count), a < 2.0, (True, True), False),
@@ -354,21 +362,21 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
         (0, middles, a > b - 1e-9, (True, False), True),
         (skin.breadth, middles, a < b + 1e-9, (False, True), True),
     ]
-    made = []
-    for rows, along, there, free, rising in kinds:
-        x, tau = (each.reshape(-1, 1) for each in np.meshgrid(rows, along))
-        at = _plate(skin, x, tau, a, b)
+    patches = []
+    for rows, along, is_inside, free, rising in kinds:
+        x, tau = (grid.reshape(-1, 1) for grid in np.meshgrid(rows, along))
+        corners = _plate(skin, x, tau, a, b)
         faces = _grid(n + 1, n + 1, rising=rising)
-        made.append(_patches(at, at[:2], faces[np.all(there[faces], axis=1)]))
+        patches.append(_patches(corners, corners[:2], faces[np.all(is_inside[faces], axis=1)]))
         # From a free edge down to the front edge of the scale beneath, whose texture continues this one's.
-        one, none = np.ones(n + 1), np.zeros(n + 1)
+        ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         if free[0]:
-            top, low = _plate(skin, x, tau, one, step), _plate(skin, x + 1, tau + 0.5, none, step)
-            made.append(_wall(top, low, _RISER, _grid(n + 1, 2)[:, ::-1]))
+            top, low = _plate(skin, x, tau, ones, step), _plate(skin, x + 1, tau + 0.5, zeros, step)
+            patches.append(_wall(top, low, _RISER, _grid(n + 1, 2)[:, ::-1]))
         if free[1]:
-            top, low = _plate(skin, x, tau, step, one), _plate(skin, x - 1, tau + 0.5, step, none)
-            made.append(_wall(top, low, -_RISER, _grid(n + 1, 2)))
-    return made
+            top, low = _plate(skin, x, tau, step, ones), _plate(skin, x - 1, tau + 0.5, step, zeros)
+            patches.append(_wall(top, low, -_RISER, _grid(n + 1, 2)))
+    return patches
 
 
 def _wall(top: tuple[Floats, ...], low: tuple[Floats, ...], u: float, faces: NDArray[np.int64]) -> _Patch:
@@ -389,20 +397,20 @@ def _belly_columns(skin: _Skin, n: int) -> list[Floats]:
 
 def _scutes(skin: _Skin, n: int) -> list[_Patch]:
     """The ventral scutes, which overlap like the scales."""
-    made = []
+    patches = []
     step = np.arange(n + 1) / n
     tau0 = np.arange(skin.count)[:, None] + 0.5
     for columns in _belly_columns(skin, n):
-        t, x = (each.ravel() for each in np.meshgrid(step, columns, indexing="ij"))
+        t, x = (grid.ravel() for grid in np.meshgrid(step, columns, indexing="ij"))
         _, *rest = _plate(skin, 0.0, tau0, t, t)
-        made.append(_patches((x[None], *rest), (x[None], rest[0]), _grid(n + 1, n + 1)))
-        one, none = np.ones(n + 1), np.zeros(n + 1)
-        top, low = _plate(skin, 0.0, tau0[:-1], one, one), _plate(skin, 0.0, tau0[1:], none, none)
+        patches.append(_patches((x[None], *rest), (x[None], rest[0]), _grid(n + 1, n + 1)))
+        ones, zeros = np.ones(n + 1), np.zeros(n + 1)
+        top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
         # In two steps, for a scale's corner lies halfway up.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
-        made.append(_patches((x, *three[1:]), (x, v), _grid(n + 1, 3), wall=True))
-    return made
+        patches.append(_patches((x, *three[1:]), (x, v), _grid(n + 1, 3), wall=True))
+    return patches
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
@@ -440,7 +448,7 @@ def _head(skin: _Skin, n: int) -> _Patch:
     c = last + columns
     fan = [[last, last + 1, c], [last + 1, c + 2, c], [last + 1, last + 2, c + 2]]
     inner = patch.faces[np.all(patch.faces < last[0] + columns, axis=1)]
-    faces = np.concatenate([inner, *(np.stack(each, axis=1) for each in fan)])
+    faces = np.concatenate([inner, *(np.stack(corners, axis=1) for corners in fan)])
     return patch._replace(faces=faces)
 
 
@@ -532,9 +540,9 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
         at: Floats, offset: float, middle: float, half_length: float, half_width: float, spread: float
     ) -> Floats:
         """1 at the edge of a blotch, less inside."""
-        which = np.floor(at - offset).astype(np.int64)
-        jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, which + 1]
-        back = (at - offset - which - 0.5) * period - jitter[0]
+        index = np.floor(at - offset).astype(np.int64)
+        jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, index + 1]
+        back = (at - offset - index - 0.5) * period - jitter[0]
         long = half_length * (1.0 + 0.4 * jitter[1]) * (1.0 + 0.25 * ((across - middle) / half_width) ** 2)
         wide = half_width * (1.0 + 0.2 * jitter[2])
         return np.asarray(np.cbrt(np.abs(back / long) ** 3 + np.abs((across - middle) / wide) ** 3))

@@ -1,18 +1,19 @@
 """Synthetic height fields, each exactly one period of a periodic surface.
 
-One-dimensional gratings vary along x and have one row. Depths and heights are peak to valley. Whatever is random takes
-a ``seed``.
+One-dimensional gratings vary along x and have one row. Depths and heights are peak to valley. Random gratings have a
+``seed``.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from warpdiff.core import memory, validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
 
 if TYPE_CHECKING:
@@ -24,15 +25,16 @@ _RIDGE_REACH = 4.0
 
 
 def sinusoidal(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
-    """Return a sine grating, h = depth/2 · cos(2πx / period).
+    """Make a sine grating, h = depth/2 · cos(2πx / period).
 
     Args:
-        period_um: Period along x [µm].
-        depth_um: Peak to valley [µm], >= 0; met exactly for an even number of samples.
-        samples: Samples a period, at least 2; None takes 64, or more for a pitch of 0.04 µm at most.
+        period_um: Period along x [µm], more than 0.
+        depth_um: Peak-to-valley depth [µm], at least 0; exact for an even number of samples.
+        samples: Number of samples per period, at least 2; None, the default, is 64, or more for a pitch of at most
+            0.04 µm.
 
     Returns:
-        One period, shape (1, samples), of equal pitch along x and y.
+        One period, of shape (1, samples) and equal pitch along x and y.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -42,16 +44,17 @@ def sinusoidal(period_um: float, depth_um: float, *, samples: int | None = None)
 
 
 def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: int | None = None) -> HeightField:
-    """Return a rectangular grating: the first round(duty · samples) samples at ``depth_um``, the others at 0.
+    """Make a rectangular grating: the first round(duty · samples) samples at ``depth_um``, the others at 0.
 
     Args:
-        period_um: Period along x [µm].
-        depth_um: Peak to valley [µm], >= 0.
-        duty: Share of the period that is high, between 0 and 1.
-        samples: Samples a period, at least 2; None takes 64, or more for a pitch of 0.04 µm at most.
+        period_um: Period along x [µm], more than 0.
+        depth_um: Peak-to-valley depth [µm], at least 0.
+        duty: Share of the period that is high, between 0 and 1, default 0.5.
+        samples: Number of samples per period, at least 2; None, the default, is 64, or more for a pitch of at most
+            0.04 µm.
 
     Returns:
-        One period, shape (1, samples), of equal pitch along x and y.
+        One period, of shape (1, samples) and equal pitch along x and y.
 
     Raises:
         ValueError: An argument is out of its range, or the duty rounds to no sample or to all of them.
@@ -60,22 +63,25 @@ def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: i
     duty = validation.number(duty, "duty", above=0.0, most=1.0)
     high = round(duty * n)
     if not 0 < high < n:
-        raise ValueError(
-            f"duty must leave at least one of {n} samples high and one low, got {duty:g}; change it or raise samples"
+        raise ArgumentValueError(
+            f"{ref('duty')} must leave at least one of {n} samples high and one low, got {duty:g}; change it, or "
+            f"increase {ref('samples')}"
         )
     return HeightField.of_known_scale(np.where(np.arange(n) < high, depth, 0.0)[None, :], period / n)
 
 
 def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
-    """Return a sawtooth grating that rises with x, h_j = depth · j / samples, and falls back at the period's end.
+    """Make a sawtooth grating that rises with x, h_j = depth · j / samples, and falls back at the period's end.
 
     Args:
-        period_um: Period along x [µm].
-        depth_um: Peak to valley of the continuous sawtooth [µm], >= 0; that of the samples is less by 1/samples.
-        samples: Samples a period, at least 2; None takes 64, or more for a pitch of 0.04 µm at most.
+        period_um: Period along x [µm], more than 0.
+        depth_um: Peak-to-valley depth of the continuous sawtooth [µm], at least 0; the depth of the samples is less by
+            1/samples.
+        samples: Number of samples per period, at least 2; None, the default, is 64, or more for a pitch of at most
+            0.04 µm.
 
     Returns:
-        One period, shape (1, samples), of equal pitch along x and y.
+        One period, of shape (1, samples) and equal pitch along x and y.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -92,7 +98,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
         # An even number has a sample in every valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
-    memory.require_samples(1, samples, "take {share} of period_um, or of samples")
+    memory.require_samples(1, samples, f"take {{share}} of {ref('period_um')}, or of {ref('samples')}")
     return validation.number(period, "period_um", least=samples * validation.LEAST), depth, samples
 
 
@@ -108,6 +114,7 @@ class _DiscFormat:
     """Base λ of the run lengths' probabilities λ^−n at the code's capacity log2 λ."""
 
 
+DiscKind = Literal["CD", "DVD", "Blu-ray"]
 _DISCS = {
     "CD": _DiscFormat(1.6, 0.5, 0.126, 0.278, 3, 11, 1.456),
     "DVD": _DiscFormat(0.74, 0.32, 0.105, 0.1333, 3, 11, 1.456),
@@ -116,14 +123,14 @@ _DISCS = {
 
 
 def disc(
-    kind: str = "CD",
+    kind: DiscKind = "CD",
     *,
     tracks: int | None = None,
     length_um: float = 25.6,
     pitch_um: float = _COARSEST_PITCH_UM,
     seed: int = 0,
 ) -> HeightField:
-    """Return a patch of an optical disc, x radial and y along the tracks, with random data in its pits.
+    """Make a patch of an optical disc, x radial and y along the tracks, with random data in its pits.
 
     Pits are stadium-shaped, their walls one sample wide. Runs of pit and land last n channel bits, n random with the
     probabilities λ^−n of a run-length-limited code at its capacity (Immink 2004, *Codes for Mass Data Storage
@@ -142,11 +149,12 @@ def disc(
     Pit widths are not standardised; these are typical of pressed discs.
 
     Args:
-        kind: "CD", "DVD" or "Blu-ray".
-        tracks: Number of tracks across the patch; None takes about 25.6 µm of them.
+        kind: Format of the disc: ``"CD"``, ``"DVD"`` or ``"Blu-ray"``.
+        tracks: Number of tracks across the patch, at least 1; None, the default, is about 25.6 µm of tracks.
         length_um: Extent along the tracks [µm], at least four of the longest runs.
-        pitch_um: Largest distance of the samples [µm]; a track gets a whole number of them.
-        seed: Seed of the random data.
+        pitch_um: Largest distance of the samples [µm], at most half of a pit's width; a track has a whole number of
+            samples.
+        seed: Seed of the random data, at least 0.
 
     Returns:
         Heights from −depth (pits) to 0 (land), periodic in both directions.
@@ -154,12 +162,13 @@ def disc(
     Raises:
         ValueError: An argument is out of its range, or the pitch is too coarse for the pits.
     """
-    form = _DISCS[validation.choice(kind, "kind", tuple(_DISCS))]
+    form = _DISCS[validation.choice(kind, "kind", get_args(DiscKind))]
     track_count = round(25.6 / form.track_pitch_um) if tracks is None else validation.count(tracks, "tracks")
     pitch = validation.positive(pitch_um, "pitch_um")
     if pitch > 0.5 * form.pit_width_um:
-        raise ValueError(
-            f"pitch_um must be at most half of a pit's width, {0.5 * form.pit_width_um:g} for {kind}, got {pitch:g}"
+        raise ArgumentValueError(
+            f"{ref('pitch_um')} must be at most half of a pit's width, {0.5 * form.pit_width_um:g} for {kind}, "
+            f"got {pitch:g}"
         )
     least = 4.0 * form.longest_run * form.channel_bit_um
     length = validation.number(length_um, "length_um", least=least)
@@ -168,7 +177,9 @@ def disc(
     along = math.ceil(length / pitch - 1e-9)
     bits = round(length / form.channel_bit_um)
     memory.require_samples(
-        along, track_count * across, "take {share} of tracks, of length_um, or a larger pitch_um"
+        along,
+        track_count * across,
+        f"take {{share}} of {ref('tracks')}, of {ref('length_um')}, or a larger {ref('pitch_um')}",
     )
     dx, dy, bit = form.track_pitch_um / across, length / along, length / bits
     x = (np.arange(across) - across // 2) * dx
@@ -217,16 +228,16 @@ def bumps(
     spacing_um: float | tuple[float, float] = (2.0, 1.0),
     pitch_um: float = _COARSEST_PITCH_UM,
 ) -> HeightField:
-    """Return one cell of a lattice of bumps, of the size Stam (1999, *Diffraction Shaders*) gives for a disc's.
+    """Make one cell of a lattice of bumps, of the size that Stam (1999, *Diffraction Shaders*) gives for a disc.
 
-    Each is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where that is positive.
+    Each bump is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where that is positive.
 
     Args:
-        height_um: Height [µm], >= 0.
-        width_um: Extent along x [µm].
-        length_um: Extent along y [µm].
+        height_um: Height of a bump [µm], at least 0.
+        width_um: Extent of a bump along x [µm], more than 0.
+        length_um: Extent of a bump along y [µm], more than 0.
         spacing_um: Lattice spacing [µm], one number or a pair (y, x), at least the bump's extent.
-        pitch_um: Largest distance of the samples [µm]; a cell gets a whole number of them, at least two.
+        pitch_um: Largest distance of the samples [µm]; a cell has a whole number of samples, at least two.
 
     Returns:
         One cell with the bump at its middle sample, heights from 0.
@@ -240,9 +251,11 @@ def bumps(
     pitch = validation.positive(pitch_um, "pitch_um")
     for axis, name in enumerate(("length_um", "width_um")):
         if spacing[axis] < extent[axis]:
-            raise ValueError(f"spacing_um[{axis}] must be at least {name} = {extent[axis]:g}, got {spacing[axis]:g}")
+            raise ArgumentValueError(
+                f"{ref(f'spacing_um[{axis}]')} must be at least {ref(name)} = {extent[axis]:g}, got {spacing[axis]:g}"
+            )
     ny, nx = (max(2, math.ceil(side / pitch - 1e-9)) for side in spacing)
-    memory.require_samples(ny, nx, "take {side} of spacing_um, or a larger pitch_um")
+    memory.require_samples(ny, nx, f"take {{side}} of {ref('spacing_um')}, or a larger {ref('pitch_um')}")
     y = (np.arange(ny) - ny // 2) * (spacing[0] / ny)
     x = (np.arange(nx) - nx // 2) * (spacing[1] / nx)
     cap = 1.0 - (2.0 * y[:, None] / extent[0]) ** 2 - (2.0 * x / extent[1]) ** 2
@@ -259,26 +272,27 @@ def fingers(
     height_um: float = 0.3,
     seed: int = 0,
 ) -> HeightField:
-    """Return quasi-periodic nano-fingers like those on a snake's shed skin.
+    """Make quasi-periodic nano-fingers like those on a snake's shed skin.
 
-    Ridges stand side by side along x, each a chain of fingers that widen along +y from a narrow tip to the tip of the
-    next one, while the grooves beside them narrow and deepen; tips of neighbouring ridges form wavy rows. Positions,
-    lengths and heights are jittered. Proportions were taken by eye from atomic force microscope scans of *Elaphe
-    guttata*.
+    Ridges stand side by side along x. Each is a chain of fingers that widen along +y from a narrow tip to the tip of
+    the next one, while the grooves beside them narrow and deepen. Tips of neighbouring ridges form wavy rows.
+    Positions, lengths and heights are jittered. Proportions were estimated by eye from atomic force microscope scans of
+    *Elaphe guttata*.
 
     Args:
-        size_um: Extent [µm], one number or a pair (y, x).
-        pitch_um: The pitch wanted [µm], one number or a pair (dy, dx); the actual one divides the size.
-        period_um: Mean distance of the ridges along x [µm]; the actual one divides the size.
-        length_um: Mean distance of the tips along y [µm]; the actual one divides the size.
-        height_um: Highest minus lowest height [µm], met exactly, >= 0.
-        seed: Seed of the jitter.
+        size_um: Extent [µm], one number or a pair (y, x), at least one finger.
+        pitch_um: Requested distance of the samples [µm], one number or a pair (dy, dx), at most an eighth of a finger;
+            the actual pitch divides the size.
+        period_um: Mean distance of the ridges along x [µm]; the actual distance divides the size.
+        length_um: Mean distance of the tips along y [µm]; the actual distance divides the size.
+        height_um: Highest minus lowest height [µm], exact, at least 0.
+        seed: Seed of the jitter, at least 0.
 
     Returns:
         Heights of zero mid-range, periodic in both directions.
 
     Raises:
-        ValueError: An argument is out of its range, or the patch holds less than one finger or 8 samples a period.
+        ValueError: An argument is out of its range, or the patch has less than one finger or 8 samples per finger.
     """
     size = validation.pair(size_um, "size_um")
     pitch = validation.pair(pitch_um, "pitch_um")
@@ -286,14 +300,17 @@ def fingers(
     length = validation.positive(length_um, "length_um")
     height = validation.number(height_um, "height_um", least=0.0)
     if size[0] < length or size[1] < period:
-        raise ValueError(f"size_um must be at least one finger, (y, x) = ({length:g}, {period:g}), got {size}")
+        raise ArgumentValueError(
+            f"{ref('size_um')} must be at least one finger, (y, x) = ({length:g}, {period:g}), got {size}"
+        )
     if pitch[0] > length / 8.0 or pitch[1] > period / 8.0:
-        raise ValueError(
-            f"pitch_um must be at most an eighth of a finger, ({length / 8.0:g}, {period / 8.0:g}) (y, x), got {pitch}"
+        raise ArgumentValueError(
+            f"{ref('pitch_um')} must be at most an eighth of a finger, (y, x) = ({length / 8.0:g}, {period / 8.0:g}), "
+            f"got {pitch}"
         )
     rng = _generator(seed)
     ny, nx = (round(side / step) for side, step in zip(size, pitch, strict=True))
-    memory.require_samples(ny, nx, "take {side} of size_um, or a larger pitch_um")
+    memory.require_samples(ny, nx, f"take {{side}} of {ref('size_um')}, or a larger {ref('pitch_um')}")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
     # Lengths below are in units of the actual period and the actual length.
