@@ -1,4 +1,4 @@
-"""A picture in linear CIE XYZ, and its files."""
+"""Pictures in linear CIE XYZ, and their files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A surface and a view on a Warp device: what the ray kernel takes."""
+"""Meshes and cameras on a Warp device, as the ray kernels take them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Grids by which shadow rays find the few faces that may hide a light."""
+"""Occluder grids: for a shadow ray to a directional light, the few faces that may occlude it."""
 
 from __future__ import annotations
 
