@@ -29,11 +29,11 @@ def test_bytes_are_bounded_but_for_the_last_one():
 
 
 def test_a_key_stays_the_one_that_was_put():
-    """Another that was equal when it was asked for may change."""
-    cache, put, asked = LruCache(2), Frozen(1), Frozen(1)
-    cache.put(put, "value")
-    assert cache.get(asked) == "value"
-    asked.number = 2
+    """Another that was equal when it was looked up may change."""
+    cache, first, equal = LruCache(2), Frozen(1), Frozen(1)
+    cache.put(first, "value")
+    assert cache.get(equal) == "value"
+    equal.number = 2
     assert cache.get(Frozen(2)) is None
     assert cache.get(Frozen(1)) == "value"
 
@@ -53,18 +53,18 @@ class Frozen:
 
 def test_threads_that_make_the_same_get_the_first_ones():
     cache, both = LruCache(4), threading.Barrier(2)
-    found = []
+    results = []
 
     def ask(name):
         def make():
             both.wait(10.0)
             return name
 
-        found.append(cache.get_or_make("key", make))
+        results.append(cache.get_or_make("key", make))
 
     threads = [threading.Thread(target=ask, args=(name,)) for name in "ab"]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
-    assert found[0] == found[1]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results[0] == results[1]

@@ -1,4 +1,4 @@
-"""What is kept on disk: found again to the bit, under a limit, and never in the way."""
+"""Disk cache: equal to the bit, under a limit, and pictures do not depend on it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_what_is_kept_is_found_again(folder):
     np.testing.assert_array_equal(first["rows"], again["rows"])
     assert again["rows"].dtype == np.float32
     assert again["step"] == 0.25
-    assert [each.suffix for each in folder.iterdir()] == [".npz"]
+    assert [path.suffix for path in folder.iterdir()] == [".npz"]
 
 
 @pytest.mark.parametrize(("key", "heights"), [("other", HEIGHTS), ("key", HEIGHTS + 1.0), ("key", HEIGHTS.T)])
@@ -87,14 +87,14 @@ def test_a_damaged_file_is_made_anew(folder, rng, tries):
     path = next(folder.iterdir())
     whole = path.read_bytes()
     disk_cache.cached_on_disk("other", HEIGHTS, counted(2.0)[1])
-    other = next(each for each in folder.iterdir() if each != path)
+    other = next(file for file in folder.iterdir() if file != path)
     for content in tries.of((other.read_bytes(), *damaged(whole, rng))):
         path.write_bytes(content)
         calls, make = counted(1.0)
         for _ in range(2):
-            found = disk_cache.cached_on_disk("key", HEIGHTS, make)
-            np.testing.assert_array_equal(found["rows"], np.ones((2, 3), np.float32))
-            assert found["step"] == 0.25
+            arrays = disk_cache.cached_on_disk("key", HEIGHTS, make)
+            np.testing.assert_array_equal(arrays["rows"], np.ones((2, 3), np.float32))
+            assert arrays["step"] == 0.25
         # Once, and then it is whole again.
         assert len(calls) == 1
         assert path.read_bytes() == whole
@@ -118,9 +118,9 @@ def test_what_killed_processes_leave_is_swept_once_it_is_old(folder, tries):
         for _one_old_and_one_young in range(2):
             subprocess.run([sys.executable, "-c", kill], check=False)
     (folder / "mine.part").touch()
-    old, young, *_ = (each for each in folder.iterdir() if each.name.startswith(".warpdiff"))
-    for each in (old, folder / "mine.part"):
-        os.utime(each, (1e9, 1e9))
+    old, young, *_ = (file for file in folder.iterdir() if file.name.startswith(".warpdiff"))
+    for file in (old, folder / "mine.part"):
+        os.utime(file, (1e9, 1e9))
     disk_cache.cached_on_disk("other", HEIGHTS, counted(1.0)[1])
     assert not old.exists()
     # Another process may be writing it; and what is not ours is not looked at.
@@ -156,7 +156,7 @@ def test_the_oldest_go_where_it_is_full(folder, monkeypatch):
     monkeypatch.setattr(disk_cache, "MOST_BYTES", 1600)
     for index in range(5):
         disk_cache.cached_on_disk(index, HEIGHTS, counted(float(index))[1])
-        for age, path in enumerate(sorted(folder.iterdir(), key=lambda each: each.stat().st_mtime, reverse=True)):
+        for age, path in enumerate(sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime, reverse=True)):
             os.utime(path, (1e9 - age, 1e9 - age))
     assert 1 <= len(list(folder.iterdir())) <= 3
     calls, make = counted(9.0)

@@ -1,4 +1,4 @@
-"""The direct sum of copies and of a source against what they are, written out, and the solid angles of all kinds."""
+"""Coherence: direct sums of periods and of a source against written-out sums, and the solid angles of all kinds."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from conftest import hemisphere
 from warpdiff.diffraction import direct_sum
 from warpdiff.heightfield.field import HeightField
 from warpdiff.optics import reflectance_factors
-from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.coherence import KINDS, Coherence
 
-COPIES = (3, 4)
+PERIODS = (3, 4)
 INCIDENCES = [0.0, 20.0, 50.0, 70.0, 85.0]
 
 
@@ -24,7 +24,7 @@ def small(rng):
 
 
 def tiled_power(heightfield, periods, scattering_vector, wavelength):
-    """|P|² as the mean of exp(2πi(κh + q·x)) over all samples of all copies, one after the other."""
+    """|P|² as the mean of exp(2πi(κh + q·x)) over all samples of all periods, one after the other."""
     u, v, w = scattering_vector / wavelength
     h = np.tile(heightfield.heights_um, periods)
     y = np.arange(h.shape[0])[:, None] * heightfield.pitch_um[0]
@@ -32,8 +32,8 @@ def tiled_power(heightfield, periods, scattering_vector, wavelength):
     return abs(np.mean(np.exp(2j * np.pi * (w * h + u * x + v * y)))) ** 2
 
 
-def deflection_at(heightfield, turns_x, turns_y, wavelength, w=-1.3):
-    """(u, v, w) with so many turns from one copy to the next along x and along y."""
+def scattering_vector_at(heightfield, turns_x, turns_y, wavelength, w=-1.3):
+    """Scattering vector with so many turns from one period to the next along x and along y."""
     return np.array([turns_x * wavelength / heightfield.size_um[1], turns_y * wavelength / heightfield.size_um[0], w])
 
 
@@ -49,8 +49,8 @@ def inclined(theta_deg, azimuth=0.7):
     return np.array([math.sin(theta) * math.cos(azimuth), math.sin(theta) * math.sin(azimuth), math.cos(theta)])
 
 
-@pytest.mark.parametrize("periods", [COPIES, (1, 1), (1, 7), (6, 1)])
-def test_copies_are_the_sum_over_all_of_them(small, rng, periods):
+@pytest.mark.parametrize("periods", [PERIODS, (1, 1), (1, 7), (6, 1)])
+def test_periods_are_the_sum_over_all_of_them(small, rng, periods):
     lights, views = hemisphere(rng, 24), hemisphere(rng, 24)
     for scattering_vector in -(lights + views):
         value = one(small, Coherence("replicas", periods=periods), scattering_vector, 0.5)
@@ -59,18 +59,18 @@ def test_copies_are_the_sum_over_all_of_them(small, rng, periods):
 
 @pytest.mark.parametrize("turns_x", [-2.0, 0.0, 3.0, 1.0 + 1e-9, 1.0 - 1e-9, -3.0 + 1e-9, 0.5, -1.5, 2.25])
 @pytest.mark.parametrize("turns_y", [0.0, -1.0, 2.0 + 1e-9, 0.5, 0.1])
-def test_copies_at_and_beside_resonances(small, turns_x, turns_y):
-    scattering_vector = deflection_at(small, turns_x, turns_y, 0.5)
-    value = one(small, Coherence("replicas", periods=COPIES), scattering_vector, 0.5)
-    # Nothing in a sum of numbers of size 1 is smaller than its rounding: half turns of four copies cancel.
-    assert value == pytest.approx(tiled_power(small, COPIES, scattering_vector, 0.5), rel=1e-9, abs=1e-28)
+def test_periods_at_and_near_resonances(small, turns_x, turns_y):
+    scattering_vector = scattering_vector_at(small, turns_x, turns_y, 0.5)
+    value = one(small, Coherence("replicas", periods=PERIODS), scattering_vector, 0.5)
+    # Nothing in a sum of numbers of size 1 is smaller than its rounding: half turns of four periods cancel.
+    assert value == pytest.approx(tiled_power(small, PERIODS, scattering_vector, 0.5), rel=1e-9, abs=1e-28)
     if np.rint(turns_x) == turns_x and np.rint(turns_y) == turns_y:
         coefficient = np.fft.ifft2(np.exp(2j * np.pi * scattering_vector[2] / 0.5 * small.heights_um))
         expected = abs(coefficient[int(turns_y), int(turns_x)]) ** 2
         assert value == pytest.approx(expected, rel=1e-9)
 
 
-def test_copies_of_one_sample_have_its_pitch_as_their_length():
+def test_periods_of_one_sample_have_its_pitch_as_their_length():
     heightfield = HeightField(np.linspace(0.0, 0.3, 9)[None, :], (0.4, 0.1))
     for scattering_vector in (np.array([0.3, 0.21, -1.5]), np.array([0.3, 1.25, -1.1])):
         value = one(heightfield, Coherence("replicas", periods=(5, 2)), scattering_vector, 0.5)
@@ -78,17 +78,17 @@ def test_copies_of_one_sample_have_its_pitch_as_their_length():
 
 
 @pytest.mark.parametrize("count", [1000, 5001, 100_000])
-def test_thousands_of_copies(small, count):
+def test_thousands_of_periods(small, count):
     coherence, alone = Coherence("replicas", periods=(1, count)), Coherence("replicas", periods=(1, 1))
     k = np.arange(count)
     for turns in (3.0, 2.0 + 1e-9, 2.0 + 1e-6, 1.0 - 0.37 / count, 2.0 + 1.5 / count, 0.5 + 0.21 / count, 0.317):
-        scattering_vector = deflection_at(small, turns, 0.3, 0.5)
+        scattering_vector = scattering_vector_at(small, turns, 0.3, 0.5)
         value, patch = one(small, coherence, scattering_vector, 0.5), one(small, alone, scattering_vector, 0.5)
         exact = scattering_vector[0] / 0.5 * small.size_um[1]
         series = abs(np.mean(np.exp(2j * np.pi * ((k * (exact - round(exact))) % 1.0)))) ** 2
         assert value == pytest.approx(patch * series, rel=1e-7, abs=1e-9 * patch / count**2)
-    # Far from resonance so many copies put each other out; at resonance they are the endless surface.
-    far = deflection_at(small, 0.25, 0.3, 0.5)
+    # Far from resonance so many periods cancel each other; at resonance they are the endless surface.
+    far = scattering_vector_at(small, 0.25, 0.3, 0.5)
     assert one(small, coherence, far, 0.5) <= 2.0 * one(small, alone, far, 0.5) / count**2 * (1.0 + 1e-9)
 
 
@@ -100,8 +100,17 @@ def test_an_upright_source_is_a_window_that_grows_with_the_wavelength(small, rng
         window = Coherence("averaged", wavelength / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread))
         expected = direct_sum.window_power(small, window, scattering_vectors, np.array([wavelength]))
         lights = np.broadcast_to(up, scattering_vectors.shape)
-        found = direct_sum.window_power(small, coherence, scattering_vectors, np.array([wavelength]), to_lights=lights)
-        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * expected.max())
+        power = direct_sum.window_power(small, coherence, scattering_vectors, np.array([wavelength]), to_lights=lights)
+        np.testing.assert_allclose(power, expected, rtol=1e-11, atol=1e-12 * expected.max())
+
+
+def test_kinds_have_both_spellings_and_print_in_words():
+    assert KINDS == ("averaged", "centred", "source", "replicas")
+    assert Coherence("centered", 2.0) == Coherence("centred", 2.0)
+    assert Coherence("centered").kind == "centred"
+    coherences = Coherence(), Coherence("source"), Coherence("replicas", periods=(4, 4))
+    expected = ["averaged window with σ = 16.25 µm", "source of 0.53° in diameter", "4 × 4 periods"]
+    assert [str(coherence) for coherence in coherences] == expected
 
 
 def test_the_sun_is_a_window_of_19_micrometres():
@@ -163,10 +172,10 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
             across = -origin[:2] - wavelength * np.array([r / small.size_um[1], t / small.size_um[0]])
             to_view = np.array([*across, math.sqrt(1.0 - across @ across)])
             scattering_vector = -to_light - to_view
-            found = one(small, coherence, scattering_vector, wavelength, to_light)
+            power = one(small, coherence, scattering_vector, wavelength, to_light)
             coefficient = np.fft.ifft2(np.exp(2j * np.pi * scattering_vector[2] / wavelength * small.heights_um))[t, r]
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
-            worst = max(worst, abs(found / expected - 1.0))
+            worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
     # The tangent plane is an approximation: of first order in the spread, with tan θi, upright of second order.
     slant = max(math.tan(math.radians(theta)), 0.1)
@@ -198,13 +207,13 @@ def test_a_source_needs_its_direction(small):
         Coherence("source", angular_diameter_deg=5.0),
         Coherence("replicas", periods=(3, 2)),
     ],
-    ids=lambda each: each.kind,
+    ids=lambda coherence: coherence.kind,
 )
 def test_solid_angle_is_what_a_mirror_gathers(coherence):
     """∫⟨|P|²⟩ du dv of a flat patch is Ω, for a source Ω cos θi: with ``brdf_scale`` a mirror returns all the light."""
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # Of copies one period: sampled sums repeat.
+    # One period of the spectrum for replicas: sampled sums repeat.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)

@@ -51,7 +51,7 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
 
 @pytest.mark.parametrize("illuminant", sorted(colorimetry.PRECOMPUTED))
 def test_precomputed_products_are_colour_sciences(illuminant):
-    """To be made anew by ``np.save`` where colour-science should change."""
+    """If colour-science should change, write the file again by ``np.save``."""
     expected = colorimetry.products_by_colour_science(illuminant)
     np.testing.assert_allclose(colorimetry.colour_products(illuminant), expected, rtol=1e-12, atol=0.0)
 
@@ -75,8 +75,8 @@ def test_uniform_quadratures(colour, geometric, illuminant, count):
 
 
 def test_flat_mirror_is_white(device):
-    finest = wd.reflectance(FLAT, NORMAL, NORMAL, tolerance=1e-5, device=device)
-    np.testing.assert_allclose(finest, WHITE_D65, atol=1e-6)
+    xyz = wd.reflectance(FLAT, NORMAL, NORMAL, tolerance=1e-5, device=device)
+    np.testing.assert_allclose(xyz, WHITE_D65, atol=1e-6)
 
 
 def test_a_linear_reflectance(colour):

@@ -1,4 +1,4 @@
-"""Materials: Fresnel's equations and films against characteristic matrices, files, and flat surfaces as seen."""
+"""Materials: Fresnel's equations and films against characteristic matrices, files, and flat surfaces."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ MATERIALS = {
 def test_reflectance_is_that_of_characteristic_matrices(name, polarisation):
     material, angles = MATERIALS[name], np.array([0.0, 20.0, 45.0, 60.0, 75.0, 89.0])
     wavelengths = np.linspace(380.0, 780.0, 41)
-    found = material.reflectance(wavelengths, angles[:, None], polarisation=polarisation)
+    reflectances = material.reflectance(wavelengths, angles[:, None], polarisation=polarisation)
     expected = flat_materials.reflectance(
         material, 1e-3 * wavelengths, np.cos(np.radians(angles))[:, None], polarisation or "sp"
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(reflectances, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_glass_reflects_no_p_light_at_brewsters_angle_and_all_at_the_horizon():
@@ -64,6 +64,7 @@ def test_materials_are_equal_by_their_numbers():
     assert wd.Material.dielectric(1.5) != wd.Material.dielectric(1.6)
     assert wd.Material.metal("Al") != FILM
     assert str(FILM) == "aluminium under 180 nm of n = 1.46"
+    assert repr(GOLD) == "Material(name='gold', film=None, film_nm=0.0)"
 
 
 SITE_YAML = """# this file is part of refractiveindex.info database
@@ -101,10 +102,10 @@ FILES = {
 def test_files_of_the_database_are_read(name, tmp_path):
     text, n, k = FILES[name]
     (tmp_path / name).write_text(text)
-    found = wd.Material.from_file(tmp_path / name)
+    material = wd.Material.from_file(tmp_path / name)
     expected = wd.Material([550.0], n, k)
-    assert found.name == name.partition(".")[0]
-    np.testing.assert_allclose(found.reflectance(550.0, 30.0), expected.reflectance(550.0, 30.0), rtol=1e-3)
+    assert material.name == name.partition(".")[0]
+    np.testing.assert_allclose(material.reflectance(550.0, 30.0), expected.reflectance(550.0, 30.0), rtol=1e-3)
 
 
 def test_a_file_says_where_it_is_from(tmp_path):
@@ -180,9 +181,9 @@ def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
         wd.plan(heightfield, method="low-rank"), rings_per_octave=nodes, azimuths_per_width=1.3 * (nodes > 0)
     )
     lights, views = at_angle(np.array(angles)), at_angle(-np.array(angles))
-    found = wd.reflectance(heightfield, lights, views, plan=plan, material=MATERIALS[name])
+    xyz = wd.reflectance(heightfield, lights, views, plan=plan, material=MATERIALS[name])
     expected = np.array([mirrored(MATERIALS[name], angle) for angle in angles])
-    np.testing.assert_allclose(found, expected, rtol=3e-3)
+    np.testing.assert_allclose(xyz, expected, rtol=3e-3)
 
 
 def test_all_evaluations_agree_on_gold():
@@ -190,16 +191,16 @@ def test_all_evaluations_agree_on_gold():
     to_light, to_view = at_angle(20.0), at_angle(-7.0)
     half = (to_light + to_view) / np.linalg.norm(to_light + to_view)
     reflected = flat_materials.reflectance(GOLD, 1e-3 * wavelengths, half @ to_view)
-    given = {"coherence": wd.Coherence(sigma_um=5.0)}
-    mirror = wd.spectral_reflectance(heightfield, to_light, to_view, wavelengths, ior=math.inf, **given)
+    options = {"coherence": wd.Coherence(sigma_um=5.0)}
+    mirror = wd.spectral_reflectance(heightfield, to_light, to_view, wavelengths, ior=math.inf, **options)
     for method in ("auto", "direct"):
-        found = wd.spectral_reflectance(
-            heightfield, to_light, to_view, wavelengths, material=GOLD, method=method, **given
+        rho = wd.spectral_reflectance(
+            heightfield, to_light, to_view, wavelengths, material=GOLD, method=method, **options
         )
-        np.testing.assert_allclose(found, reflected * mirror, rtol=1e-4)
-    absolute = wd.brdf(heightfield, to_light, to_view, wavelengths, ior=math.inf, **given)
-    found = wd.brdf(heightfield, to_light, to_view, wavelengths, material=GOLD, **given)
-    np.testing.assert_allclose(found, reflected * absolute, rtol=1e-4)
+        np.testing.assert_allclose(rho, reflected * mirror, rtol=1e-4)
+    absolute = wd.brdf(heightfield, to_light, to_view, wavelengths, ior=math.inf, **options)
+    gold = wd.brdf(heightfield, to_light, to_view, wavelengths, material=GOLD, **options)
+    np.testing.assert_allclose(gold, reflected * absolute, rtol=1e-4)
     orders = wd.order_efficiencies(heightfield, to_light, wavelengths, material=GOLD, energy="stam")
     mirrors = wd.order_efficiencies(heightfield, to_light, wavelengths, ior=math.inf, energy="stam")
     halves = to_light + orders.to_view

@@ -1,4 +1,4 @@
-"""Spectra of lights: temperatures, files, names that colour-science knows, and what is refused."""
+"""Spectra of light sources: temperatures, files, names of colour-science, and refusals."""
 
 from __future__ import annotations
 
@@ -38,25 +38,26 @@ def test_a_file_is_read_by_its_columns(tmp_path):
             f"{n}{sign}{v:.6g}\n" for n, v in zip(nm, values, strict=True)
         )
         (tmp_path / "lamp.csv").write_text(text)
-        found = wd.Spectrum.from_csv(tmp_path / "lamp.csv")
-        assert found.name == "lamp"
-        np.testing.assert_allclose(white(found), white(body), rtol=1e-3)
+        spectrum = wd.Spectrum.from_csv(tmp_path / "lamp.csv")
+        assert spectrum.name == "lamp"
+        np.testing.assert_allclose(white(spectrum), white(body), rtol=1e-3)
 
 
 def test_spectra_are_equal_by_their_numbers():
     assert wd.Spectrum.blackbody(3000.0) == wd.Spectrum.blackbody(3000.0)
     assert hash(wd.Spectrum.blackbody(3000.0)) == hash(wd.Spectrum.blackbody(3000.0))
     assert wd.Spectrum.blackbody(3000.0) != wd.Spectrum.blackbody(3001.0)
+    assert repr(wd.Spectrum.blackbody(3000.0)) == "Spectrum(name='black body of 3000 K')"
 
 
 def test_an_even_spectrum_is_illuminant_e_in_calls_and_pictures():
     even, heightfield = wd.Spectrum([300.0, 900.0], [2.0, 2.0]), wd.gratings.sinusoidal(1.2, 0.1)
-    given = (0.1, 0.2, 1.0), [(0.3, 0.0, 1.0), (0.0, -0.1, 1.0)]
-    found = wd.reflectance(heightfield, *given, illuminant=even, tolerance=1e-3)
-    np.testing.assert_allclose(found, wd.reflectance(heightfield, *given, illuminant="E", tolerance=1e-3), rtol=1e-4)
+    directions = (0.1, 0.2, 1.0), [(0.3, 0.0, 1.0), (0.0, -0.1, 1.0)]
+    of_even, of_e = (wd.reflectance(heightfield, *directions, illuminant=i, tolerance=1e-3) for i in (even, "E"))
+    np.testing.assert_allclose(of_even, of_e, rtol=1e-4)
     view = wd.View((0, 0, 4), (0, 0, 0), width=12, height=9)
-    lights = [wd.DirectionalLight((0.2, 0.3, 1.0), illuminant=each) for each in (even, "E")]
-    one, other = (wd.shade(wd.meshes.disc(), heightfield, each, view, refine=False, tolerance=0.1) for each in lights)
+    lights = [wd.DirectionalLight((0.2, 0.3, 1.0), illuminant=illuminant) for illuminant in (even, "E")]
+    one, other = (wd.shade(wd.meshes.disc(), heightfield, light, view, refine=False, tolerance=0.1) for light in lights)
     np.testing.assert_allclose(one.xyz, other.xyz, rtol=1e-3, atol=1e-6)
 
 
