@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import functools
 import importlib.util
 import inspect
@@ -298,8 +299,8 @@ def _add_evaluation(flags: Flags, settings: type) -> None:
 def _add_material(group: Any) -> None:
     group.add_argument(
         "--material",
-        help=f"material of the surface, instead of --ior: {', '.join(METAL_SYMBOLS)}, an index of refraction, or a file of "
-        "refractiveindex.info, YAML or CSV",
+        help=f"material of the surface, instead of --ior: {', '.join(METAL_SYMBOLS)}, an index of refraction, or a "
+        "file of refractiveindex.info, YAML or CSV",
     )
     group.add_argument(
         "--film", nargs=2, metavar=("MATERIAL", "NM"), help="film on the material: its material and thickness in nm"
@@ -369,7 +370,8 @@ def _called(text: str, function: Callable[..., Any], parameters: str, defaults: 
         name, equals, value = parameter.partition("=")
         if not equals or name not in known:
             raise ArgumentValueError(
-                f"{ref(flag)} {text!r} must have parameters name=value, of {', '.join(known)}{did_you_mean(name, known)}"
+                f"{ref(flag)} {text!r} must have parameters name=value, of "
+                f"{', '.join(known)}{did_you_mean(name, known)}"
             )
         values[name] = _illuminant(value) if name == "illuminant" else _value(value)
     try:
@@ -538,9 +540,11 @@ def _scene(options: argparse.Namespace) -> tuple[Any, wd.HeightField, wd.View]:
     mesh = _named(options.mesh, _BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh
     values = given(options, describe(wd.View))
-    if "eye" in values and "target" in values:
-        return mesh, heightfield, wd.View(**values)
-    return mesh, heightfield, wd.View.fit(mesh, **values)
+    eye, extent_y = values.pop("eye", None), values.pop("extent_y", None)
+    if eye is not None and "target" in values:
+        return mesh, heightfield, wd.View(eye, extent_y=extent_y, **values)
+    view = wd.View.fit(mesh, **values)
+    return mesh, heightfield, dataclasses.replace(view, eye=view.eye if eye is None else eye, extent_y=extent_y)
 
 
 def _render(options: argparse.Namespace) -> None:

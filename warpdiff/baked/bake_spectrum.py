@@ -39,8 +39,8 @@ def bake_spectrum(
 ) -> BakedSpectrum:
     """Bake the power spectrum of all directions and visible wavelengths.
 
-    A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. Lobes narrower than a cell are blurred to
-    it and keep their power: 1,024 cells per side are 1.5 standard deviations of a lobe of σ = 16.25 µm wide.
+    A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. Lobes narrower than a cell are blurred
+    to it and keep their power: 1,024 cells per side are 1.5 standard deviations of a lobe of σ = 16.25 µm wide.
 
     Args:
         heightfield: The height field.

@@ -33,8 +33,8 @@ class Option:
 
     Attributes:
         name: The name in Python.
-        kind: The type: ``"choices"`` are several of the choices, ``"pair"`` is one number or a pair (y, x), ``"numbers"``
-            or ``"integers"`` are a tuple of ``length``, ``"object"`` is anything else.
+        kind: The type: ``"choices"`` are several of the choices, ``"pair"`` is one number or a pair (y, x),
+            ``"numbers"`` or ``"integers"`` are a tuple of ``length``, ``"object"`` is anything else.
         default: The default; ``REQUIRED`` if there is none.
         help: The meaning, in plain text.
         choices: The values of a ``"choice"``, without American spellings.

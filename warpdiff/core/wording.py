@@ -79,7 +79,7 @@ class WarpdiffWarning(_MarkedError, UserWarning):
 
 @contextlib.contextmanager
 def renaming(words: Mapping[str, str]) -> Iterator[None]:
-    """Within it, errors name arguments by other words: ``path`` by ``--environment``, ``lights[0]`` by ``--light[0]``."""
+    """Within it, errors name arguments by other words, such as ``path`` by ``--environment``."""
 
     def renamed(match: re.Match[str]) -> str:
         name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]

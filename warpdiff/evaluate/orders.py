@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from annotated_types import Gt
 
 from warpdiff.core import memory, validation
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction import chebyshev, energy_normalisation
 from warpdiff.heightfield.field import check_whole
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import check_covers, check_reflection, reflectances
+from warpdiff.request.settings import Energy  # noqa: TC001 (its values are described at run time)
+from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -35,7 +39,7 @@ _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 
 @dataclass(frozen=True, eq=False)
 class OrderEfficiencies:
-    """Efficiencies by order; ``found[m_y, m_x]`` is the efficiency of one order at each wavelength, shape (m,).
+    """Efficiencies by order; ``efficiencies[m_y, m_x]`` is that of one order at each wavelength, shape (m,).
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
@@ -49,37 +53,43 @@ class OrderEfficiencies:
     to_view: NDArray[np.float64]
     efficiencies: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        low, high = self.wavelengths_nm.min(), self.wavelengths_nm.max()
+        wavelengths = f"{len(self.wavelengths_nm)} wavelengths, {low:g} to {high:g} nm"
+        return f"OrderEfficiencies({len(self.orders)} orders, {wavelengths})"
+
     def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
         """The efficiency of order (m_y, m_x) at each wavelength, shape (m,); 0 for one that never propagates."""
         pair = [validation.count(m, "order", least=-(2**31)) for m in order]
         return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=1))
 
 
+@checked
 def order_efficiencies(
     heightfield: HeightField,
     to_light: ArrayLike,
     wavelengths_nm: ArrayLike,
     *,
-    ior: float | None = None,
+    ior: Annotated[float, Gt(1.0)] | None = None,
     material: Material | None = None,
-    energy: str | None = None,
+    energy: Energy | None = None,
 ) -> OrderEfficiencies:
-    """Absolute efficiencies of all propagating orders of a height field that repeats without end, in float64.
+    """Absolute efficiencies of all propagating orders of an endlessly repeated height field, in float64.
 
     Order (m_y, m_x) leaves where ωi + ωr = (m_x λ/Lx, m_y λ/Ly) along x and y (the grating equation, sin θi + sin θr =
-    mλ/L), and its amplitude is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh). There is no masking. The
-    efficiencies sum to R only nearly, and to more for short periods at grazing angles: that is the scalar theory's.
-    With ``energy="normalised"`` they are a(ωi) a(ωr) times that, a such that orders of a perfect mirror sum to 1 from
-    everywhere (Sinkhorn 1967), which is nearer to rigorous solutions of mirrors and metals, and reciprocal.
+    mλ/L), and its amplitude is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh). There is no masking. In scalar
+    theory the efficiencies sum to R only approximately, and to more for short periods at grazing angles. With
+    ``energy="normalised"`` they are multiplied by a(ωi) a(ωr), with a such that the orders of a perfect mirror sum to 1
+    for every direction (Sinkhorn 1967); this is closer to rigorous solutions of mirrors and metals, and reciprocal.
 
     Args:
         heightfield: One period of the surface; an axis of one sample is constant and has no order but 0.
         to_light: Direction to the light in the local frame, above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
-        material: What the surface is made of, in place of ``ior``.
-        energy: ``"stam"``, as Stam (1999) has it, or ``"normalised"``; None is normalised for metals and perfect
-            mirrors, which let no light through, and Stam's for others.
+        ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
+        material: Material of the surface instead of ``ior``.
+        energy: ``"stam"`` (Stam 1999), or ``"normalised"``; None is normalised for metals and perfect mirrors, which
+            transmit no light, and Stam's for others.
 
     Returns:
         Orders, their directions and efficiencies.
@@ -87,39 +97,38 @@ def order_efficiencies(
     Raises:
         TypeError: ``heightfield`` is not a height field, or an argument is not numeric.
         ValueError: An argument is out of its range, samples are missing, or the light is not above the horizon.
-        MemoryError: More memory than is free; the message says what fits.
+        MemoryError: More memory than is free; the message states what fits.
     """
     check_whole(heightfield)
     light = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0]
     if light[0, 2] <= HORIZON:
-        raise ValueError(f"to_light must be above the horizon, z > 0, got {to_light!r}")
+        raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
     normal, material = check_reflection(ior, material)
     if material is not None:
         check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    validation.choice(energy, "energy", energy_normalisation.FORMS)
     # Along an axis |mλ/L − ωi| < 1 where an order propagates; pairs are (y, x).
     ranges = []
     for length, n, component in zip(heightfield.size_um, heightfield.shape, light[0, 1::-1], strict=True):
-        neighbour_extent = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
-        ranges.append(
-            (math.ceil((component - 1.0) * neighbour_extent), math.floor((component + 1.0) * neighbour_extent) + 1)
-        )
+        most_orders = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
+        ranges.append((math.ceil((component - 1.0) * most_orders), math.floor((component + 1.0) * most_orders) + 1))
     samples, lines = heightfield.shape[0] * heightfield.shape[1], math.prod(end - begin for begin, end in ranges)
     terms = _term_count(math.pi * heightfield.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
     memory.require_memory(
         _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
-        f"a cell of {heightfield.shape[0]} × {heightfield.shape[1]} samples with {lines} orders at {len(wavelengths)} wavelengths",
+        f"a cell of {heightfield.shape[0]} × {heightfield.shape[1]} samples with {lines} orders at "
+        f"{len(wavelengths)} wavelengths",
         "take at most {share} of the area, or fewer wavelengths at a time",
     )
-    orders = np.stack(np.meshgrid(*(np.arange(*each) for each in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
+    orders = np.stack(np.meshgrid(*(np.arange(*bounds) for bounds in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / heightfield.size_um[::-1]) - light[0, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
     lives = upward > HORIZON**2
-    seen = lives.any(axis=0)
-    orders, tangential, upward, lives = orders[seen], tangential[:, seen], upward[:, seen], lives[:, seen]
+    propagates = lives.any(axis=0)
+    orders, tangential = orders[propagates], tangential[:, propagates]
+    upward, lives = upward[:, propagates], lives[:, propagates]
     _warn_of_aliasing(heightfield, orders)
     to_view = np.full((*lives.shape, 3), np.nan)
     to_view[lives] = np.column_stack([tangential[lives], np.sqrt(upward[lives])])
@@ -151,15 +160,15 @@ def _balance(
 ) -> NDArray[np.float64]:
     """What normalised efficiencies are of Stam's, for the orders of one light that propagate, (n,)."""
     if len(orders) > energy_normalisation.MOST_EXACT:
-        found = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
-        return np.asarray(found / (mirrors @ found))
+        factors = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
+        return np.asarray(factors / (mirrors @ factors))
     # Orders lead from lights of one family, which differ by whole orders, to views of another, and from these back.
     steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
-    neighbour_extent = [
+    shift_ranges = [
         range(-math.ceil(2.0 / step) - 1, math.ceil(2.0 / step) + 2) if n > 1 else range(1)
         for step, n in zip(steps, heightfield.shape[::-1], strict=True)
     ]
-    shifts = np.stack(np.meshgrid(*neighbour_extent, indexing="ij"), axis=-1).reshape(-1, 2)
+    shifts = np.stack(np.meshgrid(*shift_ranges, indexing="ij"), axis=-1).reshape(-1, 2)
     entering = light[:2] + shifts * steps
     upward = 1.0 - np.sum(entering**2, axis=1)
     lives = upward > HORIZON**2
@@ -204,7 +213,8 @@ def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> No
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:
             warn(
-                f"orders up to {largest} propagate along {name}, and {heightfield.shape[axis]} samples carry half as many: "
-                "those beyond repeat those within; scan at a finer pitch, or use HeightField.resampled() where the "
-                "surface is known to be smooth"
+                f"orders up to {largest} propagate along {name}, but {heightfield.shape[axis]} samples represent half "
+                "as many: higher orders alias onto lower ones; scan at a finer pitch, or use HeightField.resampled() "
+                "if "
+                "the surface is smooth"
             )

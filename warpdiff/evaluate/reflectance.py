@@ -65,7 +65,8 @@ def spectral_reflectance(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
         to_view: Directions to the viewer, the same; one and many broadcast.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a bar.
+        progress: Callable that gets the share that is done, 0 to 1, one call at a time, from any thread; True shows
+            a bar.
 
     Returns:
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
@@ -95,8 +96,9 @@ def reflectance(
         heightfield: The height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
         to_view: Directions to the viewer, the same; one and many broadcast.
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
-        progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a bar.
+        illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
+        progress: Callable that gets the share that is done, 0 to 1, one call at a time, from any thread; True shows
+            a bar.
 
     Returns:
         CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
@@ -128,15 +130,16 @@ def reflectance_map(
         heightfield: The height field.
         to_light: Direction to the light in the local frame, shape (3,), above the horizon.
         size: Width and height of the picture [pixels].
-        illuminant: As in :func:`reflectance`.
-        samples_per_pixel: Directions of which a pixel is the mean, a square number; 1 is its centre.
-        progress: As in :func:`reflectance`.
+        illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
+        samples_per_pixel: Number of directions that a pixel is the mean of, a square number; 1 is its centre.
+        progress: Callable that gets the share that is done, 0 to 1; True shows a bar.
 
     Returns:
         The map; its mask is the inside of the disc.
 
     Raises:
-        ValueError: A bad argument, a light that is not above the horizon, a tolerance out of reach.
+        ValueError: A bad argument, or a light that is not above the horizon.
+        ToleranceError: The tolerance cannot be met, and ``strict`` is True.
         MemoryError: More memory than is free; the message says what fits.
     """
     request = Evaluation.of(heightfield, EvaluationSettings(**settings), illuminants=(illuminant,))
@@ -155,7 +158,8 @@ def reflectance_map(
     count = across * size
     if count * count > memory.MOST_ELEMENTS:
         raise ArgumentValueError(
-            f"{ref('size')}² · {ref('samples_per_pixel')} must be at most {memory.MOST_ELEMENTS} directions, got {count * count}"
+            f"{ref('size')}² · {ref('samples_per_pixel')} must be at most {memory.MOST_ELEMENTS} directions, got "
+            f"{count * count}"
         )
     memory.require_memory(
         _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",
@@ -190,18 +194,18 @@ def brdf(
 ) -> NDArray[Any]:
     """Absolute BRDF [1/sr] (Stam 1999), never masked.
 
-    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times what the coherence makes of it: for a window 4πσ²/λ², the
-    whole then being |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²); for a source of covariance Σs 1/(2π √det Σs); for copies
-    of a patch of area A it is A N1 N2/λ². It is reciprocal, except for a source, which only the light has. Scalar
-    diffraction does not conserve energy exactly: the sum over the orders exceeds R a little for shallow profiles, and a
-    lot for short periods at grazing angles.
+    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence: 4πσ²/λ² for a window, which
+    makes it |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²); 1/(2π √det Σs) for a source of covariance Σs; A N1 N2/λ² for
+    periods of a patch of area A. It is reciprocal, except for a source. Scalar diffraction does not conserve energy
+    exactly: the sum over the orders exceeds R slightly for shallow profiles, and greatly for short periods at grazing
+    angles.
 
     Args:
         heightfield: The height field.
-        to_light: As in :func:`spectral_reflectance`.
-        to_view: As in :func:`spectral_reflectance`.
-        wavelengths_nm: As in :func:`spectral_reflectance`.
-        progress: As in :func:`spectral_reflectance`.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3).
+        to_view: Directions to the viewer, shape (3,) or (n, 3).
+        wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
+        progress: Callable that gets the share that is done, 0 to 1; True shows a bar.
 
     Returns:
         Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
@@ -240,7 +244,7 @@ class _Call:
         )
         self._request = request
         self._where = {"device": request.device, "threads": request.threads}
-        self._deflections = -self._lights - self._views
+        self._scattering_vectors = -self._lights - self._views
         self._gains = reflectance_factors.gain(
             self._lights, self._views, normal=request.normal_reflectance, masking=request.masking,
             per_light_cosine=request.coherence.kind == "source",
@@ -250,10 +254,15 @@ class _Call:
         if energy is not None:
             self._gains[illuminated] *= energy.between(self._lights[illuminated], self._views[illuminated])
         self._scope = DirectionRange.of(
-            request.heightfield, request.coherence, self._deflections, self._lights, illuminated, request.wavelengths_nm
+            request.heightfield,
+            request.coherence,
+            self._scattering_vectors,
+            self._lights,
+            illuminated,
+            request.wavelengths_nm,
         )
         if request.plan is None:
-            sample = DirectionSample.among(self._deflections, self._lights, self._gains)
+            sample = DirectionSample.among(self._scattering_vectors, self._lights, self._gains)
             self.plan = plan_for(request, self._scope, sample, float(np.count_nonzero(illuminated)))
         else:
             self.plan = request.plan
@@ -271,8 +280,8 @@ class _Call:
             result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
             illuminated = self._gains > 0.0
             power = direct_sum.window_power(
-                heightfield, self.plan.coherence, self._deflections[illuminated], wavelengths_nm * 1e-3, to_lights=self._lights[illuminated],
-                progress=progress,
+                heightfield, self.plan.coherence, self._scattering_vectors[illuminated], wavelengths_nm * 1e-3,
+                to_lights=self._lights[illuminated], progress=progress,
             )  # fmt: skip
             result[illuminated] = (
                 self._gains[illuminated, None] * power * self._reflectances(wavelengths_nm, illuminated)
@@ -281,7 +290,7 @@ class _Call:
         table = table_for(heightfield, self.plan, self._scope, **self._where)
         wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._request.device)
         values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._request.device)
-        inputs = [table.arguments, *self._deflect(), wavenumbers]
+        inputs = [table.arguments, *self._on_device(), wavenumbers]
         launch(table.sample, len(self._lights), inputs, [values], progress=progress, **self._where)
         found: NDArray[np.float32] = values.numpy()
         if self._request.illuminated[0].material is not None:
@@ -289,25 +298,31 @@ class _Call:
         return found
 
     def _reflectances(self, wavelengths_nm: NDArray[np.float64], some: Any = slice(None)) -> NDArray[np.float64]:
-        return reflectances(self._request.illuminated[0].material, self._deflections[some], wavelengths_nm)
+        return reflectances(self._request.illuminated[0].material, self._scattering_vectors[some], wavelengths_nm)
 
     def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """XYZ, shape (n, 3)."""
         heightfield, (illuminated,) = self._request.heightfield, self._request.illuminated
         if self.plan.method == "direct":
             return direct_colour(
-                heightfield, self._deflections, self._lights, self._gains, self.plan, illuminated, progress=progress
+                heightfield,
+                self._scattering_vectors,
+                self._lights,
+                self._gains,
+                self.plan,
+                illuminated,
+                progress=progress,
             )
         lookup = ColourLookup(heightfield, self.plan, self._scope, **self._where)
         xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._request.device)
-        lookup.add(*self._deflect(), illuminated, xyz, progress=progress)
+        lookup.add(*self._on_device(), illuminated, xyz, progress=progress)
         return np.asarray(xyz.numpy())
 
-    def _deflect(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Deflections, directions to the light and gains on the device."""
+    def _on_device(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Scattering vectors, directions to the light and gains on the device."""
         device = self._request.device
         return (
-            wp.array(self._deflections, dtype=wp.vec3d, device=device),
+            wp.array(self._scattering_vectors, dtype=wp.vec3d, device=device),
             wp.array(self._lights.astype(np.float32), dtype=wp.vec3f, device=device),
             wp.array(self._gains.astype(np.float32), dtype=wp.float32, device=device),
         )
@@ -329,7 +344,7 @@ def direct_colour(
     """
     result = np.zeros((len(gains), 3))
     illuminated = np.flatnonzero(gains > 0.0)
-    unconverged_share = 0
+    unconverged = 0
 
     def powers(index: int, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
         one = slice(index, index + 1)
@@ -354,13 +369,14 @@ def direct_colour(
             colour = values @ colorimetry.quadrature_weights(finer, lit_material.illuminant)
             change = float(np.linalg.norm(colour - before))
             settled = change <= _DIRECT_SETTLED * plan.tolerance * float(np.linalg.norm(colour))
-        unconverged_share += not settled
+        unconverged += not settled
         result[i] = gains[i] * colour
         if progress is not None:
             progress((done + 1) / len(illuminated))
-    if unconverged_share:
+    if unconverged:
         warn(
-            f"the direct sum of {unconverged_share} of {len(illuminated)} directions has not settled at {_DIRECT_MOST_WAVELENGTHS} "
-            "wavelengths, the most it takes: ask for a larger tolerance, or for spectral_reflectance"
+            f"the direct sum of {unconverged} of {len(illuminated)} directions has not converged at "
+            f"{_DIRECT_MOST_WAVELENGTHS} wavelengths, the limit: use a larger {ref('tolerance')}, or "
+            "warpdiff.spectral_reflectance"
         )
     return result

@@ -18,7 +18,7 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.diffraction.coefficient_basis import holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
-from warpdiff.heightfield import aliasing, scalar_validity
+from warpdiff.heightfield import diagnostics
 from warpdiff.kernels import refinement_levels
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
@@ -123,14 +123,15 @@ def plan(
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
     """
     request = Evaluation.of(heightfield, PlanSettings(**settings), illuminants=(illuminant,))
-    with memory.as_memory_error("plan()", "take a larger tolerance, or a smaller heightfield"):
+    with memory.as_memory_error("plan()", f"use a larger {ref('tolerance')}, or a smaller {ref('heightfield')}"):
         direction_range, sample, count = directions_of(request, to_light, to_view)
         result = plan_for(request, direction_range, sample, count)
-    if result.scalar_error >= scalar_validity.UNTRUSTED:
+    if result.scalar_error >= diagnostics.SCALAR_INVALID:
         warn(
-            f"scalar diffraction is {scalar_validity.told(result.scalar_error)}; heightfield has a standard deviation of "
-            f"{heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: use a rigorous solver, or take colours for a "
-            "likeness"
+            f"scalar diffraction is {diagnostics.scalar_error_text(result.scalar_error)}; {ref('heightfield')} has a standard "
+            f"deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: use a "
+            "rigorous "
+            "solver, or interpret the colours only qualitatively"
         )
     return result
 
@@ -196,40 +197,36 @@ def broadcast_directions(
     lights, one_light = validation.directions(to_light, "to_light")
     views, one_view = validation.directions(to_view, "to_view")
     if len(lights) != len(views) and 1 not in (len(lights), len(views)):
-        raise ValueError(
-            f"to_light and to_view must hold the same number of directions, or one, got {len(lights)} and {len(views)}"
+        raise ArgumentValueError(
+            f"{ref('to_light')} and {ref('to_view')} must hold the same number of directions, or one, got "
+            f"{len(lights)} and "
+            f"{len(views)}"
         )
     shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
     return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
 
 
 def _expansion(request: Evaluation) -> tuple[str, str]:
-    """The method and the integration of a request; an integration without a method is that of the automatic expansion."""
+    """Return method and integration; an explicit integration without a method is for the automatic expansion."""
     chosen = request.method == "auto" and request.integration != "auto"
     return (AUTOMATIC if chosen else request.method), request.integration
 
 
 @single_threaded_blas()
 def plan_for(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-    """The plan for all directions of a scope, searched for on a sample of them.
+    """Return the plan for all directions of a range, searched for on a sample of them.
 
-    The directions are ``count`` in number, or of means over pixels some of them; a table, which takes time to make, is
-    for many, and for the footprints of what adds as powers. With wavelengths there is no integral over λ, and only
-    those need be served.
+    There are ``count`` directions, or fewer where pixels show means. A table requires time to make: it is for many
+    directions, and for footprints where powers add. A spectrum has no integral over λ, and only its wavelengths count.
     """
-    heightfield, tolerance, coherence, footprint = (
-        request.heightfield,
-        request.tolerance,
-        request.coherence,
-        request.footprint,
-    )
+    heightfield, tolerance, coherence = request.heightfield, request.tolerance, request.coherence
     method, integration = _expansion(request)
     if not request.integrates and integration == "table":
         raise ArgumentValueError(
             f"{ref('integration')} must not be 'table' for a spectrum, which is not integrated over λ"
         )
     check_cycles(heightfield, direction_range.kappas[1])
-    pitch = aliasing.coarsest_pitch_um(heightfield)
+    pitch = diagnostics.coarsest_pitch_um(heightfield)
     colour = request.integrates
     upper_bound_plan = _ample(
         heightfield, direction_range, tolerance=tolerance, method=method, coherence=coherence, colour=colour
@@ -238,8 +235,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     _warn_of_aliasing(direction_range, pitch, coefficient_table.radius(upper_bound_plan) if between else 0.0)
     if method == "direct":
         return upper_bound_plan
-    blurs = footprint and coherence.adds_powers and method == "auto"
-    if footprint and not blurs:
+    blurs = request.footprint and coherence.adds_powers and method == "auto"
+    if request.footprint and not blurs:
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
     most_making = math.inf if integration == "table" or blurs else 0.0
     if method == "auto" and colour and not most_making:
@@ -260,13 +257,14 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     found = upper_bound_plan
     if upper_bound_plan.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
-            heightfield, upper_bound_plan.method, coherence, direction_range, coefficient_table.neighbour_extent(upper_bound_plan, heightfield), terms=upper_bound_plan.terms,
+            heightfield, upper_bound_plan.method, coherence, direction_range,
+            coefficient_table.neighbour_extent(upper_bound_plan, heightfield), terms=upper_bound_plan.terms,
             threads=request.threads,
         )  # fmt: skip
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
         found = replace(upper_bound_plan, terms=terms, truncation=float(basis.unserved_gain[terms]))
     found = replace(
-        found, aliasing=aliasing.folded_power(heightfield, direction_range.max_uv * 1e3 / direction_range.lambda_min_nm)
+        found, aliasing=diagnostics.folded_power(heightfield, direction_range.max_uv * 1e3 / direction_range.lambda_min_nm)
     )
     if is_searched:
         found = search_plan(
@@ -280,7 +278,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
             found, terms=upper_bound_plan.terms, truncation=max(found.truncation, upper_bound_plan.truncation)
         )
     _check_error(heightfield, found, strict=request.strict)
-    return replace(found, footprint=footprint)
+    return replace(found, footprint=request.footprint)
 
 
 def search_plan(
@@ -405,7 +403,7 @@ def _ample(
         quadrature=_QUADRATURE_SHARE * tolerance if colour else 0.0,
         rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
         aliasing=0.0,
-        scalar_error=scalar_validity.error_bound(heightfield.rms_um, heightfield.mean_slope),
+        scalar_error=diagnostics.scalar_error_bound(heightfield.rms_um, heightfield.mean_slope),
         multiply_adds=0.0,
         is_measured=False,
         validation_size=0,
@@ -450,15 +448,17 @@ def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
     rows, columns = (2 * n + 1 for n in coefficient_table.neighbour_extent(plan, heightfield))
     if plan.coherence.kind == "replicas" or rows * columns <= _MOST_NEIGHBOURS:
         return
-    size = f"{heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm: {rows} × {columns} coefficients lie in its reach; crop"
     if plan.coherence.sigma_um is None:
-        what = f"angular_diameter_deg={plan.coherence.angular_diameter_deg:g} is too wide"
+        what = f"{ref('angular_diameter_deg', plan.coherence.angular_diameter_deg)} is too wide"
         sigma = LAMBDA_MAX_NM * 1e-3 / (2.0 * math.sqrt(2.0) * math.pi * plan.coherence.spread)
     else:
-        what, sigma = f"sigma_um={plan.coherence.sigma_um:g} is too short", plan.coherence.sigma_um
-    raise ValueError(
-        f"{what} for a patch of {size} the height field to some {_PATCH_IN_SIGMAS * sigma:.3g} µm, which such light "
-        "cannot tell from the whole"
+        what, sigma = f"{ref('sigma_um', plan.coherence.sigma_um)} is too short", plan.coherence.sigma_um
+    raise ArgumentValueError(
+        f"{what} for a patch of {heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm, as it covers {rows} × "
+        f"{columns} "
+        f"coefficients: crop the height field to about {_PATCH_IN_SIGMAS * sigma:.3g} µm, which looks the same under "
+        "this "
+        "coherence"
     )
 
 
@@ -470,9 +470,9 @@ def _with_wavelengths(heightfield: HeightField, plan: Plan) -> Plan:
     if periods is not None:
         divisions = math.ceil(_SAMPLES_PER_LOBE * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     what = {
-        "source": f"angular_diameter_deg={plan.coherence.angular_diameter_deg}",
-        "replicas": f"periods={periods} of {heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm",
-    }.get(plan.coherence.kind, f"sigma_um={plan.coherence.sigma_um or 0.0:g}")
+        "source": ref("angular_diameter_deg", plan.coherence.angular_diameter_deg),
+        "replicas": f"{ref('periods', periods)} of {heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm",
+    }.get(plan.coherence.kind, ref("sigma_um", plan.coherence.sigma_um))
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:
         # Near the horizon a source is foreshortened without end; such directions take the largest set there is.
@@ -481,11 +481,12 @@ def _with_wavelengths(heightfield: HeightField, plan: Plan) -> Plan:
         order_rate = (count / cost_model.SPAN - per_w * plan.max_w - constant) / per_lateral
         plan = replace(plan, max_order_rate=max(order_rate, plan.max_uv))
     if count > _MOST_WAVELENGTHS or count * divisions > _MOST_SAMPLES:
-        raise ValueError(
-            f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour takes "
-            f"{count * divisions} wavelengths; the most are {_MOST_WAVELENGTHS}, {_MOST_SAMPLES} for copies: take "
-            f"{_LESS_COHERENT[plan.coherence.kind]} or a larger tolerance, or spectral_reflectance at wavelengths of "
-            "your own"
+        raise ToleranceError(
+            f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour "
+            "requires "
+            f"{count * divisions} wavelengths; at most {_MOST_WAVELENGTHS} are supported, {_MOST_SAMPLES} for "
+            "replicas: use "
+            f"{_LESS_COHERENT[plan.coherence.kind]}, a larger {ref('tolerance')}, or warpdiff.spectral_reflectance"
         )
     return replace(plan, wavelengths=count, subdivisions=divisions)
 
@@ -504,8 +505,9 @@ def warn_outside(plan: Plan, heightfield: HeightField, direction_range: Directio
     ]
     if beyond and plan.method != "direct":
         warn(
-            f"plan= is used beyond what it holds for: {'; '.join(beyond)}; make one for these directions and this "
-            "height field with warpdiff.plan()"
+            f"{ref('plan')} is used beyond its valid range: {'; '.join(beyond)}; results may be wrong: make a plan for "
+            "these "
+            "directions and this height field with warpdiff.plan()"
         )
 
 
@@ -514,33 +516,33 @@ def _check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
     # Errors as measured; the safety in them is no reason to refuse.
     if plan.error <= plan.tolerance * (plan_search.SEARCH_SAFETY if plan.is_measured else 1.0):
         return
-    lower = "reduce the range with levelled(), despiked() or cropped(), or use method='auto' or 'direct'"
-    samples = f"{plan.rings_per_octave} nodes an octave" if plan.rings_per_octave else f"{plan.wavelengths} wavelengths"
+    fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
+    lower = f"{fewer}, or use {ref('method', 'auto')} or {ref('method', 'direct')}"
+    height_range = f"for a height range of {heightfield.height_range_um:.3g} µm"
+    rings = plan.rings_per_octave
+    samples = f"{rings} rings per octave" if rings else f"{plan.wavelengths} wavelengths"
+    directional = f"use {ref('method', 'auto')}, in pictures with lights of {ref('angular_diameter_deg', 0)}"
     sources = {
-        "rounding": (
-            f"float32 rounds terms that grow and cancel for a height range of {heightfield.height_range_um:.3g} µm",
-            lower,
+        "rounding": (f"float32 rounds terms that grow and cancel {height_range}", lower),
+        "truncation": (f"{plan.terms} terms are too few {height_range}", lower),
+        "neighbourhood": (
+            f"neighbours of a weight below {plan.least_weight:.1e} are excluded", f"use {ref('method', 'direct')}"
         ),
-        "truncation": (
-            f"{plan.terms} terms are too few for a height range of {heightfield.height_range_um:.3g} µm",
-            lower,
+        "quadrature": (
+            f"{samples} are too few", directional if rings else f"use {_LESS_COHERENT[plan.coherence.kind]}"
         ),
-        "neighbourhood": (f"neighbours of a weight below {plan.least_weight:.1e} are left out", "use method='direct'"),
-        "quadrature": (f"{samples} are too few", f"take {_LESS_COHERENT[plan.coherence.kind]}"),
-    }
-    if plan.rings_per_octave:
-        remedy = "use method='auto', in pictures with lights of angular_diameter_deg=0"
-        sources["quadrature"] = (sources["quadrature"][0], remedy)
-    worst_percentile = max(sources, key=plan.predicted_errors.__getitem__)
-    (why, remedy), largest = sources[worst_percentile], plan.predicted_errors[worst_percentile]
-    digits = ", so that no digit need be right" if largest >= 1.0 else ""
+    }  # fmt: skip
+    largest = max(sources, key=plan.predicted_errors.__getitem__)
+    (why, remedy), error = sources[largest], plan.predicted_errors[largest]
+    risk = ", so the result may be meaningless" if error >= 1.0 else ""
     how = f"measured on {plan.validation_size} directions" if plan.is_measured else "by its bound"
     message = (
-        f"the {LABELS[plan.method]} cannot reach tolerance={plan.tolerance:g}: {why}, an error of {largest:.1e} {how}"
-        f"{digits}; {remedy}, or ask for a larger tolerance"
+        f"the {LABELS[plan.method]} cannot meet {ref('tolerance', plan.tolerance)}: {why}, an error of {error:.1e} "
+        f"{how}"
+        f"{risk}; {remedy}, or a larger {ref('tolerance')}"
     )
     if strict:
-        raise ValueError(message + "; strict=False computes it all the same")
+        raise ToleranceError(f"{message}; {ref('strict', False)} computes it anyway")
     warn(message)
 
 
@@ -555,7 +557,9 @@ def _warn_of_aliasing(direction_range: DirectionRange, pitch_um: float, radius: 
     supported = max(0.0, direction_range.lambda_min_nm * 1e-3 * (1.0 / (2.0 * pitch_um) - radius))
     if direction_range.max_uv > supported * (1.0 + 1e-9):
         warn(
-            f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at {direction_range.lambda_min_nm:g} nm, and "
-            f"directions up to {direction_range.max_uv:.3g} are asked for: orders beyond repeat those within; scan at a finer "
-            "pitch, or use HeightField.resampled() where the surface is known to be smooth"
+            f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at "
+            f"{direction_range.lambda_min_nm:g} nm, "
+            f"but directions reach {direction_range.max_uv:.3g}: higher orders alias onto lower ones; scan at a finer "
+            "pitch, "
+            "or use HeightField.resampled() if the surface is smooth"
         )

@@ -235,7 +235,7 @@ class Renderer:
             self.draw()
         with self._turn:
             image = self._mine.picture.image(replace(self.plan, tolerance=self._mine.tolerance))
-        warn_unconverged(image.plan)
+        warn_unconverged(image)
         if not self._inputs.evaluation.device.is_cpu:
             return image
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
@@ -259,7 +259,8 @@ class Renderer:
         for tolerance, function in callables.items():
             if not validation.number(tolerance, "previews", most=0.5) > self.plan.tolerance:
                 raise ArgumentValueError(
-                    f"{ref('previews')} must have tolerances above the plan's {self.plan.tolerance:g}, got {tolerance!r}: "
+                    f"{ref('previews')} must have tolerances above the plan's {self.plan.tolerance:g}, got "
+                    f"{tolerance!r}: "
                     "omit it"
                 )
             if not callable(function):

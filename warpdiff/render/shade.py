@@ -60,8 +60,8 @@ def shade(
 ) -> Image:
     """Render a mesh whose surface carries a height field.
 
-    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, plus the pigment's share where
-    the mesh has a base colour. The mesh is visible from both sides.
+    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, plus the pigment's share
+    where the mesh has a base colour. The mesh is visible from both sides.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and
@@ -94,7 +94,7 @@ def shade(
             image = replace(
                 image, layers=layers_of(surface, view, layers, smooth=checked.smooth, device=device, threads=threads)
             )
-    warn_unconverged(image.plan)
+    warn_unconverged(image)
     return image
 
 
@@ -183,7 +183,8 @@ class PictureInputs:
         names, known = surface.geometry_names, list(materials)
         if differing := sorted(set(names) - set(known)) or sorted(set(known) - set(names)):
             raise ArgumentValueError(
-                f"{ref('material')} must name each of the mesh's geometries, {', '.join(map(repr, sorted(set(names))))}, "
+                f"{ref('material')} must name each of the mesh's geometries, "
+                f"{', '.join(map(repr, sorted(set(names))))}, "
                 f"and no others, got {', '.join(map(repr, known))}: see {differing[0]!r}"
             )
         return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
@@ -245,19 +246,23 @@ def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
     return memory.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
 
 
-def warn_unconverged(plan: Plan) -> None:
+def warn_unconverged(image: Image) -> None:
     """Warn of a picture that does not meet its tolerance."""
+    plan = image.plan
+    if plan is None:
+        return
     if plan.unconverged_share > _MOST_UNCONVERGED or plan.unconverged_edge_share > _MOST_UNCONVERGED_EDGES:
         warn(
             f"{100.0 * plan.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
             f"{ref('tolerance', plan.tolerance)}, and {100.0 * plan.unconverged_edge_share:.2g} % of those at edges to "
-            "exceed three times the tolerance: see image.error; render a larger picture, move the camera closer, or give "
+            "exceed three times the tolerance: see image.error; render a larger picture, move the camera closer, or "
+            "give "
             "an Environment more directions"
         )
 
 
 def check_light_sizes(lights: Sequence[Lobe], coherence: Coherence, *, means: bool) -> None:
-    """Refuse lights with an extent where the coherence has one itself, or where pixels show no means over directions."""
+    """Refuse lights with an extent where the coherence has one, or where pixels show no means over directions."""
     if not any(lobe.has_extent for lobe in lights):
         return
     if coherence.kind == "source":
@@ -278,7 +283,8 @@ def listed(lights: Any) -> list[Any]:
     several = [lights] if isinstance(lights, Light) else lights
     if not isinstance(several, Sequence) or not several:
         raise ArgumentTypeError(
-            f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of them, "
+            f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of "
+            "them, "
             f"got {lights!r}"
         )
     return list(several)

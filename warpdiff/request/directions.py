@@ -53,17 +53,17 @@ class DirectionSample:
         places = illuminated[sample_ranks(len(illuminated), parts)]
         weights = np.full(len(places), len(illuminated) / max(len(places), 1))
         return cls(
-            scattering_vectors[places].astype(np.float64), to_lights[places].astype(np.float64), gains[places].astype(float),
-            weights,
+            scattering_vectors[places].astype(np.float64), to_lights[places].astype(np.float64),
+            gains[places].astype(float), weights,
         )  # fmt: skip
 
     @classmethod
     def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
         """Join the samples of several passes."""
-        weights = np.concatenate([each.weights for each in parts])
+        weights = np.concatenate([part.weights for part in parts])
         return cls(
-            np.concatenate([each.scattering_vectors for each in parts]), np.concatenate([each.to_lights for each in parts]),
-            np.concatenate([each.gains for each in parts]), weights,
+            np.concatenate([part.scattering_vectors for part in parts]),
+            np.concatenate([part.to_lights for part in parts]), np.concatenate([part.gains for part in parts]), weights,
         )  # fmt: skip
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction.coefficient_basis import METHODS as EXPANDED
 from warpdiff.diffraction.coefficient_basis import POWER_METHODS, holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
-from warpdiff.heightfield import scalar_validity
+from warpdiff.heightfield import diagnostics
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.colorimetry import LONGEST_NM, SHORTEST_NM
 from warpdiff.request.directions import DirectionRange
@@ -61,58 +62,60 @@ _FINDINGS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """The numbers of a computation, and why. ``dataclasses.replace(plan, terms=9)`` changes one; pass it as ``plan=``.
+    """The numbers of a computation, and the reasons for them.
 
-    Errors are relative ones of XYZ, as ``tolerance`` is. ``request``, ``kernel_numbers``, ``valid_range``,
-    ``predicted_errors`` and ``findings`` are views of the fields by what they are.
+    ``dataclasses.replace(plan, terms=9)`` changes a number; pass the result as ``plan=``. Errors are relative errors of
+    XYZ, as ``tolerance`` is. ``request``, ``kernel_numbers``, ``valid_range``, ``predicted_errors`` and ``findings``
+    are views of the fields by their role.
 
     Attributes:
-        method: One of ``low_rank_basis.METHODS``, or ``"direct"``.
-        coherence: The window, source or periods.
-        tolerance: What was asked for.
-        terms: Terms of the basis, n = 0 … terms − 1.
-        least_weight: Neighbours whose Gaussian weight, on powers or on amplitudes, is less are left out.
-        wavelengths: Samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 where the caller
-            gives wavelengths.
-        subdivisions: For copies: samples of their factor for one of the patch's.
-        bandwidth_um: What a direction takes of them as a, b, c of a·lateral + b·|w| + c, samples per unit of 1/λ;
-            lateral is |(u, v)|, for a source stretched along its foreshortening, for copies |(u Lx, v Ly)|.
-        adaptive: Whether directions with less than the largest bandwidth take fewer of them.
-        rings_per_octave: Nodes an octave of the polar table that the integral over λ is taken from; 0 samples wavelengths.
-        azimuths_per_width: Rays of that table in a standard deviation of the spectrum's blur.
-        w_basis_size: Functions of w that all colours of the table share, a multiple of 4; 0 takes as many as the tolerance
-            asks for.
-        footprint: Whether pixels show means over their range of (u, v), which are taken from levels of the table where
-            there is one and powers add, and otherwise from many points.
-        light_sample_count: Of a picture, how many directions and Gaussians of directions stand for its lights.
-        refined_share: Of a picture, the share of the pixels that see the mesh that were split into cells; of several lights,
-            of the one under which these are most.
-        unconverged_share: The share of its lit pixels that are expected to err by more than the tolerance, as their estimated
-            errors tell, of those that no edge passes; 0 of one that is not refined, which promises nothing.
-        unconverged_edge_share: The same of those that an edge passes, of the mesh or of what is lit, and of three tolerances.
-        errors: Medians and 99th percentiles of the estimated errors of its lit pixels; 0 for directions.
-        energy_spread: Where energy is normalised, by how much what single wavelengths and directions send back differs
-            from what comes in (root mean square); no part of ``error``. 0 of what is as Stam has it.
-        max_uv: Largest |(u, v)| of the directions that the numbers hold for.
-        max_order_rate: Largest lateral of these.
-        min_w: Smallest |w| of these.
-        max_w: Largest |w| of these.
-        lambda_min_nm: Shortest wavelength that the numbers hold for [nm].
-        lambda_max_nm: Longest wavelength that the numbers hold for [nm].
-        height_range_um: Largest height range that the numbers hold for [µm].
-        truncation: Predicted error from the terms left out.
-        neighbourhood: Predicted error from the neighbours left out.
+        method: Expansion, or ``"direct"``.
+        coherence: Window, source or periods.
+        tolerance: Accepted error.
+        terms: Number of terms of the expansion, n = 0 … terms − 1.
+        least_weight: Smallest Gaussian weight, of powers or of amplitudes, of a neighbouring coefficient that counts.
+        wavelengths: Number of samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 for a
+            spectrum at wavelengths of the caller.
+        subdivisions: Samples of the periods' factor per sample of the patch's factor, for ``"replicas"``.
+        bandwidth_um: Samples per unit of 1/λ that a direction requires, as (a, b, c) of a·rate + b·|w| + c. The rate is
+            |(u, v)|; for a source it is stretched along the foreshortening, for replicas it is |(u Lx, v Ly)|.
+        adaptive: Whether directions of less than the largest bandwidth use fewer samples.
+        rings_per_octave: Rings per octave of the polar table that replaces the integral over λ; 0 samples wavelengths.
+        azimuths_per_width: Azimuth samples of that table per standard deviation of the spectrum's blur.
+        w_basis_size: Number of functions of w that the table's colours share, a multiple of 4; 0 selects it by the
+            tolerance.
+        footprint: Whether pixels show means over their range of (u, v): from mip levels of the table where powers add,
+            otherwise from many points.
+        light_sample_count: Number of directions and Gaussian lobes that represent a picture's lights.
+        refined_share: Share of a picture's covered pixels that were subdivided; for several lights, the largest.
+        unconverged_share: Share of the illuminated interior pixels whose estimated error exceeds the tolerance; 0
+            without refinement, which guarantees nothing.
+        unconverged_edge_share: Share of the pixels at edges, of the mesh or of shadows, whose estimated error exceeds
+            three tolerances.
+        errors: Median and 99th percentile of the estimated errors of the illuminated pixels; 0 for directions.
+        energy_spread: Root mean square deviation of the reflected power of single wavelengths and directions from the
+            incident power where energy is normalised; not part of ``error``. 0 for ``energy="stam"``.
+        max_uv: Largest |(u, v)| that the numbers are valid for.
+        max_order_rate: Largest rate, as in ``bandwidth_um``, that the numbers are valid for.
+        min_w: Smallest |w| that the numbers are valid for.
+        max_w: Largest |w| that the numbers are valid for.
+        lambda_min_nm: Shortest wavelength that the numbers are valid for [nm].
+        lambda_max_nm: Longest wavelength that the numbers are valid for [nm].
+        height_range_um: Largest height range that the numbers are valid for [µm].
+        truncation: Predicted error of the truncated expansion.
+        neighbourhood: Predicted error of the excluded neighbours.
         quadrature: Predicted error of the integral over λ; 0 without one.
-        rounding: Predicted error from float32 arithmetic.
-        aliasing: Power of the height field beyond the pitch's limit, which folds back onto the steepest directions,
-            relative to theirs. It is a property of the data and no part of ``error``.
-        scalar_error: How wrong scalar diffraction can be at 550 nm, see ``scalar_validity.error_bound``. It is a
-            property of the surface and no part of ``error``.
-        multiply_adds: Predicted cost of a direction, in the mean over the sample.
-        is_measured: Whether the errors were measured on some directions; otherwise they are what bounds leave as a rule.
-        validation_size: On how many, which the search has not seen where there are enough of them.
+        rounding: Predicted error of float32 arithmetic.
+        aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
+            directions, relative to their power. It is a property of the data and not part of ``error``.
+        scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. It is a
+            property of the surface and not part of ``error``.
+        multiply_adds: Predicted cost per direction, the mean over the sample.
+        is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
+            bounds.
+        validation_size: Number of validation directions.
         table_multiply_adds: Predicted cost of making the table; 0 without one.
     """
 
@@ -160,24 +163,27 @@ class Plan:
         if validation.count(self.rings_per_octave, "rings_per_octave", least=0):
             validation.positive(self.azimuths_per_width, "azimuths_per_width")
             if not MIN_RINGS <= self.rings_per_octave <= MAX_RINGS:
-                raise ValueError(
-                    f"rings_per_octave must be 0, or {MIN_RINGS} to {MAX_RINGS}, got {self.rings_per_octave}"
+                raise ArgumentValueError(
+                    f"{ref('rings_per_octave')} must be 0, or {MIN_RINGS} to {MAX_RINGS}, got {self.rings_per_octave}"
                 )
         if (
             validation.count(self.w_basis_size, "w_basis_size", least=0) % W_BASIS_STEP
             or self.w_basis_size > MOST_W_BASIS
         ):
-            raise ValueError(
-                f"w_basis_size must be a multiple of {W_BASIS_STEP} up to {MOST_W_BASIS}, or 0, got {self.w_basis_size}"
+            raise ArgumentValueError(
+                f"{ref('w_basis_size')} must be a multiple of {W_BASIS_STEP} up to {MOST_W_BASIS}, or 0, got "
+                f"{self.w_basis_size}"
             )
         validation.flag(self.footprint, "footprint")
         check_method(self.method, "table" if self.rings_per_octave else "sampled", self.coherence)
         validation.number(self.tolerance, "tolerance", least=1e-5, most=0.5)
         if not 1 <= validation.count(self.terms, "terms") <= MAX_TERMS:
-            raise ValueError(f"terms must be 1 to {MAX_TERMS}, got {self.terms}")
+            raise ArgumentValueError(f"{ref('terms')} must be 1 to {MAX_TERMS}, got {self.terms}")
         weight = validation.number(self.least_weight, "least_weight", above=0.0)
         if weight >= 1.0:
-            raise ValueError(f"least_weight must be less than 1, got {weight:g}: no coefficient has more")
+            raise ArgumentValueError(
+                f"{ref('least_weight')} must be less than 1, got {weight:g}: no coefficient has more"
+            )
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in {*_ERRORS, *_FINDINGS} - {"errors", "is_measured", "validation_size", "light_sample_count"}:
@@ -185,13 +191,15 @@ class Plan:
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         errors = validation.finite_array(self.errors, "errors")
         if errors.shape != (2,):
-            raise ValueError(f"errors must be a pair of numbers, got {self.errors!r}")
+            raise ArgumentValueError(f"{ref('errors')} must be a pair of numbers, got {self.errors!r}")
         validation.flag(self.is_measured, "is_measured")
         validation.count(self.validation_size, "validation_size", least=0)
         validation.count(self.light_sample_count, "light_sample_count", least=0)
         bandwidth = validation.finite_array(self.bandwidth_um, "bandwidth_um", most=validation.MOST)
         if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
-            raise ValueError(f"bandwidth_um must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}")
+            raise ArgumentValueError(
+                f"{ref('bandwidth_um')} must be three numbers >= 0, the last > 0, got {self.bandwidth_um!r}"
+            )
         validation.flag(self.adaptive, "adaptive")
         validation.count(self.subdivisions, "subdivisions")
         if validation.count(self.wavelengths, "wavelengths", least=0):
@@ -252,61 +260,69 @@ class Plan:
             self.max_uv, self.max_order_rate, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm
         )
 
+    def __repr__(self) -> str:
+        integration = f"{self.rings_per_octave} rings per octave" if self.rings_per_octave else f"{self.wavelengths} λ"
+        size = "" if self.method == "direct" else f", {self.terms} terms, {integration}"
+        return f"Plan({self.method}, {self.coherence}, tolerance {self.tolerance:g}, error {self.error:.1e}{size})"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(str(self))}</p>"
+
     def __str__(self) -> str:
         if self.method == "direct":
             sums = f"Direct sum over the height samples in float64, {self.coherence}"
-            return f"{sums}: no approximation but the integral over λ. {self._scalar}"
-        direction_range = f"for |(u, v)| up to {self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}"
-        how = "what bounds leave as a rule"
-        if self.is_measured:
-            how = f"measured on {self.validation_size} of the directions, which stand for all"
+            return f"{sums}: exact up to the integral over λ. {self._scalar}"
+        how = (
+            f"measured on {self.validation_size} validation directions" if self.is_measured else "typical of its bounds"
+        )
         start = (
-            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, {direction_range}. Predicted error "
-            f"{self.error:.1e}, {how}: {self.terms} terms leave out {self.truncation:.1e}"
+            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, for |(u, v)| up to "
+            f"{self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}. Predicted error {self.error:.1e}, {how}: "
+            f"{self.terms} terms, truncation error {self.truncation:.1e}"
         )
         parts = [start]
         if self.coherence.kind != "replicas":
-            parts.append(f"neighbours of a weight below {self.least_weight:.1e} leave out {self.neighbourhood:.1e}")
+            parts.append(f"neighbours of weight {self.least_weight:.1e} or more, error {self.neighbourhood:.1e}")
         if self.rings_per_octave:
-            rays = f"{self.rings_per_octave} nodes an octave and {self.azimuths_per_width:g} rays a standard deviation"
-            pixels = ", blurred for the range of (u, v) that a pixel sees," if self.uses_footprints else ""
-            shared = f" and {self.w_basis_size} functions of w" if self.w_basis_size else ""
-            parts.append(f"a polar table of {rays}{shared}{pixels} integrates to {self.quadrature:.1e}")
+            grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
+            shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""
+            pixels = ", mip levels for footprints" if self.uses_footprints else ""
+            parts.append(f"polar colour table ({grid}{shared}{pixels}), error {self.quadrature:.1e}")
         elif self.wavelengths:
             spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
-            asides = [f"each divided by {self.subdivisions} for the copies' factor"] if self.subdivisions > 1 else []
-            asides += ["fewer where coefficients pass slower"] if self.adaptive else []
+            asides = [f"each divided by {self.subdivisions} for the periods' factor"] if self.subdivisions > 1 else []
+            asides += ["fewer for directions of less bandwidth"] if self.adaptive else []
             aside = f" ({', '.join(asides)})" if asides else ""
-            spaced = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
-            parts.append(f"{spaced} integrate to {self.quadrature:.1e}")
+            sampling = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
+            parts.append(f"{sampling}, error {self.quadrature:.1e}")
+        parts.append(f"float32 rounding {self.rounding:.1e}")
         if self.light_sample_count > 1:
-            parts.append(f"{self.light_sample_count} directions stand for the lights")
+            parts.append(f"{self.light_sample_count} directions represent the lights")
         if self.refined_share:
-            parts.append(f"{100.0 * self.refined_share:.3g} % of the pixels were split into cells")
+            parts.append(f"{100.0 * self.refined_share:.3g} % of the pixels were subdivided")
             if self.unconverged_share:
-                parts.append(
-                    f"after which {100.0 * self.unconverged_share:.2g} % are expected to err by more than the tolerance"
-                )
-        parts.append(f"float32 rounds by {self.rounding:.1e}")
-        text = "; ".join(parts)
-        text += f". The pitch folds back {self.aliasing:.1e} of the power of the steepest directions."
+                parts.append(f"{100.0 * self.unconverged_share:.2g} % of them are expected to exceed the tolerance")
+        beyond = "of the power of the steepest directions lies beyond the pitch's Nyquist limit"
+        sentences = ["; ".join(parts), f"Aliasing: {self.aliasing:.1e} {beyond}"]
         if any(self.errors):
-            text += " Estimated errors of the lit pixels: median {:.1e}, 99th percentile {:.1e}.".format(*self.errors)
-        if self.energy_spread:
-            text += (
-                " Energy is normalised over all wavelengths together; single ones send back what comes in within "
-                f"{self.energy_spread:.2g}."
+            sentences.append(
+                "Estimated errors of the illuminated pixels: median {:.1e}, 99th percentile {:.1e}".format(*self.errors)
             )
-        text += f" Some {self.multiply_adds:.2g} multiply-adds a direction, {self.microseconds:.2g} µs of a core"
-        return (
-            text
-            + (f", after {self.table_seconds:.2g} s for the table" if self.rings_per_octave else "")
-            + f". {self._scalar}"
+        if self.energy_spread:
+            sentences.append(
+                "Energy is normalised over all wavelengths together; the reflected power of single wavelengths "
+                "deviates "
+                f"by {self.energy_spread:.2g}"
+            )
+        table = f", after {self.table_seconds:.2g} s for the table" if self.rings_per_octave else ""
+        sentences.append(
+            f"Cost: {self.multiply_adds:.2g} multiply-adds per direction, {self.microseconds:.2g} µs on one core{table}"
         )
+        return f"{'. '.join(sentences)}. {self._scalar}"
 
     @property
     def _scalar(self) -> str:
-        return f"Scalar theory itself: {scalar_validity.told(self.scalar_error)}."
+        return f"Scalar diffraction: {diagnostics.scalar_error_text(self.scalar_error)}."
 
 
 def check_method(method: str, integration: str, coherence: Coherence) -> None:

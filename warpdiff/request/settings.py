@@ -1,14 +1,14 @@
 """The options of the public functions: one frozen dataclass per group, from which everything else is derived.
 
 A field states an option's type, range and unit; ``Attributes:`` states its meaning. Python keyword arguments
-(:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the viewer's controls and the fuzz tests
-follow from these fields, so that a new option is one field.
+(:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the viewer's controls and the fuzz
+tests follow from these fields, so that a new option is one field.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Gt, Interval
 
@@ -39,8 +39,9 @@ class CommonSettings(Checked):
     """Options of every function that evaluates a height field.
 
     Attributes:
-        tolerance: Error that is accepted, relative to the larger of the value and 1e-3 of the brightest: XYZ at the 99th
-            percentile of the directions or illuminated pixels, and of the bright ones separately; for spectra |Δρ|.
+        tolerance: Error that is accepted, relative to the larger of the value and 1e-3 of the brightest: XYZ at the
+            99th percentile of the directions or illuminated pixels, and of the bright ones separately; for spectra
+            |Δρ|.
         method: Expansion of exp(2πiκh). ``"auto"`` selects the cheapest one that meets the tolerance; ``"direct"`` is
             the float64 sum without an expansion, which is slow.
         integration: Integration over the wavelength: by sampled wavelengths, or by a precomputed table of colours.
@@ -103,7 +104,8 @@ class PlannedSettings(CommonSettings):
         super().__post_init__()
         if self.plan is not None and self.coherence not in (None, self.plan.coherence):
             raise ArgumentValueError(
-                f"{ref('coherence')} differs from the coherence of {ref('plan')}; give one of them, or change the plan by "
+                f"{ref('coherence')} differs from the coherence of {ref('plan')}; give one of them, or change the plan "
+                "by "
                 "dataclasses.replace"
             )
 
@@ -118,8 +120,8 @@ class EnergySettings(CommonSettings):
     """Options of functions that can normalise the energy.
 
     Attributes:
-        energy: ``"stam"``, or ``"normalised"``: the orders of a perfect mirror sum to 1 for every direction. Colours are
-            then multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the
+        energy: ``"stam"``, or ``"normalised"``: the orders of a perfect mirror sum to 1 for every direction. Colours
+            are then multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the
             wavelengths, instead of masking. It requires about two seconds, once per height field.
     """
 
@@ -151,8 +153,8 @@ class PictureSettings(EvaluationSettings):
         smooth: Whether vertex normals are interpolated; otherwise facets show.
         tangents: Direction of the height field's x axis, world frame: one per vertex, shape (n, 3), or one for all,
             shape (3,); its component in the surface counts. None takes it from the texture coordinates.
-        footprint: Whether a pixel shows the mean over its filter, a Gaussian (σ 0.5 pixel, truncated at 1.5), instead of
-            the colour at its centre. None is on for averaged windows and sources, and off otherwise and for
+        footprint: Whether a pixel shows the mean over its filter, a Gaussian (σ 0.5 pixel, truncated at 1.5), instead
+            of the colour at its centre. None is on for averaged windows and sources, and off otherwise and for
             ``method="direct"``.
         samples_per_pixel: Number of camera rays per pixel. With 1, the ray passes through the pixel centre. With
             footprints it is the least number of subpixel cells: 1, 4, 16, … 4,096.
