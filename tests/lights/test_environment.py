@@ -275,7 +275,7 @@ def test_the_tolerance_says_how_many_directions_stand_for_a_sky(square):
     assert counts == [1640, 3280]
     picture = wd.shade(square, flat, wd.Environment(sky.radiance_rgb, directions=20), seen_at(20.0), **UNDER)
     assert picture.plan.light_sample_count == 20
-    assert "20 directions stand for the lights" in str(picture.plan)
+    assert "20 directions represent the lights" in str(picture.plan)
 
 
 def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():

@@ -31,7 +31,7 @@ def test_a_table_of_a_material_keeps_its_tolerance(name, coherence, tolerance, f
     """cos θd is |(u, v, w)|/2, so that R(θd, λ) is within the integral over λ that a table holds."""
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
-    plan = wd.plan(fingers, lights, views, method="low-rank/table", **options)
+    plan = wd.plan(fingers, lights, views, method="low-rank", integration="table", **options)
     assert plan.rings_per_octave > 0
     found = wd.reflectance(fingers, lights, views, plan=plan, material=MATERIALS[name])
     exact = reference.reference_reflectance(fingers, lights, views, coherence, tolerance=1e-3, material=MATERIALS[name])
@@ -54,7 +54,7 @@ def test_copies_of_gold_keep_their_tolerance(fingers, rng):
 def test_what_reflects_nothing_is_black_by_a_table_too(fingers, rng):
     air = wd.Material.from_nk([500.0], [1.0], [0.0])
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
-    plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank/table")
+    plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", integration="table")
     # Polynomials of cos θd leave roundings of zero.
     assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-20
 
