@@ -189,7 +189,7 @@ def taken_by_others(work):
     def of_others():
         return time.process_time() - time.thread_time()
 
-    # Those of the library spin for a while after a call.
+    # Threads of the library spin for a while after a call.
     while (before := of_others()) and (time.sleep(0.05) or of_others() - before > 1e-3):
         pass
     before, begin = of_others(), time.thread_time()

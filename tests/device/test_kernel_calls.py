@@ -1,4 +1,4 @@
-"""Launches in turn on the CPU: every element goes through all kernels once, whatever the slices and threads."""
+"""Kernel calls on the CPU: every element goes through all kernels once, whatever the slices and threads."""
 
 import gc
 import sys
@@ -21,9 +21,9 @@ wp.set_module_options(compile_options.options())
 
 
 def test_progress_is_told_of_nothing():
-    told = []
-    launch_pipeline([], 0, device=resolve_device("cpu"), threads=2, progress=told.append)
-    assert told == [1.0]
+    shares = []
+    launch_pipeline([], 0, device=resolve_device("cpu"), threads=2, progress=shares.append)
+    assert shares == [1.0]
 
 
 @wp.kernel
@@ -96,7 +96,7 @@ def gather_all(
 
 def test_arguments_of_any_type_arrive():
     device = resolve_device("cpu")
-    found = wp.zeros(3, dtype=wp.float64, device=device)
+    sums = wp.zeros(3, dtype=wp.float64, device=device)
     values = wp.array([[0.0, 1.0], [0.0, 2.0], [0.0, 3.0]], dtype=wp.float64, device=device)
     expected = np.zeros(3)
     for sample in range(2):
@@ -105,10 +105,10 @@ def test_arguments_of_any_type_arrive():
         sampling.places = wp.array([[0.25, 0.0]], dtype=wp.vec2d, device=device)
         for none in (None, wp.empty(0, dtype=wp.int32, device=device)):
             inputs = [sampling, cells, wp.vec2d(0.0, 0.5), np.float32(1.5), True, values]
-            step = KernelCall(gather_all, inputs, [none, found])
+            step = KernelCall(gather_all, inputs, [none, sums])
             launch_pipeline([step], 3, device=device, threads=1)
             expected += 1.5 * values.numpy()[:, 1] + 0.75 + sample
-    np.testing.assert_array_equal(found.numpy(), expected)
+    np.testing.assert_array_equal(sums.numpy(), expected)
 
 
 def test_arrays_of_another_type_are_refused():
@@ -145,12 +145,12 @@ def test_threads_may_be_the_first_to_launch_a_kernel():
 
 def test_what_was_launched_may_go():
     values = wp.zeros(4, dtype=wp.int32, device="cpu")
-    kept = weakref.ref(values)
+    reference = weakref.ref(values)
     launch(triple, 4, [values], [], device=resolve_device("cpu"), threads=1)
     np.testing.assert_array_equal(values.numpy(), 0)
     del values
     gc.collect()
-    assert kept() is None
+    assert reference() is None
 
 
 @wp.kernel

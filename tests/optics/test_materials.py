@@ -175,7 +175,7 @@ def mirrored(material, angle):
 @pytest.mark.parametrize("name", ["Au", "Cr", "glass", "a film on aluminium"])
 @pytest.mark.parametrize("nodes", [0, 32], ids=["sampled", "table"])
 def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
-    """What a mirror direction shows is R(θ, λ), from sampled wavelengths and from a table alike."""
+    """A mirror direction shows R(θ, λ), from sampled wavelengths and from a table alike."""
     heightfield, angles = flat(), (0.0, 30.0, 60.0, 75.0)
     plan = dataclasses.replace(
         wd.plan(heightfield, method="low-rank"), rings_per_octave=nodes, azimuths_per_width=1.3 * (nodes > 0)

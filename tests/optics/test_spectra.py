@@ -34,7 +34,7 @@ def test_a_file_is_read_by_its_columns(tmp_path):
     body = wd.Spectrum.blackbody(4000.0)
     values = np.interp(nm, body.wavelengths_nm, body.values)
     for sign in (",", ";", "\t", "  "):
-        text = f"# a lamp\nwavelength{sign}power\n" + "".join(
+        text = f"# a bulb\nwavelength{sign}power\n" + "".join(
             f"{n}{sign}{v:.6g}\n" for n, v in zip(nm, values, strict=True)
         )
         (tmp_path / "lamp.csv").write_text(text)

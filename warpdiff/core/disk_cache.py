@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 
 # Counted up when keys or computed arrays change.
 _VERSION = 2
+# Limit: size of all files [bytes].
 MOST_BYTES = 2**30
 # Arrays that are computed faster are not written to a file [s].
 _LEAST_SECONDS = 0.25
+# Size of a SHA-256.
 _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"

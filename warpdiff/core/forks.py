@@ -49,7 +49,7 @@ def importing() -> list[str]:
     """Slow modules that other threads are importing; a child would wait for them for ever.
 
     Python documents no way to find them. If another version of it keeps its locks elsewhere, the list is empty, and a
-    fork during another thread's imports is as it is without this package.
+    fork during another thread's imports has the same risk as without this package.
     """
     try:
         locks = list(vars(importlib)["_bootstrap"]._module_locks.items())

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 # Limit: arrays are indexed by an int32.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS, _NO_LIMIT = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"), 2**60
-# What NumPy and Warp say, the latter in a RuntimeError.
+# Messages of NumPy and Warp, the latter in a RuntimeError.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 # As measured, while sample fields and bodies are made.

@@ -1,7 +1,7 @@
 """Threads: parallel loops, and linear algebra of NumPy and SciPy on one thread.
 
-Their library's other threads wait for a next call by spinning: beside kernels that compile, or slices that are
-rendered, they only take a core. Sums over fewer or more threads need not be the same to the bit. And OpenBLAS waits for
+Their library's other threads wait for a next call by spinning: while kernels compile, or slices are rendered, they
+only take a core. Sums over fewer or more threads need not be the same to the bit. And OpenBLAS waits for
 ever in a fork while another thread's call is shared out among its threads.
 """
 
@@ -51,7 +51,7 @@ class _Work:
             self._run()
         finally:
             if not self._is_cut_off:
-                # Those that have not begun may never do so: whatever keeps them from it may wait for this thread.
+                # Futures that have not begun may never do so, as the pool's threads may wait for this thread.
                 self._futures = [future for future in self._futures if not future.cancel()]
                 wait(self._futures)
                 if own is not None:
@@ -72,7 +72,7 @@ class _Work:
                 self._work(item)
                 self._report()
         except BaseException:
-            # What nobody has begun with is left.
+            # Items that no thread has begun are dropped.
             self._remaining = iter(())
             raise
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # Limits of magnitudes in any unit: values beyond mean nothing, and their powers overflow or vanish.
 MOST, LEAST = 1e15, 1e-15
+# Limit of integers: an int64.
 MOST_COUNT = 2**63 - 1
 
 

@@ -21,6 +21,7 @@ _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
 # Limit: the sky is projected on the tangent plane at a light, which is no approximation for a wider one [degrees].
 _MAX_DIAMETER_DEG = 30.0
+# Limit: periods (y, x) for each axis.
 _MAX_PERIODS = 100_000
 
 

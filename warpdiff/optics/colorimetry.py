@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 Illuminant = str | Spectrum
 
+# The visible range, over which colours are integrated [nm].
 LAMBDA_MIN_NM = 380
-LAMBDA_MAX_NM = 780
+LAMBDA_MAX_NM = 780  # [nm]
 # Limits of the wavelengths that a caller may pass.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
@@ -127,7 +128,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
     with the colour curves is integrated, and the weights are scaled to the exact white. Interpolated linearly, a narrow
     order would see the curves blurred over the distance of two samples, which costs 1e-2 where they are steep; cubics
     take up to twice the samples at a tolerance of 1e-4. Where a curve ends, or between samples further apart than
-    lines of the illuminant, weights may turn negative: the samples beside them take these over.
+    lines of the illuminant, weights may turn negative: their neighbours take these over.
 
     Args:
         wavelengths_nm: Strictly increasing wavelengths [nm], shape (m,).

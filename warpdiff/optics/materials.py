@@ -31,9 +31,9 @@ Metal = Literal["Al", "Ag", "Au", "Cr", "Cu", "Ni"]
 Polarisation = Literal["s", "p"]
 # A thicker film's fringes are narrower than colours are sampled for.
 _THICKEST_FILM_NM = 1000.0
-# What absorbs so much lets no light through to a pigment: it falls to 1/e within 4 µm.
+# Limit of k: a material that absorbs more transmits no light to a pigment, as power falls to 1/e within 4 µm.
 _OPAQUE = 0.01
-# Linear between them they err by 3e-6 of Schlick's.
+# Linear interpolation between them has an error of 3e-6 for Schlick's reflectance.
 _TRANSMITTANCE_ANGLES = 1025
 VISIBLE_NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+# Limit: size of a file [bytes].
 _MOST_BYTES = 16 << 20
 # Number of wavelengths at which a formula is tabulated.
 _STEPS = 512

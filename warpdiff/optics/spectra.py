@@ -16,6 +16,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+# Limit: size of a file [bytes].
 _MOST_BYTES = 16 << 20
 # c₂ of Planck's law [nm K], as CIE 15 has it.
 _SECOND_RADIATION_CONSTANT = 1.4388e7
