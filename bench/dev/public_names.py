@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
+import operator
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,7 +93,7 @@ def _add_new_names(package: Any) -> None:
     for owner, new, old in ATTRIBUTES:
         cls = getattr(package, owner)
         is_method = callable(getattr(cls, old, None))
-        setattr(cls, new, getattr(cls, old) if is_method else property(lambda self, name=old: getattr(self, name)))
+        setattr(cls, new, getattr(cls, old) if is_method else property(operator.attrgetter(old)))
     for new, old in FUNCTIONS.items():
         setattr(package, new, getattr(package, old))
 

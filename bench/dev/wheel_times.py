@@ -1,0 +1,432 @@
+"""Times of two wheels, interleaved: frames, points, plans, cold starts, import and help.
+
+::
+
+    python -m bench.dev.baseline --folder /tmp/before
+    python -m bench.dev.baseline --folder /tmp/after --commit HEAD --versions-of /tmp/before
+    python -m bench.dev.wheel_times --before /tmp/before/bin/python --after /tmp/after/bin/python --output times.json
+
+A round starts a new process for either wheel. For every row the two processes take turns, call by call, in alternating
+order; a round's ratio is the median over pairs of neighbouring calls of the same work. Rows that start processes of
+their own (cold start, import, help) take turns in the same way. A row's ratio is the median over rounds; its interval
+of at least 95 % is that of order statistics, which assumes no distribution. Rounds are added until the interval of each
+row is within ±``--half-width``, or until ``--most-rounds``.
+
+The wheel ``--before`` is compared with itself first, by the same procedure: its ratios show what the machine resolves.
+Kernels are compiled before, into a folder in each wheel's environment; nothing else is cached on disk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    Call = Callable[[int], object]
+    Timed = Callable[[int], "Seconds"]
+
+ROOT = Path(__file__).resolve().parents[2]
+CLOCKS = ("wall", "cpu")
+# Fewest rounds for which order statistics give an interval of 95 %.
+FEWEST_ROUNDS = 6
+# Seconds of calls per wheel, row and round, and limits of their number.
+SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
+DIRECTIONS = 100_000
+
+COLD_START = """
+import warpdiff as wd
+surface = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
+view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=320, height=240)
+image = wd.shade(wd.meshes.tube(), surface, wd.DirectionalLight((0.1, 0.9, 1.2)), view, tolerance=1e-1)
+image.save("first.png")
+"""
+
+
+class Seconds(NamedTuple):
+    """Wall time and processor time of one call."""
+
+    wall: float
+    cpu: float
+
+
+# Rows that a worker process measures.
+
+
+def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
+    """Preparations by row; each returns the call that is timed, whose argument is its number.
+
+    Frames have 640 × 480 pixels unless a row's name has another size; light and view move from one to the next.
+    """
+    from bench.dev.public_names import wd
+
+    def surface() -> Any:
+        return wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
+
+    def moving(body: Any, *, width: int = 640, diameter_deg: float = 0.0) -> Callable[[int], tuple[Any, Any]]:
+        low, high = body.bounds
+        centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+
+        def at(k: int) -> tuple[Any, Any]:
+            towards = np.array([3.1 * np.sin(0.1 * k), 1.6, 3.1 * np.cos(0.1 * k)])
+            eye = centre + towards / np.linalg.norm(towards) * 2.6 * radius
+            view = wd.View(tuple(eye), tuple(centre), fov_y_deg=24.0, width=width, height=3 * width // 4)
+            to_light = (0.1 + 0.05 * np.sin(k), 0.9, 1.2)
+            return wd.DirectionalLight(to_light, angular_diameter_deg=diameter_deg), view
+
+        return at
+
+    def frames(
+        make_body: Callable[[], Any], *, width: int = 640, diameter_deg: float = 0.0, **options: Any
+    ) -> Callable[[], Call]:
+        def prepare() -> Call:
+            body = make_body()
+            at = moving(body, width=width, diameter_deg=diameter_deg)
+            renderer = wd.Renderer(body, surface(), *at(0), threads=threads, **options)
+            return lambda k: renderer.draw(*at(k))
+
+        return prepare
+
+    def moving_light() -> Call:
+        body = wd.meshes.tube()
+        at = moving(body)
+        renderer = wd.Renderer(body, surface(), *at(0), threads=threads, tolerance=1e-1)
+        return lambda k: renderer.draw(at(k)[0])
+
+    def sky() -> Call:
+        body = wd.meshes.tube()
+        at = moving(body, width=64)
+        up = np.linspace(1.0, -1.0, 32)[:, None, None]
+        environment = wd.Environment(np.broadcast_to(1.2 + up, (32, 64, 3)), directions=200)
+        options = {"threads": threads, "tolerance": 1e-1, "refine": False}
+        renderer = wd.Renderer(body, surface(), environment, at(0)[1], **options)
+        return lambda k: renderer.draw(environment, at(k)[1])
+
+    def points() -> Call:
+        rng = np.random.default_rng(0)
+        vectors = rng.normal(size=(2, DIRECTIONS, 3))
+        vectors[..., 2] = np.abs(vectors[..., 2]) + 0.1
+        heights = surface()
+        return lambda _: wd.reflectance(heights, *vectors, threads=threads)
+
+    def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
+        # A new height field has nothing cached.
+        return lambda: (
+            lambda _: wd.plan(
+                wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options
+            )
+        )
+
+    def picture() -> Call:
+        body, heights = wd.meshes.tube(), surface()
+        light, view = moving(body, width=160)(0)
+        return lambda _: wd.shade(
+            body, wd.HeightField(heights.heights_um, heights.pitch_um), light, view, tolerance=3e-2, threads=threads
+        )
+
+    small = wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
+    return {
+        "frame: snake, unrefined": frames(wd.meshes.snake, tolerance=3e-2, refine=False),
+        "frame: snake at 1e-1": frames(wd.meshes.snake, tolerance=1e-1),
+        "frame: snake at 3e-2, 320 × 240": frames(wd.meshes.snake, width=320, tolerance=3e-2),
+        "frame: tube at 1e-1": frames(wd.meshes.tube, tolerance=1e-1),
+        "frame: tube, disc light of 3°, 320 × 240": frames(wd.meshes.tube, width=320, tolerance=1e-1, diameter_deg=3.0),
+        "frame: tube, moving light": moving_light,
+        "frame: tube under a sky, 64 × 48": sky,
+        "points: 100,000 directions": points,
+        "plan: averaged": plans(wd.Coherence(), surface()),
+        "plan: averaged at 1e-1": plans(wd.Coherence(), small, tolerance=1e-1),
+        "plan: centred": plans(wd.Coherence("centred"), small, tolerance=3e-2),
+        "plan: source": plans(wd.Coherence("source"), small, tolerance=3e-2),
+        "plan: periods": plans(wd.Coherence("replicas", periods=(4, 4)), small, tolerance=3e-2),
+        "picture of a new height field": picture,
+    }
+
+
+# Rows that start processes, with the number of calls per round.
+
+PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
+    "process: first picture": (2, ["-c", COLD_START]),
+    "process: import warpdiff": (5, ["-c", "import warpdiff"]),
+    "process: from warpdiff import *": (3, ["-c", "from warpdiff import *"]),
+    "process: warpdiff --help": (5, ["-m", "warpdiff", "--help"]),
+}
+
+
+def timed(call: Call, k: int) -> Seconds:
+    """Time one call."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    call(k)
+    return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def work(threads: int | None) -> None:
+    """Write the rows' names, then answer lines until there are no more: a row to prepare, or the number of a call."""
+    # Text that libraries print must not mix with the answers.
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    rows = worker_rows(threads)
+    print(json.dumps(list(rows)), file=answers, flush=True)
+    call: Call = print
+    for line in sys.stdin:
+        text = line.strip()
+        if text in rows:
+            call = rows[text]()
+            # The first call makes tables and loads kernels.
+            call(0)
+            answer = timed(call, 1)
+        else:
+            answer = timed(call, int(text))
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+# The parent process.
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """An installed wheel.
+
+    Attributes:
+        python: The Python of its environment.
+        threads: Threads of all calls; None is one per core.
+    """
+
+    python: Path
+    threads: int | None
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Variables of its processes: kernels have a folder of their own, and nothing else is cached on disk."""
+        cache = self.python.parent.parent / "kernel_cache"
+        return os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": "", "PYTHONPATH": ""}
+
+    def run(self, arguments: Sequence[str]) -> Seconds:
+        """Time a process from its start to its end, in an empty folder."""
+        with tempfile.TemporaryDirectory() as folder:
+            wall, cpu = time.perf_counter(), _children_cpu()
+            subprocess.run(
+                [self.python, *arguments], cwd=folder, env=self.environment, check=True, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+            return Seconds(time.perf_counter() - wall, _children_cpu() - cpu)
+
+
+class Worker:
+    """A process that times calls of a wheel, until the ``with`` block ends.
+
+    Attributes:
+        rows: Names of the rows that it measures.
+    """
+
+    def __init__(self, wheel: Wheel) -> None:
+        command = [str(wheel.python), "-W", "ignore", "-m", "bench.dev.wheel_times", "--worker"]
+        command += [] if wheel.threads is None else ["--threads", str(wheel.threads)]
+        self._python = wheel.python
+        self._process = subprocess.Popen(
+            command, cwd=ROOT, env=wheel.environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self.rows: list[str] = self._answer()
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.communicate()
+
+    def ask(self, text: object) -> None:
+        """Ask for a row to be prepared, or for a call of it by its number."""
+        print(text, file=self._process.stdin, flush=True)
+
+    def receive(self) -> Seconds:
+        """The time of the last call of what was asked for."""
+        return Seconds(*self._answer())
+
+    def run(self, k: int) -> Seconds:
+        """Time a call of the row that was prepared, by its number."""
+        self.ask(k)
+        return self.receive()
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None  # noqa: S101
+        line = self._process.stdout.readline()
+        if not line:
+            raise SystemExit(f"error: the worker of {self._python} ended; its messages are above")
+        return json.loads(line)
+
+
+def _children_cpu() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+@dataclass
+class Row:
+    """Times of one row.
+
+    Attributes:
+        name: Its name.
+        pairs: By round, times of neighbouring calls of both wheels, (before, after).
+    """
+
+    name: str
+    pairs: list[list[tuple[Seconds, Seconds]]] = field(default_factory=list)
+
+    def ratios(self, clock: str) -> list[float]:
+        """Ratios of the time after to the time before, one per round."""
+        return [
+            float(np.median([getattr(after, clock) / getattr(before, clock) for before, after in pairs]))
+            for pairs in self.pairs
+        ]
+
+    def interval(self, clock: str) -> tuple[float, float, float]:
+        """Median ratio over the rounds, and the ends of its interval of at least 95 %."""
+        ratios = sorted(self.ratios(clock))
+        count = len(ratios)
+        if count < FEWEST_ROUNDS:
+            return float(np.median(ratios)), -math.inf, math.inf
+        # The interval from the i-th smallest to the i-th largest misses the median with twice this probability.
+        outside, i = 0.0, 0
+        while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:
+            outside += math.comb(count, i) * 0.5**count
+            i += 1
+        return float(np.median(ratios)), ratios[i - 1], ratios[count - i]
+
+    def is_precise(self, clock: str, half_width: float) -> bool:
+        """Whether the interval is within ± a half-width."""
+        _, low, high = self.interval(clock)
+        return high - low <= 2.0 * half_width
+
+    def milliseconds(self, clock: str) -> tuple[float, float]:
+        """Median times of both wheels [ms]."""
+        both = [[getattr(which, clock) for which in pair] for pairs in self.pairs for pair in pairs]
+        before, after = 1e3 * np.median(np.array(both), axis=0)
+        return float(before), float(after)
+
+
+def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[Seconds, Seconds]]:
+    """Pairs of times of two functions, which get the numbers 0 to ``count`` − 1; one of them begins, then the other."""
+    pairs = []
+    for k in range(count):
+        begins = (first + k) % 2
+        times = {which: calls[which](k) for which in (begins, 1 - begins)}
+        pairs.append((times[0], times[1]))
+    return pairs
+
+
+def add_round(before: Wheel, after: Wheel, rows: Sequence[Row], number: int) -> None:
+    """Add a round's times to rows."""
+    first = number % 2
+    by_workers = [row for row in rows if row.name not in PROCESS_ROWS]
+    if by_workers:
+        with contextlib.ExitStack() as stack:
+            started = {which: stack.enter_context(Worker((before, after)[which])) for which in (first, 1 - first)}
+            for row in by_workers:
+                # Both prepare at the same time; only the calls that follow take turns.
+                for worker in started.values():
+                    worker.ask(row.name)
+                seconds = min([worker.receive().wall for worker in started.values()])
+                count = min(max(math.ceil(SECONDS_PER_ROW / seconds), FEWEST_CALLS), MOST_CALLS)
+                row.pairs.append(in_turns((started[0].run, started[1].run), first, count))
+    for row in rows:
+        if row.name in PROCESS_ROWS:
+            row.pairs.append(_process_pairs(before, after, row.name, first))
+
+
+def _process_pairs(before: Wheel, after: Wheel, name: str, first: int) -> list[tuple[Seconds, Seconds]]:
+    count, arguments = PROCESS_ROWS[name]
+    return in_turns((lambda _: before.run(arguments), lambda _: after.run(arguments)), first, count)
+
+
+def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], options: argparse.Namespace) -> list[Row]:
+    """Compare two wheels until every row is precise, and print the rows."""
+    rows = [Row(name) for name in names]
+    for number in range(max(options.most_rounds, options.rounds)):
+        measured = rows
+        if number >= options.rounds:
+            measured = [row for row in rows if not row.is_precise(options.clock, options.half_width)]
+        if not measured:
+            break
+        begin = time.perf_counter()
+        add_round(before, after, measured, number)
+        print(f"{title}: round {number + 1} took {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
+    other = CLOCKS[1 - CLOCKS.index(options.clock)]
+    print(f"\n| {title} | before [ms] | after [ms] | {options.clock} ratio | 95 % | {other} ratio | 95 % | rounds |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for row in rows:
+        first, second = row.milliseconds(options.clock)
+        ratios = []
+        for clock in (options.clock, other):
+            ratio, low, high = row.interval(clock)
+            ratios.append(f"{ratio:.3f} | {low:.3f} to {high:.3f}")
+        if not row.is_precise(options.clock, options.half_width):
+            ratios[0] += f", wider than ± {options.half_width:g}"
+        print(f"| {row.name} | {first:.1f} | {second:.1f} | {' | '.join(ratios)} | {len(row.pairs)} |", flush=True)
+    return rows
+
+
+def raw(rows: Iterable[Row]) -> dict[str, Any]:
+    """All times [s] by row and round; each pair of calls has wall and processor time before, then after."""
+    return {row.name: [[[*before, *after] for before, after in pairs] for pairs in row.pairs] for row in rows}
+
+
+def warm(wheel: Wheel, text: str) -> list[str]:
+    """Compile the kernels of all rows whose name contains a text; returns their names."""
+    with Worker(wheel) as worker:
+        names = [name for name in (*worker.rows, *PROCESS_ROWS) if text in name]
+        for name in names:
+            if name in PROCESS_ROWS:
+                wheel.run(PROCESS_ROWS[name][1])
+            else:
+                worker.ask(name)
+                worker.receive()
+    return names
+
+
+def main() -> None:
+    """Compare the wheel before with itself and with the wheel after."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--before", type=Path, help="Python with the wheel that is the baseline")
+    parser.add_argument("--after", type=Path, help="Python with the wheel that is compared with it")
+    parser.add_argument("--rounds", type=int, default=9, help=f"rounds of every row, at least {FEWEST_ROUNDS} (9)")
+    parser.add_argument("--most-rounds", type=int, default=41, help="rounds of rows whose interval is too wide (41)")
+    parser.add_argument("--half-width", type=float, default=0.03, help="half-width of intervals to reach (0.03)")
+    parser.add_argument("--clock", choices=CLOCKS, default="wall", help="time whose intervals are narrowed (wall)")
+    parser.add_argument("--threads", type=int, help="threads of all calls in workers (one per core)")
+    parser.add_argument("--only", metavar="TEXT", default="", help="measure rows whose name contains this alone")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write all times, a .json file")
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.worker:
+        work(options.threads)
+        return
+    if options.before is None or options.after is None or options.rounds < FEWEST_ROUNDS:
+        parser.error(f"--before and --after must be given, and --rounds must be at least {FEWEST_ROUNDS}")
+    # Links are not resolved: an environment's Python is a link to the system's.
+    before, after = (Wheel(python.absolute(), options.threads) for python in (options.before, options.after))
+    names = warm(before, options.only)
+    warm(after, options.only)
+    results: dict[str, Any] = {"before": str(before.python), "after": str(after.python), "threads": options.threads}
+    for title, wheel in {"baseline and itself": before, "before and after": after}.items():
+        results[title] = raw(compare(before, wheel, title, names, options))
+        if options.output is not None:
+            options.output.write_text(json.dumps(results), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
