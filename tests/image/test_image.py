@@ -385,13 +385,16 @@ def test_a_picture_is_read_from_its_exr_file(image, tmp_path):
         ("absent.exr", FileNotFoundError, r"absent\.exr"),
         ("a.png", ValueError, r"path: '.*a\.png' has the channels R, G, B, A; name an EXR file of Image\.save"),
         ("text.exr", ValueError, r"path: '.*text\.exr' cannot be read as an image; name an EXR file"),
+        ("bytes.exr", ValueError, r"path: '.*bytes\.exr' cannot be read as an image"),
         ("cut.exr", ValueError, r"path: '.*cut\.exr' (is damaged|cannot be read)"),
     ],
 )
 def test_other_files_are_no_pictures(image, name, error, message, tmp_path, capfd):
     image.save(tmp_path / "a.png")
     (tmp_path / "text.exr").write_text("no picture")
-    (tmp_path / "cut.exr").write_bytes(image.save(tmp_path / "a.exr").read_bytes()[:-40])
+    content = image.save(tmp_path / "a.exr").read_bytes()
+    (tmp_path / "cut.exr").write_bytes(content[:-40])
+    (tmp_path / "bytes.exr").write_bytes(content.replace(b"chlist", b"chl\xf3st"))
     with pytest.raises(error, match=message):
         wd.Image.load(tmp_path / name)
     assert not capfd.readouterr().err

@@ -29,7 +29,7 @@ def test_damaged_files_are_read_or_refused_by_their_path(kind, number, tries, tm
     seed = SEED or 24
     arguments = [kind, str(seed), str(number), str(min(seconds_left(), 1e6))]
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", HERE.parent / "mutants.py", *arguments], cwd=tmp_path,
+        [sys.executable, "-W", "ignore", HERE.parent / "damaged_bytes.py", *arguments], cwd=tmp_path,
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, f"{done.stderr}; see the last file in {tmp_path}; seed {seed}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import sys
@@ -462,8 +463,7 @@ def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[
     straight.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), straight)
     if source is None:
-        # Or it is printed when the process ends.
-        oiio.geterror()
+        _discard_error(oiio)
         return False
     names = list(source.spec().channelnames)
     samples = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
@@ -473,13 +473,18 @@ def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[
     return bool(samples[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
 
 
+def _discard_error(source: Any) -> None:
+    """Take OpenImageIO's message, or it is printed when the process ends; it may cite bytes that are not UTF-8."""
+    with contextlib.suppress(UnicodeDecodeError):
+        source.geterror()
+
+
 def _read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
     """Channels of a file that :meth:`Image.save` wrote, by their names, shape (height, width) each."""
     with openimageio.in_use() as oiio:
         source = oiio.ImageInput.open(str(file))
         if source is None:
-            # Or it is printed when the process ends.
-            oiio.geterror()
+            _discard_error(oiio)
             raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
         try:
             spec = source.spec()
@@ -496,7 +501,7 @@ def _read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
             )
             pixels = source.read_image(0, 0, 0, len(names), "float")
             if pixels is None or source.has_error:
-                source.geterror()
+                _discard_error(source)
                 raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; save the picture again")
         finally:
             source.close()
