@@ -53,10 +53,10 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
         return UNSEEN
     start = wp.vec3f(origin + wp.max(ahead - two, wp.float64(0.0)) * along)
     query = wp.mesh_query_ray(surface.mesh_id, start, wp.vec3f(along), FAR)
-    found = UNSEEN
+    face = UNSEEN
     if query.result:
-        found = wp.uint64(query.face)
-    return found
+        face = wp.uint64(query.face)
+    return face
 
 
 @wp.kernel

@@ -74,7 +74,7 @@ class Window:
 
 
 @wp.func
-def copies_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
+def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
     """[sin(πNt)/(N sin(πt))]² at the position t in coefficients of the patch; 1 where t is whole."""
     # Both arguments are reduced to half a period in float64: N t is thousands, and float32 would lose it.
     t = position - wp.rint(position)
@@ -121,8 +121,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         along: wp.float32
         taps_y: wp.array2d(dtype=wp.float32)  # for copies: polynomials of the interpolation kernel, tap by tap
         taps_x: wp.array(dtype=taps_t)  # the same, coefficient by coefficient
-        copies_y: wp.float64
-        copies_x: wp.float64
+        periods_y: wp.float64
+        periods_x: wp.float64
         patch_y: wp.float64  # the patch's size [µm]
         patch_x: wp.float64
 
@@ -315,10 +315,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         return wp.min(total_re * total_re + total_im * total_im, wp.float32(1.0))
 
     @wp.func
-    def copies_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
+    def interference_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
         """The copies' factor at one wavelength."""
-        y = copies_factor(scattering_vector[1] * wavenumber * table.patch_y, table.copies_y)
-        x = copies_factor(scattering_vector[0] * wavenumber * table.patch_x, table.copies_x)
+        y = interference_factor(scattering_vector[1] * wavenumber * table.patch_y, table.periods_y)
+        x = interference_factor(scattering_vector[0] * wavenumber * table.patch_x, table.periods_x)
         return y * x
 
     @wp.func
@@ -385,7 +385,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                         + (s * (s - 2.0) * (s - 3.0) / 2.0) * g1
                         - ((s - 1.0) * (s - 2.0) * (s - 3.0) / 6.0) * g0
                     )
-                    factor = copies_at(table, scattering_vector, quadrature.wavenumbers[k])
+                    factor = interference_at(table, scattering_vector, quadrature.wavenumbers[k])
                     factor = factor * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
                     colour += wp.vec3d(quadrature.weights[k] * (wp.max(power, 0.0) * factor))
             else:
@@ -419,7 +419,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             if gain > 0.0:
                 if wp.static(form == "replicas"):
                     power = patch_power(table, scattering_vectors[i], wavenumbers[k])
-                    power = power * copies_at(table, scattering_vectors[i], wavenumbers[k])
+                    power = power * interference_at(table, scattering_vectors[i], wavenumbers[k])
                 else:
                     power = gaussian_sum(table, window, scattering_vectors[i], wavenumbers[k])
                 reflectance = gain * power

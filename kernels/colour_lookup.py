@@ -1,14 +1,14 @@
 """Colours from a table: the integral over λ is done once, for every (u, v) and every function of w.
 
 As λ goes from red to blue, (u, v)/λ runs along a spoke of the frequency plane, over one octave. The power spectrum is
-taken on spokes, at nodes of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
-ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's nodes, with weights that are the projection of the colour
+taken on spokes, at rings of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
+ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's rings, with weights that are the projection of the colour
 curves on the same splines, however many orders the spoke passes. Where |(u, v)| takes the same ratios, these weights
-are the same at every node, and w comes in through a few functions that all share: the sum is done beforehand, and what
-is left of a colour is a spline between nodes and spokes, and a scalar product with the functions at w.
+are the same at every ring, and w comes in through a few functions that all share: the sum is done beforehand, and what
+is left of a colour is a spline between rings and spokes, and a scalar product with the functions at w.
 
 A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
-at all wavelengths: levels of the table are blurred in angle, with fewer spokes, and in ratio look-ups take more nodes.
+at all wavelengths: levels of the table are blurred in angle, with fewer spokes, and in ratio look-ups take more rings.
 A source does the same to the lines of an endless surface.
 """
 
@@ -24,11 +24,11 @@ from warpdiff.kernels.structs import Footprint
 # Loops that stay loops compile faster.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the spokes or nodes that a look-up takes at most by the tables of weights; as many spokes are repeated on
+# Half of the spokes or rings that a look-up takes at most by the tables of weights; as many spokes are repeated on
 # either side of a turn.
-REACH = 7
+HALF_TAPS = 7
 # Directions that a thread looks up one after the other on the CPU, at most.
-RUN = 256
+BATCH = 256
 # Of those, how many before its turn one's rows are asked for.
 _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
@@ -41,15 +41,15 @@ _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Parts of a footprint along its angle.
 MOST_PARTS = 12
-# Of a wide blur nodes count so many deviations out.
+# Of a wide blur rings count so many deviations out.
 DEVIATIONS = 3.0
 
 
 @wp.struct
 class FootprintTaps:
-    """Weights of the spokes, or nodes, around a place: the spline between them, blurred by a part of the footprint."""
+    """Weights of the spokes, or rings, around a place: the spline between them, blurred by a part of the footprint."""
 
-    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 REACH)
+    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 HALF_TAPS)
     lengths: wp.array(dtype=wp.int32)  # how many of them count, from the first one on
     per_variance: wp.float32  # entries per unit of the variance, in distances of spokes squared
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
@@ -64,10 +64,10 @@ def spline(away: wp.float32) -> wp.vec3f:
 @wp.func
 def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
     """An index around a turn."""
-    left = index % count
-    if left < 0:
-        left += count
-    return left
+    remainder = index % count
+    if remainder < 0:
+        remainder += count
+    return remainder
 
 
 @wp.func
@@ -87,37 +87,37 @@ def variance_before(deviations: float) -> float:
 
 
 @functools.cache
-def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
-    """The struct of a table of colours with so many functions of w, and the kernels that do not depend on its making.
+def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
+    """The struct of a colour table with so many functions of w, and the kernels that do not depend on its making.
 
     Args:
-        functions: Their number.
+        w_basis_size: Number of functions of w.
         source: Whether rows are lines under a source; otherwise a spectrum under a window.
 
     Returns:
         A namespace with the type ``row``, the struct ``Colours`` and the kernels ``interpolate``, ``blur`` and
         ``integrate``.
     """
-    width = 3 * functions
+    width = 3 * w_basis_size
     row_t = wp.types.vector(length=width, dtype=wp.float32)
-    functions_t = wp.types.vector(length=functions, dtype=wp.float32)
+    w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     starts_t = wp.types.vector(length=max(2 * FILTER_REACH + 1, _TAPS), dtype=wp.int32)
     weights_t = wp.types.vector(length=_TAPS, dtype=wp.float32)
 
     @wp.struct
     class Colours:
-        rows: wp.array(dtype=row_t)  # X, Y, Z: level after level, octave after octave, spoke after spoke, node by node
-        functions: wp.array(dtype=functions_t)  # at equal steps in |w|
+        rows: wp.array(dtype=row_t)  # X, Y, Z: level after level, octave after octave, spoke after spoke, ring by ring
+        w_basis: wp.array(dtype=w_basis_t)  # at equal steps in |w|
         least_w: wp.float32  # |w| of the first of them
         per_w: wp.float32  # entries per unit of |w|
         first_rows: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of spoke 0
-        azimuths: wp.array2d(dtype=wp.int32)  # (levels, octaves), their number
+        azimuths: wp.array2d(dtype=wp.int32)  # (levels, octaves), number of azimuth samples
         blurs: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
-        nodes: wp.int32  # nodes an octave
-        per_log: wp.float32  # nodes per unit of ln |(u, v)|
-        per_octave: wp.float32  # octaves a node
-        detail: wp.float32  # what of colours is sharper than the curves, from node to node; see ``colour_table``
-        node_of_one: wp.float32  # the node where |(u, v)| is 1
+        rings_per_octave: wp.int32
+        rings_per_log: wp.float32  # rings per unit of ln |(u, v)|
+        octaves_per_ring: wp.float32  # octaves a ring
+        decimation_scale: wp.float32  # what of colours is sharper than the curves, per ring; see ``colour_table``
+        ring_of_one: wp.float32  # the ring where |(u, v)| is 1
         least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
         lobe_uv: wp.float32  # of a single coefficient's lobe in |(u, v)|, at a middle wavelength
         zeroth_order: wp.array(dtype=wp.float32)  # the power of its coefficient, which rows leave out, by |κ|
@@ -129,7 +129,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         reflectances: wp.array2d(dtype=wp.float32)  # R of a material at these, by cos θd from 0 to 1; empty is 1
         line_blurs2: wp.array(dtype=wp.float32)  # of a source's lines, by octave: variance of their own blur [rad²]
         spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
-        near2: wp.float32  # of a source: below this |(u, v)|² directions are left out
+        inner_radius2: wp.float32  # of a source: below this |(u, v)|² directions are unserved
 
     # Compiled once, by a second index: see ``scattering``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
@@ -149,20 +149,20 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         Sums over as many spokes on either side as the powers of the spline's pole count.
         """
         thread, _ = wp.tid()
-        nodes = table.nodes
+        rings = table.rings_per_octave
         azimuths = table.azimuths[level, octave]
         for k in range(run):
-            azimuth = first + thread * run + k - wp.static(REACH)
-            at = table.first_rows[level, octave] + azimuth * nodes
+            azimuth = first + thread * run + k - wp.static(HALF_TAPS)
+            at = table.first_rows[level, octave] + azimuth * rings
             starts = starts_t()
             for j in range(wp.static(2 * FILTER_REACH + 1)):
-                starts[j] = cyclic(azimuth + j - wp.static(FILTER_REACH), azimuths) * nodes
-            for node in range(nodes):
-                total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + node]
+                starts[j] = cyclic(azimuth + j - wp.static(FILTER_REACH), azimuths) * rings
+            for ring in range(rings):
+                total = wp.static(_FILTER[0]) * values[starts[wp.static(FILTER_REACH)] + ring]
                 for j in range(1, wp.static(FILTER_REACH + 1)):
-                    before = values[starts[wp.static(FILTER_REACH) - j] + node]
-                    total += wp.static(_FILTER)[j] * (before + values[starts[wp.static(FILTER_REACH) + j] + node])
-                rows_out[at + node] = total
+                    before = values[starts[wp.static(FILTER_REACH) - j] + ring]
+                    total += wp.static(_FILTER)[j] * (before + values[starts[wp.static(FILTER_REACH) + j] + ring])
+                rows_out[at + ring] = total
 
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
@@ -181,42 +181,43 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         Their spline itself has a variance of a quarter of the distance of spokes, squared.
         """
         thread, _ = wp.tid()
-        nodes = table.nodes
+        rings = table.rings_per_octave
         azimuths = table.azimuths[source, octave]
         spacing = wp.float32(2.0 * wp.PI) / wp.float32(azimuths)
-        wanted = table.blurs[level, octave]
-        given = table.blurs[source, octave]
-        variance = (wanted * wanted - given * given) / (spacing * spacing) + 0.25
-        neighbour_extent = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), azimuths // 2)
+        level_blur = table.blurs[level, octave]
+        source_blur = table.blurs[source, octave]
+        variance = (level_blur * level_blur - source_blur * source_blur) / (spacing * spacing) + 0.25
+        half_taps = wp.min(wp.int32(wp.ceil(4.5 * wp.sqrt(variance))), azimuths // 2)
         for k in range(run):
             azimuth = first + thread * run + k
             place = wp.float32(azimuth) / wp.float32(table.azimuths[level, octave]) * wp.float32(azimuths)
             nearest = wp.int32(wp.rint(place))
             total = wp.float32(0.0)
-            for j in range(-neighbour_extent, neighbour_extent + 1):
+            for j in range(-half_taps, half_taps + 1):
                 total += gaussian(wp.float32(nearest + j) - place, variance)
-            for node in range(nodes):
-                values_out[azimuth * nodes + node] = row_t()
+            for ring in range(rings):
+                values_out[azimuth * rings + ring] = row_t()
             # A few at a time, as what is written is read again.
             starts = starts_t()
             weights = weights_t()
-            for begin in range(-neighbour_extent, neighbour_extent + 1, wp.static(_TAPS)):
+            for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):
                 for i in range(wp.static(_TAPS)):
                     at = nearest + begin + i
-                    starts[i] = table.first_rows[source, octave] + cyclic(at, azimuths) * nodes
+                    starts[i] = table.first_rows[source, octave] + cyclic(at, azimuths) * rings
                     weights[i] = wp.where(
-                        begin + i <= neighbour_extent,
+                        begin + i <= half_taps,
                         gaussian(wp.float32(at) - place, variance) / total,
                         wp.float32(0.0),
                     )
-                for node in range(nodes):
-                    total_of_node = values_out[azimuth * nodes + node]
+                for ring in range(rings):
+                    total_of_ring = values_out[azimuth * rings + ring]
                     for i in range(wp.static(_TAPS)):
-                        total_of_node += weights[i] * table.rows[starts[i] + node]
-                    values_out[azimuth * nodes + node] = total_of_node
+                        total_of_ring += weights[i] * table.rows[starts[i] + ring]
+                    values_out[azimuth * rings + ring] = total_of_ring
 
     @wp.func_native(
-        f"warpdiff::look_up_points<{functions}, {RUN}, {_AHEAD}>(table, scattering_vectors, gains, begin, end, xyz_out);"
+        f"warpdiff::look_up_points<{w_basis_size}, {BATCH}, {_AHEAD}>(table, scattering_vectors, gains, begin, end, "
+        "xyz_out);"
     )
     def look_up_points(
         table: Colours,
@@ -226,12 +227,12 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         end: wp.int32,
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of a run of deflections times their gains."""
+        """Add the XYZ of a run of scattering vectors times their gains."""
 
     @wp.func_native(
-        f"warpdiff::look_up_footprints<{functions}, {str(source).lower()}, {RUN}, {MOST_PARTS}>(table, taps, "
-        f"{{{DEVIATIONS}f, {1.0 / variance_before(DEVIATIONS):.8f}f}}, scattering_vectors, to_lights, gains, footprints, "
-        "begin, end, unserved_gain, xyz_out);"
+        f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
+        f"{{{DEVIATIONS}f, {1.0 / variance_before(DEVIATIONS):.8f}f}}, scattering_vectors, to_lights, gains, "
+        "footprints, begin, end, unserved_gain, xyz_out);"
     )
     def look_up_footprints(
         table: Colours,
@@ -245,7 +246,7 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the mean XYZ over footprints and the source of a run of deflections times their gains."""
+        """Add the mean XYZ over footprints and the source of a run of scattering vectors times their gains."""
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
@@ -264,8 +265,8 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
     ):
         """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
 
-        Of a source, directions that the table does not serve are skipped, and ``unserved_gain`` holds their gains, others'
-        are 0.
+        Of a source, directions that the table does not serve are skipped, and ``unserved_gain`` holds their
+        gains, others' are 0.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])
@@ -281,5 +282,5 @@ def lookup(functions: int, source: bool = False) -> types.SimpleNamespace:
             look_up_points(table, scattering_vectors, gains, begin, end, xyz_out)
 
     return types.SimpleNamespace(
-        row=row_t, functions=functions_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate
+        row=row_t, w_basis=w_basis_t, Colours=Colours, interpolate=interpolate, blur=blur, integrate=integrate
     )

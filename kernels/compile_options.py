@@ -22,7 +22,7 @@ def headers(name: str) -> tuple[Path, ...]:
     """A header of this package and all that it includes."""
     path = NATIVE / name
     included = re.findall(r'^#include "(\w+\.h)"', path.read_text(encoding="utf-8"), re.MULTILINE)
-    return tuple(dict.fromkeys([path, *(each for inner in included for each in headers(inner))]))
+    return tuple(dict.fromkeys([path, *(header for inner in included for header in headers(inner))]))
 
 
 def options(*names: str, **others: Any) -> dict[str, Any]:

@@ -40,7 +40,8 @@ class Reflection:
 
 @wp.func_native(
     f"warpdiff::find_scattering_vectors<32>(pixels, place, reflection, scale, {thresholds.HORIZON}, counted, begins, "
-    "resets, occluded, begin, end, scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, illuminated_out);"
+    "resets, occluded, begin, end, scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, "
+    "illuminated_out);"
 )
 def scattering_vectors_run(
     pixels: Pixels,
@@ -131,10 +132,10 @@ def scattering_vectors(
             under = wp.cw_mul(under, transmittance(reflection, material, cos_r))
             base = wp.vec3d(wp.cw_mul(pixels.base_colour[i], under))
             colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
-            left = wp.float64(cos_i)
+            falloff = wp.float64(cos_i)
             if place[3] != wp.float64(0.0):
-                left = left / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
-            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * left * colour)
+                falloff = falloff / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
+            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * falloff * colour)
 
 
 @wp.func
@@ -225,15 +226,15 @@ def add_light_rotation(
         away = wp.vec3f(away_from(place, point))
         per_distance = 1.0 / wp.sqrt(wp.length_sq(away) + 1.0e-12)
         towards = per_distance * away
-        given = footprints_out[i]
+        footprint = footprints_out[i]
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
             # (u, v) is against the light.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
-            given[2 * axis] = given[2 * axis] + wp.dot(pixels.tangent[i], rotated)
-            given[2 * axis + 1] = given[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
-        footprints_out[i] = given
+            footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
+            footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
+        footprints_out[i] = footprint
 
 
 @wp.kernel
@@ -250,10 +251,10 @@ def add_light_extent(
     """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        given = footprints_out[i]
-        xx = given[0] * given[0] + given[2] * given[2]
-        xy = given[0] * given[1] + given[2] * given[3]
-        yy = given[1] * given[1] + given[3] * given[3]
+        footprint = footprints_out[i]
+        xx = footprint[0] * footprint[0] + footprint[2] * footprint[2]
+        xy = footprint[0] * footprint[1] + footprint[2] * footprint[3]
+        yy = footprint[1] * footprint[1] + footprint[3] * footprint[3]
         for axis in range(2):
             deviation = lights.deviations[light_index, axis]
             x = wp.dot(deviation, pixels.tangent[i])

@@ -96,14 +96,14 @@ _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_level
 
 
 @wp.func_native(
-    f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, neighbour_extent, begin, end, nearest_out);"
+    f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, max_offset, begin, end, nearest_out);"
 )
 def rasterize_run(
     camera: Camera,
     surface: SurfaceArrays,
     sampling: Sampling,
     cells: Cells,
-    neighbour_extent: wp.float64,
+    max_offset: wp.float64,
     begin: wp.int32,
     end: wp.int32,
     nearest_out: wp.array(dtype=wp.uint64),
@@ -118,7 +118,7 @@ def rasterize(
     surface: SurfaceArrays,
     sampling: Sampling,
     cells: Cells,
-    neighbour_extent: wp.float64,
+    max_offset: wp.float64,
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -133,14 +133,14 @@ def rasterize(
         surface: The mesh.
         sampling: Where in the pixel a ray lies.
         cells: Pixels that are split; empty stands for one ray of each pixel.
-        neighbour_extent: How far from pixels' centres rays lie, at most, along an axis [pixels].
+        max_offset: How far from pixels' centres rays lie, at most, along an axis [pixels].
         first: The first thread's face.
         run: How many a thread takes.
         nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
             kept. All bits set is none.
     """
     begin = first + wp.tid() * run
-    rasterize_run(camera, surface, sampling, cells, neighbour_extent, begin, begin + run, nearest_out)
+    rasterize_run(camera, surface, sampling, cells, max_offset, begin, begin + run, nearest_out)
 
 
 @wp.func

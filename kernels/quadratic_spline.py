@@ -6,6 +6,6 @@ import math
 POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 
-def prefilter(neighbour_extent: int) -> list[float]:
-    """Weights, for a coefficient, of the values from ``reach`` nodes before to as many behind."""
-    return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-neighbour_extent, neighbour_extent + 1)]
+def prefilter(half_taps: int) -> list[float]:
+    """Weights, for a coefficient, of the values from ``half_taps`` nodes before to as many behind."""
+    return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-half_taps, half_taps + 1)]

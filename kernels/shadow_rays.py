@@ -43,7 +43,7 @@ class ShadowGrid:
 
 
 @wp.func
-def seen(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
+def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
     """A position across the light, in whole steps, and its height."""
     at = wp.vec3d(position)
     return wp.vec3d(
@@ -93,9 +93,9 @@ def project(
 ):
     """Each face's corners as the light sees them, and how many cells its box overlaps; none if it needs no lists."""
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        p0 = seen(grid, positions[faces[face, 0]])
-        p1 = seen(grid, positions[faces[face, 1]])
-        p2 = seen(grid, positions[faces[face, 2]])
+        p0 = light_coordinates(grid, positions[faces[face, 0]])
+        p1 = light_coordinates(grid, positions[faces[face, 1]])
+        p2 = light_coordinates(grid, positions[faces[face, 2]])
         c0 = wp.vec3f(p0)
         c1 = wp.vec3f(p1)
         c2 = wp.vec3f(p2)
@@ -151,7 +151,7 @@ def fill(
                 grid.tops[place] = top
 
 
-# Places and cells are found as by ``seen`` and ``cell_of``, and sides of edges as by ``left_of``, which make the lists.
+# Places, cells and sides of edges are those of ``light_coordinates``, ``cell_of`` and ``left_of``, which make lists.
 @wp.func_native(
     f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, "
     "occluded_out);"

@@ -25,7 +25,7 @@ wp.set_module_options(compile_options.options())
 _SIDE = 16
 _WORDS = _SIDE * _SIDE // 32
 # Deviations from the horizon within which it cuts cells.
-REACH = wp.constant(2.5)
+HORIZON_SIGMAS = wp.constant(2.5)
 # Places along a footprint: how far they reach, in deviations, how many for each time that it is longer than what the
 # sky is blurred by, and at most.
 SPAN = wp.constant(2.0)
@@ -89,7 +89,7 @@ class HitFrame:
     energy: wp.float32  # of the directions to it, 1 as Stam has it
     material: wp.int32
     hides: wp.bool  # whether the mesh hides any of the sky
-    seen: open_t  # where it does not
+    visibility: open_t  # where it does not
 
 
 @wp.struct
@@ -155,7 +155,7 @@ def radiance_at(sky: SkyMap, place: wp.vec2f, variance: wp.float32) -> wp.vec4f:
 
 
 @wp.func
-def is_open(seen: open_t, column: wp.int32, row: wp.int32) -> wp.float32:
+def is_open(visibility: open_t, column: wp.int32, row: wp.int32) -> wp.float32:
     """1 where light comes from a texel, which may lie one beyond the map: it is folded back there."""
     x = column
     z = row
@@ -166,12 +166,12 @@ def is_open(seen: open_t, column: wp.int32, row: wp.int32) -> wp.float32:
         z = wp.clamp(z, 0, wp.static(_SIDE - 1))
         x = wp.static(_SIDE - 1) - x
     texel = z * wp.static(_SIDE) + x
-    bit = (seen[texel // 32] >> wp.uint32(texel % 32)) & wp.uint32(1)
+    bit = (visibility[texel // 32] >> wp.uint32(texel % 32)) & wp.uint32(1)
     return wp.float32(bit)
 
 
 @wp.func
-def share_open(seen: open_t, place: wp.vec2f) -> wp.float32:
+def share_open(visibility: open_t, place: wp.vec2f) -> wp.float32:
     """The share of light that comes from there."""
     x = place[0] * wp.static(float(_SIDE)) - 0.5
     z = place[1] * wp.static(float(_SIDE)) - 0.5
@@ -179,8 +179,8 @@ def share_open(seen: open_t, place: wp.vec2f) -> wp.float32:
     row = wp.int32(wp.floor(z))
     s = x - wp.float32(column)
     t = z - wp.float32(row)
-    upper = (1.0 - s) * is_open(seen, column, row) + s * is_open(seen, column + 1, row)
-    lower = (1.0 - s) * is_open(seen, column, row + 1) + s * is_open(seen, column + 1, row + 1)
+    upper = (1.0 - s) * is_open(visibility, column, row) + s * is_open(visibility, column + 1, row)
+    lower = (1.0 - s) * is_open(visibility, column, row + 1) + s * is_open(visibility, column + 1, row + 1)
     return (1.0 - t) * upper + t * lower
 
 
@@ -192,9 +192,9 @@ def share_above(radius: wp.float32, deviation: wp.float32) -> wp.vec3f:
     of the radius, and what the mean of 1/cos θ there is over the middle's (a fit, within 0.03).
     """
     inside = (1.0 - radius) / deviation
-    if inside > REACH:
+    if inside > HORIZON_SIGMAS:
         return wp.vec3f(1.0, 1.0, 1.0)
-    if inside < -REACH:
+    if inside < -HORIZON_SIGMAS:
         return wp.vec3f(0.0, 1.0, 1.0)
     share = 0.5 * wp.erfc(wp.static(-math.sqrt(0.5)) * inside)
     moved = deviation * wp.static(1.0 / math.sqrt(2.0 * math.pi)) * wp.exp(-0.5 * inside * inside) / share
@@ -204,28 +204,28 @@ def share_above(radius: wp.float32, deviation: wp.float32) -> wp.vec3f:
 
 @wp.func
 def gain_of(
-    sight: HitFrame, reflection: Reflection, u: wp.float32, v: wp.float32, light: wp.vec3f, beyond: wp.float32
+    frame: HitFrame, reflection: Reflection, u: wp.float32, v: wp.float32, light: wp.vec3f, beyond: wp.float32
 ) -> wp.float32:
     """The gain of ``light_samples.h``, over the cosine that dω has: dω cos θi is du dv."""
     z = light[2]
-    w = z + sight.view[2]
+    w = z + frame.view[2]
     overlap = 0.5 * (u * u + v * v + w * w)
     cosine = wp.sqrt(0.5 * overlap)
-    gain = overlap * overlap / (w * w * sight.view[2] * z)
+    gain = overlap * overlap / (w * w * frame.view[2] * z)
     if reflection.masking:
-        gain *= wp.min(wp.min(z, sight.view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
+        gain *= wp.min(wp.min(z, frame.view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
     else:
         gain *= beyond
-    gain *= sight.energy * energy_factor(reflection, light)
+    gain *= frame.energy * energy_factor(reflection, light)
     rest = 1.0 - wp.min(cosine, 1.0)
     beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
     return gain * (1.0 + beyond_normal * rest * rest * rest * rest * rest)
 
 
 @wp.func
-def towards_world(sight: HitFrame, x: wp.float32, y: wp.float32, z: wp.float32) -> wp.vec3f:
+def towards_world(frame: HitFrame, x: wp.float32, y: wp.float32, z: wp.float32) -> wp.vec3f:
     """A direction of the frame in the world."""
-    return x * sight.tangent + y * sight.bitangent + z * sight.normal
+    return x * frame.tangent + y * frame.bitangent + z * frame.normal
 
 
 @wp.func
@@ -249,16 +249,16 @@ def row_of(table: SkyTable, material: wp.int32, node: wp.int32, w: wp.float32) -
 
 @wp.func
 def mirrored_near_horizon(
-    sky: SkyMap, table: SkyTable, sight: HitFrame, reflection: Reflection, lobe: wp.float32, blur: wp.float32
+    sky: SkyMap, table: SkyTable, frame: HitFrame, reflection: Reflection, lobe: wp.float32, blur: wp.float32
 ) -> SkySum:
     """What the zeroth order sends where the horizon cuts its lobe, of such a deviation, or is near.
 
     At several places that are even by the angle to the normal, by which 1/cos θ is smooth.
     """
     result = SkySum()
-    radius = wp.sqrt(sight.view[0] * sight.view[0] + sight.view[1] * sight.view[1])
-    lowest = wp.asin(radius - REACH * lobe)
-    step = (wp.asin(wp.min(radius + REACH * lobe, 1.0)) - lowest) / wp.float32(PLACES)
+    radius = wp.sqrt(frame.view[0] * frame.view[0] + frame.view[1] * frame.view[1])
+    lowest = wp.asin(radius - HORIZON_SIGMAS * lobe)
+    step = (wp.asin(wp.min(radius + HORIZON_SIGMAS * lobe, 1.0)) - lowest) / wp.float32(PLACES)
     variance = 0.5 * lobe * lobe + blur
     total = wp.vec3f()
     error = wp.float32(0.0)
@@ -266,14 +266,14 @@ def mirrored_near_horizon(
         angle = lowest + (wp.float32(index) + 0.5) * step
         z = wp.max(wp.cos(angle), wp.static(math.sqrt(thresholds.HORIZON + 1.0e-6)))
         moved = wp.sin(angle) / radius
-        along = towards_world(sight, -moved * sight.view[0], -moved * sight.view[1], z)
+        along = towards_world(frame, -moved * frame.view[0], -moved * frame.view[1], z)
         light = light_along(sky, along, variance / wp.max(z, 0.1))
-        u = (moved - 1.0) * sight.view[0]
-        v = (moved - 1.0) * sight.view[1]
-        sent = gain_of(sight, reflection, u, v, wp.vec3f(-moved * sight.view[0], -moved * sight.view[1], z), 1.0)
-        if sight.hides:
-            sent *= share_open(sight.seen, on_octahedron(along))
-        row = sent * row_of(table, sight.material, 0, z + sight.view[2])
+        u = (moved - 1.0) * frame.view[0]
+        v = (moved - 1.0) * frame.view[1]
+        sent = gain_of(frame, reflection, u, v, wp.vec3f(-moved * frame.view[0], -moved * frame.view[1], z), 1.0)
+        if frame.hides:
+            sent *= share_open(frame.visibility, on_octahedron(along))
+        row = sent * row_of(table, frame.material, 0, z + frame.view[2])
         colour = row * wp.vec3f(light[0], light[1], light[2])
         for channel in range(3):
             off = (moved - 1.0) * radius / (WIDTHS[channel] * lobe)
@@ -295,7 +295,7 @@ def mirrored_near_horizon(
 def sum_cells(
     sky: SkyMap,
     table: SkyTable,
-    sight: HitFrame,
+    frame: HitFrame,
     reflection: Reflection,
     limit: wp.float32,
     size: wp.int32,
@@ -308,11 +308,11 @@ def sum_cells(
     while node < count:
         end = table.ends[node]
         place = table.nodes[node]
-        x = -(place[0] + sight.view[0])
-        y = -(place[1] + sight.view[1])
+        x = -(place[0] + frame.view[0])
+        y = -(place[1] + frame.view[1])
         # A footprint is that of light by way of a mirror: where the normal turns, it grows as w.
-        rotated = 0.5 + 0.5 * wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) / sight.view[2]
-        blur = wp.min(rotated * rotated, 4.0) * sight.blur
+        rotated = 0.5 + 0.5 * wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) / frame.view[2]
+        blur = wp.min(rotated * rotated, 4.0) * frame.blur
         variance = place[2] * place[2] + blur
         radius = wp.sqrt(x * x + y * y)
         above = share_above(radius, wp.sqrt(variance))
@@ -323,7 +323,7 @@ def sum_cells(
             node += 1
             continue
         if node == 0 and 1.0 - radius < NEAR_HORIZON * place[2]:
-            mirrored = mirrored_near_horizon(sky, table, sight, reflection, place[2], blur)
+            mirrored = mirrored_near_horizon(sky, table, frame, reflection, place[2], blur)
             result.colour += mirrored.colour
             result.blurred2 += mirrored.blurred2
             result.coarse2 += mirrored.coarse2
@@ -333,18 +333,18 @@ def sum_cells(
         y *= above[1]
         z = wp.sqrt(wp.max(1.0 - x * x - y * y, wp.static(float(thresholds.HORIZON) + 1.0e-6)))
         weight = above[0] * place[3]
-        along = towards_world(sight, x, y, z)
-        if sight.hides:
-            weight *= share_open(sight.seen, on_octahedron(along))
+        along = towards_world(frame, x, y, z)
+        if frame.hides:
+            weight *= share_open(frame.visibility, on_octahedron(along))
         light = light_along(sky, along, variance / wp.max(z, 0.1))
-        gain = gain_of(sight, reflection, place[0], place[1], wp.vec3f(x, y, z), above[2])
-        row = (gain * weight) * row_of(table, sight.material, node, z + sight.view[2])
+        gain = gain_of(frame, reflection, place[0], place[1], wp.vec3f(x, y, z), above[2])
+        row = (gain * weight) * row_of(table, frame.material, node, z + frame.view[2])
         rgb = wp.vec3f(light[0], light[1], light[2])
         # Below a node gains bend, and rows as phases change with w: alike for many, so that it adds up.
         curvature_error = place[2] / z
         turns = wp.static(PHASE_AN_ENTRY) * wp.float32(table.entries) * radius
         curvature_error = wp.min(curvature_error * curvature_error * (2.0 + turns * turns), 0.5)
-        if above[0] < 1.0 or (sight.hides and place[2] > LEAST_HIDING):
+        if above[0] < 1.0 or (frame.hides and place[2] > LEAST_HIDING):
             curvature_error = 0.5
         per_light = (row[1, 0] + row[1, 1] + row[1, 2]) * wp.static(1.0 / 3.0)
         opens_for = wp.max(light[3], ALIKE * curvature_error * (rgb[0] + rgb[1] + rgb[2]))
@@ -359,20 +359,20 @@ def sum_cells(
             wp.max(sky.variance - variance, 0.0) + wp.where(node > 0, place[2] * place[2], 0.0)
         )
         if pigment and node > 0:
-            result.below += wp.outer(weight * rgb, transmittance(reflection, sight.material, z))
+            result.below += wp.outer(weight * rgb, transmittance(reflection, frame.material, z))
         node = end
     return result
 
 
 @wp.func
-def turned_by(sight: HitFrame, reflection: Reflection, x: wp.float32, y: wp.float32) -> HitFrame:
+def rotated_by(frame: HitFrame, reflection: Reflection, x: wp.float32, y: wp.float32) -> HitFrame:
     """What a ray beside it has met, where the normal has turned by (x, y) in the frame."""
-    result = sight
-    towards = sight.view[0] * sight.tangent + sight.view[1] * sight.bitangent + sight.view[2] * sight.normal
-    normal = wp.normalize(sight.normal + x * sight.tangent + y * sight.bitangent)
-    tangent = wp.normalize(sight.tangent - wp.dot(sight.tangent, normal) * normal)
+    result = frame
+    towards = frame.view[0] * frame.tangent + frame.view[1] * frame.bitangent + frame.view[2] * frame.normal
+    normal = wp.normalize(frame.normal + x * frame.tangent + y * frame.bitangent)
+    tangent = wp.normalize(frame.tangent - wp.dot(frame.tangent, normal) * normal)
     bitangent = wp.cross(normal, tangent)
-    result.bitangent = wp.where(wp.dot(bitangent, sight.bitangent) < 0.0, -bitangent, bitangent)
+    result.bitangent = wp.where(wp.dot(bitangent, frame.bitangent) < 0.0, -bitangent, bitangent)
     result.tangent = tangent
     result.normal = normal
     result.view = wp.normalize(
@@ -450,7 +450,7 @@ def sky_visibility(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f, of_fo
 
     ``of_four`` texels one is asked for, which they take turns to be.
     """
-    seen = open_t()
+    visibility = open_t()
     step = wp.where(of_four, 2, 1)
     for row in range(0, wp.static(_SIDE), step):
         for column in range(0, wp.static(_SIDE), step):
@@ -467,21 +467,21 @@ def sky_visibility(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f, of_fo
                 continue
             for down in range(step):
                 texel = (row + down) * wp.static(_SIDE) + column
-                seen[texel // 32] = seen[texel // 32] | (wp.uint32(2 * step - 1) << wp.uint32(texel % 32))
-    return seen
+                visibility[texel // 32] = visibility[texel // 32] | (wp.uint32(2 * step - 1) << wp.uint32(texel % 32))
+    return visibility
 
 
 @wp.func
-def hides_any(seen: open_t) -> wp.bool:
+def hides_any(visibility: open_t) -> wp.bool:
     """Whether the sky is hidden in any direction."""
     result = wp.bool(False)
     for word in range(wp.static(_WORDS)):
-        result = result or ~seen[word] != wp.uint32(0)
+        result = result or ~visibility[word] != wp.uint32(0)
     return result
 
 
 @wp.func
-def sight_of(
+def frame_of(
     pixels: Pixels, reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, is_cell: wp.bool, i: wp.int32
 ) -> HitFrame:
     """What a pixel's ray has met, or that of one of its cells, which together ask for all of the sky."""
@@ -497,8 +497,8 @@ def sight_of(
     if reflection.materials.shape[0] > 0:
         result.material = reflection.materials[pixels.face[i]]
     if shadows:
-        result.seen = sky_visibility(mesh_id, pixels.shadow_origin[i], result.normal, is_cell, i)
-        result.hides = hides_any(result.seen)
+        result.visibility = sky_visibility(mesh_id, pixels.shadow_origin[i], result.normal, is_cell, i)
+        result.hides = hides_any(result.visibility)
     return result
 
 
@@ -536,9 +536,9 @@ def add_sky(
             occluded_out[i] = False
         if gains[i] == 0.0:
             continue
-        sight = sight_of(pixels, reflection, mesh_id, shadows, estimates_out.shape[0] == 0, i)
+        frame = frame_of(pixels, reflection, mesh_id, shadows, estimates_out.shape[0] == 0, i)
         if shadows:
-            occluded_out[i] = sight.hides
+            occluded_out[i] = frame.hides
         axes = principal_axes(footprints[i])
         # Along its longer axis there are rays at several places, unless the sky is blurred as much anyway. They are
         # ``apart`` deviations from each other, and blurred by half of that.
@@ -546,9 +546,9 @@ def add_sky(
         taps = wp.min(wp.int32(TAPS_A_RATIO * wp.sqrt(axes[0] / narrow)) + 1, MOST_TAPS)
         taps = wp.where(taps == 2, 3, taps)
         apart = 2.0 * SPAN / wp.float32(taps)
-        sight.blur = axes[1] + wp.where(taps > 1, 0.25 * apart * apart * axes[0], 0.5 * (axes[0] - axes[1]))
+        frame.blur = axes[1] + wp.where(taps > 1, 0.25 * apart * apart * axes[0], 0.5 * (axes[0] - axes[1]))
         size = wp.max(table.nodes.shape[0] / GUESSED_PARTS, 1)
-        guess = sum_cells(sky, table, sight, reflection, -1.0, size, False)
+        guess = sum_cells(sky, table, frame, reflection, -1.0, size, False)
         # The pigment sends light from everywhere, wherever the surface sends none.
         size = table.nodes.shape[0]
         if pigment > 0.0:
@@ -560,15 +560,15 @@ def add_sky(
         for tap in range(taps):
             off = (wp.float32(tap) + 0.5) * apart - SPAN
             share = wp.exp(-0.5 * off * off / wp.max(1.0 - 0.25 * apart * apart, 0.1))
-            per_normal = 0.5 * off / sight.view[2]
-            beside = turned_by(sight, reflection, per_normal * axes[2], per_normal * axes[3])
-            found = sum_cells(sky, table, beside, reflection, limit, size, pigment > 0.0)
+            per_normal = 0.5 * off / frame.view[2]
+            beside = rotated_by(frame, reflection, per_normal * axes[2], per_normal * axes[3])
+            sky_sum = sum_cells(sky, table, beside, reflection, limit, size, pigment > 0.0)
             total += share
-            mean.colour += share * found.colour
-            mean.below += share * found.below
-            mean.blurred2 += share * found.blurred2
-            mean.coarse2 += share * found.coarse2
-            square += share * wp.length_sq(found.colour)
+            mean.colour += share * sky_sum.colour
+            mean.below += share * sky_sum.below
+            mean.blurred2 += share * sky_sum.blurred2
+            mean.coarse2 += share * sky_sum.coarse2
+            square += share * wp.length_sq(sky_sum.colour)
         colour = mean.colour / total
         if estimates_out.shape[0] > 0:
             scattered2 = wp.max(square / total - wp.length_sq(colour), 0.0)
@@ -579,7 +579,7 @@ def add_sky(
             estimates_out[i] = wp.vec2f(wp.sqrt(wp.max(scattered2, blurred2)), before + coarse)
         if pigment > 0.0:
             below = mean.below / total
-            base = wp.cw_mul(pixels.base_colour[i], transmittance(reflection, sight.material, sight.view[2]))
+            base = wp.cw_mul(pixels.base_colour[i], transmittance(reflection, frame.material, frame.view[2]))
             rgb = wp.vec3f()
             for spectrum in range(3):
                 for channel in range(3):

@@ -1,7 +1,7 @@
 """The power spectrum on spokes, and its integral over λ for every (u, v) and every function of w.
 
-Spokes are sampled at nodes of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
-t = |(u, v)|/λ. A colour is a sum over an octave's nodes, whose weights are the same wherever |(u, v)| takes the same
+Spokes are sampled at rings of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
+t = |(u, v)|/λ. A colour is a sum over an octave's rings, whose weights are the same wherever |(u, v)| takes the same
 ratios: ``colour_lookup`` has the rest.
 """
 
@@ -20,39 +20,39 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 
 @functools.cache
-def resampler(lanes: int, powers: bool, nodes: int) -> Any:
+def resampler(lanes: int, powers: bool, width: int) -> Any:
     """The kernel that samples the power spectrum of a height field's coefficients on spokes, and the type of its rows.
 
     Args:
         lanes: Terms of a row of coefficients.
         powers: Whether these are powers, of the averaged form; a row of the table is then a sum of theirs. Otherwise
             they are amplitudes, of the centred form, and a row of the table holds the power of their sum at some κ.
-        nodes: Terms of a row of the values.
+        width: Terms of a row of the values.
     """
     coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
-    out_t = wp.types.vector(length=nodes, dtype=wp.float32)
+    out_t = wp.types.vector(length=width, dtype=wp.float32)
     parts = 1 if powers else 2
 
     @wp.func_native(
-        f"warpdiff::sample_spoke<{lanes}, {parts}, {nodes}>(table, bases, sine, cosine, nodes, first_t, ratio, "
-        "divisions, highest, scale, unserved_gain, begin, values_out);"
+        f"warpdiff::sample_azimuth<{lanes}, {parts}, {width}>(table, bases, sine, cosine, rings, first_t, ratio, "
+        "divisions, highest, scale, excluded, begin, values_out);"
     )
-    def sample_spoke(
+    def sample_azimuth(
         table: coefficients_t,
         bases: wp.array(dtype=out_t),
         sine: wp.float64,
         cosine: wp.float64,
-        nodes: wp.int32,
+        rings: wp.int32,
         first_t: wp.float64,
         ratio: wp.float64,
         divisions: wp.int32,
         highest: wp.float64,
         scale: wp.float32,
-        unserved_gain: wp.int32,
+        excluded: wp.int32,
         begin: wp.int32,
         values_out: wp.array(dtype=out_t),
     ):
-        """Integrals along a spoke in this direction, in coefficients, from the node ``begin`` on."""
+        """Integrals along a spoke in this direction, in coefficients, from the ring ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
@@ -60,31 +60,31 @@ def resampler(lanes: int, powers: bool, nodes: int) -> Any:
         table: coefficients_t,
         bases: wp.array(dtype=out_t),
         azimuths: wp.int32,
-        nodes_an_octave: wp.int32,
+        rings_per_octave: wp.int32,
         log_low: wp.float64,
         divisions: wp.int32,
         highest: wp.float64,
-        unserved_gain: wp.int32,
+        excluded: wp.int32,
         start: wp.int32,
         first: wp.int32,
         # Out:
         values_out: wp.array(dtype=out_t),
     ):
-        """Integrals of the power spectrum along a spoke under the splines of an octave's nodes.
+        """Integrals of the power spectrum along a spoke under the splines of an octave's rings.
 
-        The first node lies at the logarithm ``log_low`` of the frequency, and the row of spoke 0 at ``start``. The
-        spectrum is sampled ``divisions`` times from node to node, up to the frequency ``highest``, without the
-        coefficient ``unserved_gain``. Amplitudes are multiplied by ``bases``, term by term.
+        The first ring lies at the logarithm ``log_low`` of the frequency, and the row of spoke 0 at ``start``. The
+        spectrum is sampled ``divisions`` times from ring to ring, up to the frequency ``highest``, without the
+        coefficient ``excluded``. Amplitudes are multiplied by ``bases``, term by term.
         """
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
-        per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(nodes_an_octave * divisions)
-        # A node's spline begins one and a half nodes before it.
+        per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(rings_per_octave * divisions)
+        # A ring's spline begins one and a half rings before it.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
-        sample_spoke(
-            table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, nodes_an_octave, first_t,
-            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), unserved_gain, start + azimuth * nodes_an_octave,
-            values_out,
+        sample_azimuth(
+            table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, rings_per_octave, first_t,
+            wp.exp(per_sample), divisions, highest, wp.float32(per_sample), excluded,
+            start + azimuth * rings_per_octave, values_out,
         )  # fmt: skip
 
     return types.SimpleNamespace(row=out_t, resample=resample)
@@ -105,67 +105,67 @@ def gatherer(lanes: int) -> Any:
         weights: wp.array(dtype=wp.float32),
         begins: wp.array(dtype=wp.int32),
         ends: wp.array(dtype=wp.int32),
-        nodes: wp.int32,
+        rings: wp.int32,
         blur: wp.float32,
         first: wp.int32,
         # Out:
         values_out: wp.array(dtype=row_t),
     ):
-        """Integrals along a spoke, under the splines of its nodes, of lines that are blurred in angle.
+        """Integrals along a spoke, under the splines of its rings, of lines that are blurred in angle.
 
         Args:
             coefficients: Powers.
             lines: Which of them, in the order of their angles.
             angles: Theirs, from 0 to a turn and a little beyond either end.
-            places: Where they lie among the nodes.
+            places: Where they lie among the rings.
             weights: What they count.
             begins: For each spoke the first line that reaches it.
             ends: And the one behind the last.
-            nodes: Nodes of a spoke.
+            rings: Rings of a spoke.
             blur: Standard deviation of the angle.
             first: The first thread's spoke.
-            values_out: Spoke after spoke, node by node.
+            values_out: Spoke after spoke, ring by ring.
         """
         azimuth = first + wp.tid()
-        start = azimuth * nodes
-        for k in range(nodes):
+        start = azimuth * rings
+        for k in range(rings):
             values_out[start + k] = row_t()
         angle = wp.float32(wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(begins.shape[0]))
         scale = 1.0 / (wp.sqrt(2.0 * wp.PI) * blur)
         for j in range(begins[azimuth], ends[azimuth]):
             away = (angles[j] - angle) / blur
-            node = wp.int32(wp.rint(places[j]))
-            of_nodes = spline(places[j] - wp.float32(node))
+            ring = wp.int32(wp.rint(places[j]))
+            ring_weights = spline(places[j] - wp.float32(ring))
             value = (scale * weights[j] * wp.exp(-0.5 * away * away)) * coefficients[lines[j]]
-            if node > 0:
-                values_out[start + node - 1] += of_nodes[0] * value
-            values_out[start + node] += of_nodes[1] * value
-            if node + 1 < nodes:
-                values_out[start + node + 1] += of_nodes[2] * value
+            if ring > 0:
+                values_out[start + ring - 1] += ring_weights[0] * value
+            values_out[start + ring] += ring_weights[1] * value
+            if ring + 1 < rings:
+                values_out[start + ring + 1] += ring_weights[2] * value
 
     return types.SimpleNamespace(row=row_t, gather=gather)
 
 
 @functools.cache
-def projector(lanes: int, functions: int) -> Any:
-    """The kernel that sums rows of ``lanes`` terms over an octave's nodes, to coefficients of so many functions."""
+def projector(lanes: int, w_basis_size: int) -> Any:
+    """The kernel that sums rows of ``lanes`` terms over an octave's rings, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
-    functions_t = wp.types.vector(length=functions, dtype=wp.float32)
-    row_t = lookup(functions).row
+    w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
+    row_t = lookup(w_basis_size).row
     # Side by side: as many as registers hold sums for.
-    abreast = 4 if functions <= 8 else 2
+    abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
-        f"warpdiff::join_octaves<{lanes}, {abreast}>(values, starts, azimuths, nodes, octave, first_spoke, sequence, at, "
-        "length);"
+        f"warpdiff::join_octaves<{lanes}, {abreast}>(values, starts, azimuths, rings, octave, first_azimuth, sequence, "
+        "at, length);"
     )
     def join_octaves(
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
         azimuths: wp.array(dtype=wp.int32),
-        nodes: wp.int32,
+        rings: wp.int32,
         octave: wp.int32,
-        first_spoke: wp.int32,
+        first_azimuth: wp.int32,
         sequence: wp.array(dtype=values_t),
         at: wp.int32,
         length: wp.int32,
@@ -173,22 +173,22 @@ def projector(lanes: int, functions: int) -> Any:
         """Rows of a few spokes from one before an octave on, ``length`` of them for each spoke."""
 
     @wp.func_native(
-        f"warpdiff::project_spokes<{lanes}, {functions}, {abreast}>(sequence, at, length, skipped, matrices, weights, "
-        "terms, nodes, first_spoke, rows_out);"
+        f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
+        "weights, terms, rings, first_azimuth, rows_out);"
     )
-    def project_spokes(
+    def project_azimuths(
         sequence: wp.array(dtype=values_t),
         at: wp.int32,
         length: wp.int32,
         skipped: wp.int32,
-        matrices: wp.array(dtype=functions_t),
+        matrices: wp.array(dtype=w_basis_t),
         weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
-        nodes: wp.int32,
-        first_spoke: wp.int32,
+        rings: wp.int32,
+        first_azimuth: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few spokes from their ``length`` rows; that of the first node begins behind those skipped."""
+        """Colours along a few spokes from their ``length`` rows; that of the first ring begins behind those skipped."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
@@ -196,10 +196,10 @@ def projector(lanes: int, functions: int) -> Any:
         values: wp.array(dtype=values_t),
         starts: wp.array(dtype=wp.int32),
         azimuths: wp.array(dtype=wp.int32),
-        matrices: wp.array(dtype=functions_t),
+        matrices: wp.array(dtype=w_basis_t),
         weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
-        nodes: wp.int32,
+        rings: wp.int32,
         octave: wp.int32,
         length: wp.int32,
         sequence: wp.array(dtype=values_t),
@@ -208,48 +208,48 @@ def projector(lanes: int, functions: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few spokes at a time, at the nodes of an octave of |(u, v)|.
+        """Colours along a few spokes at a time, at the rings of an octave of |(u, v)|.
 
         Their red end lies in the same octave of frequencies, which has as many spokes as the next or half of them, and
         their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each spoke.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
-            first_spoke = (first + wp.tid() * run + k) * wp.static(abreast)
-            join_octaves(values, starts, azimuths, nodes, octave, first_spoke, sequence, at, length)
-            project_spokes(sequence, at, length, 0, matrices, weights, terms, nodes, first_spoke, rows_out)
+            first_azimuth = (first + wp.tid() * run + k) * wp.static(abreast)
+            join_octaves(values, starts, azimuths, rings, octave, first_azimuth, sequence, at, length)
+            project_azimuths(sequence, at, length, 0, matrices, weights, terms, rings, first_azimuth, rows_out)
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project_lines(
         # In:
         values: wp.array(dtype=values_t),
-        matrices: wp.array(dtype=functions_t),
+        matrices: wp.array(dtype=w_basis_t),
         weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32,
-        nodes: wp.int32,
-        given: wp.int32,
+        rings: wp.int32,
+        row_count: wp.int32,
         first: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Colours along a few spokes that have all ``given`` nodes, those that the filter takes besides among them.
+        """Colours along a few spokes that have all ``row_count`` rings, those that the filter takes besides among them.
 
         The filter changes them.
         """
-        first_spoke = (first + wp.tid()) * wp.static(abreast)
-        at = first_spoke * given
+        first_azimuth = (first + wp.tid()) * wp.static(abreast)
+        at = first_azimuth * row_count
         skipped = wp.static(FILTER_REACH)
-        project_spokes(values, at, given, skipped, matrices, weights, terms, nodes, first_spoke, rows_out)
+        project_azimuths(values, at, row_count, skipped, matrices, weights, terms, rings, first_azimuth, rows_out)
 
     return types.SimpleNamespace(
-        row=row_t, functions=functions_t, project=project, project_lines=project_lines, abreast=abreast,
+        row=row_t, w_basis=w_basis_t, project=project, project_lines=project_lines, abreast=abreast,
     )  # fmt: skip
 
 
 @functools.cache
-def adder(functions: int) -> Any:
-    """The kernel that adds colours of so many functions of w, times a factor for each node."""
-    row_t = lookup(functions).row
+def adder(w_basis_size: int) -> Any:
+    """The kernel that adds colours of so many functions of w, times a factor for each ring."""
+    row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def add_product(
@@ -261,14 +261,14 @@ def adder(functions: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):
-        """Add the nodes of a spoke, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
-        nodes = factors.shape[0]
-        at = (first + wp.tid()) * nodes
-        for node in range(nodes):
-            value = factors[node] * values[at + node]
+        """Add the rings of a spoke, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
+        rings = factors.shape[0]
+        at = (first + wp.tid()) * rings
+        for ring in range(rings):
+            value = factors[ring] * values[at + ring]
             if begins:
-                rows_out[at + node] = value
+                rows_out[at + ring] = value
             else:
-                rows_out[at + node] = rows_out[at + node] + value
+                rows_out[at + ring] = rows_out[at + ring] + value
 
     return add_product

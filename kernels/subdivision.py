@@ -30,39 +30,39 @@ class Unevenness:
 
 
 @wp.func
-def signal_difference(seen: Unevenness, own: wp.int32, other: wp.int32) -> wp.vec3f:
+def signal_difference(hits: Unevenness, own: wp.int32, other: wp.int32) -> wp.vec3f:
     """By how much (u, v), or under a sky the light's direction, differs from one pixel to another."""
-    if seen.estimates.shape[0] > 0:
-        return seen.mirrored[other] - seen.mirrored[own]
-    moved = seen.scattering_vectors[other] - seen.scattering_vectors[own]
+    if hits.estimates.shape[0] > 0:
+        return hits.mirrored[other] - hits.mirrored[own]
+    moved = hits.scattering_vectors[other] - hits.scattering_vectors[own]
     return wp.vec3f(wp.float32(moved[0]), wp.float32(moved[1]), 0.0)
 
 
 @wp.func
-def contrast_weight(seen: Unevenness, pixel: wp.int32, width: wp.int32) -> wp.float32:
+def contrast_weight(hits: Unevenness, pixel: wp.int32, width: wp.int32) -> wp.float32:
     """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
-    left = signal_difference(seen, pixel, pixel - 1)
-    right = signal_difference(seen, pixel, pixel + 1)
-    above = signal_difference(seen, pixel, pixel - width)
-    below = signal_difference(seen, pixel, pixel + width)
+    left = signal_difference(hits, pixel, pixel - 1)
+    right = signal_difference(hits, pixel, pixel + 1)
+    above = signal_difference(hits, pixel, pixel - width)
+    below = signal_difference(hits, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
     # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
     aslant2 = wp.max(
         wp.max(
-            wp.length_sq(signal_difference(seen, pixel, pixel - width - 1) - left - above),
-            wp.length_sq(signal_difference(seen, pixel, pixel - width + 1) - right - above),
+            wp.length_sq(signal_difference(hits, pixel, pixel - width - 1) - left - above),
+            wp.length_sq(signal_difference(hits, pixel, pixel - width + 1) - right - above),
         ),
         wp.max(
-            wp.length_sq(signal_difference(seen, pixel, pixel + width - 1) - left - below),
-            wp.length_sq(signal_difference(seen, pixel, pixel + width + 1) - right - below),
+            wp.length_sq(signal_difference(hits, pixel, pixel + width - 1) - left - below),
+            wp.length_sq(signal_difference(hits, pixel, pixel + width + 1) - right - below),
         ),
     )
     most = wp.max(along, down)
     uneven2 = wp.max(wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down), aslant2 / most)
-    if seen.estimates.shape[0] > 0:
+    if hits.estimates.shape[0] > 0:
         return wp.min(CONTRAST_BASE + CONTRAST_PER_UNEVENNESS * wp.sqrt(uneven2), 1.0)
-    own = seen.scattering_vectors[pixel]
+    own = hits.scattering_vectors[pixel]
     uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
     return wp.min(
         CONTRAST_BASE + CONTRAST_PER_UNEVENNESS * wp.sqrt(uneven2) + CONTRAST_PER_CHANGE * wp.sqrt(most / uv2), 1.0
@@ -73,18 +73,18 @@ def contrast_weight(seen: Unevenness, pixel: wp.int32, width: wp.int32) -> wp.fl
 def estimate_errors(
     # In:
     colours: wp.array(dtype=wp.vec3f),
-    seen: Unevenness,
+    hits: Unevenness,
     hit: wp.array(dtype=wp.int32),
     width: wp.int32,
     floor: wp.array(dtype=wp.float32),
     bound: wp.float32,
-    all_of_them: wp.bool,
-    splits_rims: wp.bool,
+    all_pixels: wp.bool,
+    subdivides_silhouettes: wp.bool,
     first: wp.int32,
     run: wp.int32,
     # Out:
     errors_out: wp.array(dtype=wp.float32),
-    wanted_out: wp.array(dtype=wp.uint8),
+    marks_out: wp.array(dtype=wp.uint8),
 ):
     """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
 
@@ -92,24 +92,24 @@ def estimate_errors(
 
     Args:
         colours: Theirs, of whole rows.
-        seen: What their rays see.
+        hits: What their rays see.
         hit: Whether they meet the mesh.
         width: Pixels in a row.
         floor: What errors are relative to at least.
         bound: Of errors relative to the colour, or to the floor, from which pixels are split.
-        all_of_them: Whether all are split, also where only cells may meet the mesh.
-        splits_rims: Whether those are beside which the mesh ends.
+        all_pixels: Whether all are split, also where only cells may meet the mesh.
+        subdivides_silhouettes: Whether those are beside which the mesh ends.
         first: The first thread's pixel.
         run: How many a thread takes.
         errors_out: 0 where nothing is met.
-        wanted_out: 1 for those to be split, otherwise 0.
+        marks_out: 1 for those to be split, otherwise 0.
     """
     thread, _ = wp.tid()
     height = hit.shape[0] // width
     for pixel in range(first + thread * run, first + (thread + 1) * run):
-        if hit[pixel] == 0 and not splits_rims and not all_of_them:
+        if hit[pixel] == 0 and not subdivides_silhouettes and not all_pixels:
             errors_out[pixel] = 0.0
-            wanted_out[pixel] = wp.uint8(0)
+            marks_out[pixel] = wp.uint8(0)
             continue
         row = pixel // width
         column = pixel - row * width
@@ -135,16 +135,16 @@ def estimate_errors(
         if beside == 0:
             # Nothing tells of a pixel by itself.
             contrast2 = wp.length_sq(own)
-        of_contrast = wp.float32(1.0)
+        weight = wp.float32(1.0)
         if met == 9:
-            of_contrast = contrast_weight(seen, pixel, width)
-        error = of_contrast * wp.sqrt(contrast2)
-        if seen.estimates.shape[0] > 0:
-            error = wp.max(error, seen.estimates[pixel][0])
+            weight = contrast_weight(hits, pixel, width)
+        error = weight * wp.sqrt(contrast2)
+        if hits.estimates.shape[0] > 0:
+            error = wp.max(error, hits.estimates[pixel][0])
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
-        is_rim = met < around and splits_rims
-        wanted = met > 0 and (is_rim or error > bound * wp.max(wp.length(own), floor[0]))
-        wanted_out[pixel] = wp.uint8(wp.where(wanted or all_of_them, 1, 0))
+        is_silhouette = met < around and subdivides_silhouettes
+        is_active = met > 0 and (is_silhouette or error > bound * wp.max(wp.length(own), floor[0]))
+        marks_out[pixel] = wp.uint8(wp.where(is_active or all_pixels, 1, 0))
 
 
 @wp.kernel
@@ -194,7 +194,7 @@ def add_penumbra_error(
     first: wp.int32,
     run: wp.int32,
     # Out:
-    told_out: wp.array(dtype=wp.float32),
+    errors_out: wp.array(dtype=wp.float32),
 ):
     """Add what pixels err by from which some of a light's lobes are hidden, one after the other: so large a step."""
     total = wp.float32(0.0)
@@ -208,12 +208,13 @@ def add_penumbra_error(
     for i in range(first + thread * run, first + (thread + 1) * run):
         if shadow[i] > 0.0:
             # What is lit by less than a step is all wrong.
-            told_out[i] = told_out[i] + step / wp.max(total - shadow[i], step) * wp.length(colours[i])
+            errors_out[i] = errors_out[i] + step / wp.max(total - shadow[i], step) * wp.length(colours[i])
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, occluded, gains, pixels, colours_before, errors_before, ranks, weights, level, "
-    f"{refinement_levels.MIN_CONTRACTION}f, begin, end, filtered_sums_out, means_out, level_difference_out, levels_out, has_unlit_quadrant_out, has_edge_out);"
+    "warpdiff::splat_cells(colours, hit, occluded, gains, pixels, colours_before, errors_before, ranks, weights, "
+    f"level, {refinement_levels.MIN_CONTRACTION}f, begin, end, filtered_sums_out, means_out, level_difference_out, "
+    "levels_out, has_unlit_quadrant_out, has_edge_out);"
 )
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f),
@@ -235,7 +236,7 @@ def splat_cells_run(
     has_unlit_quadrant_out: wp.array(dtype=wp.uint8),
     has_edge_out: wp.array(dtype=wp.bool),
 ):
-    """Shares of pixels one after the other."""
+    """Filtered sums of pixels one after the other."""
 
 
 @wp.kernel
@@ -276,8 +277,8 @@ def splat_cells(
         level: Which this one is.
         first: The first thread's place among ``pixels``.
         run: How many a thread takes.
-        filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel that lies
-            1 − i rows below and 1 − j columns to the right.
+        filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel
+            that lies 1 − i rows below and 1 − j columns to the right.
         means_out: Means over the cells, those of the level before.
         level_difference_out: How far these are apart; at first, from the pixel's one ray.
         levels_out: Set to ``level``.
@@ -288,12 +289,13 @@ def splat_cells(
     begin = first + thread * run
     splat_cells_run(
         colours, hit, occluded, gains, pixels, colours_before, errors_before, ranks, weights, level, begin,
-        begin + run, filtered_sums_out, means_out, level_difference_out, levels_out, has_unlit_quadrant_out, has_edge_out
+        begin + run, filtered_sums_out, means_out, level_difference_out, levels_out, has_unlit_quadrant_out,
+        has_edge_out,
     )  # fmt: skip
 
 
 @wp.struct
-class Shares:
+class FilteredSums:
     """Filtered sums of split pixels for themselves and for those around them, as ``splat_cells`` finds them."""
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
@@ -318,13 +320,13 @@ def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
 
 
 @wp.func
-def levels_around(given: Shares, row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2i:
+def levels_around(sums: FilteredSums, row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2i:
     """The least and the largest level of a pixel's nine parts, its own and those of the pixels around."""
     least = wp.int32(refinement_levels.MOST_LEVEL)
     most = wp.int32(0)
     for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
         for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
-            level = wp.int32(given.levels[compact_index(given.ranks, (row + line - 1) * width + column + side - 1)])
+            level = wp.int32(sums.levels[compact_index(sums.ranks, (row + line - 1) * width + column + side - 1)])
             least = wp.min(least, level)
             most = wp.max(most, level)
     return wp.vec2i(least, most)
@@ -333,16 +335,16 @@ def levels_around(given: Shares, row: wp.int32, column: wp.int32, width: wp.int3
 @wp.kernel
 def resolve_pixels(
     # In:
-    given: Shares,
+    sums: FilteredSums,
     pixels: wp.array(dtype=wp.int32),
     width: wp.int32,
     height: wp.int32,
     floor: wp.array(dtype=wp.float32),
     bound: wp.float32,
-    settled_bound: wp.float32,
+    converged_bound: wp.float32,
     level: wp.int32,
     must_subdivide: wp.bool,
-    rim_level: wp.int32,
+    silhouette_level: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -351,21 +353,21 @@ def resolve_pixels(
     coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
     edges_out: wp.array(dtype=wp.bool),
-    wanted_out: wp.array(dtype=wp.uint8),
+    marks_out: wp.array(dtype=wp.uint8),
 ):
     """Set pixels to what cells give them; by how much that changed with the last levels is what they may err by.
 
     Args:
-        given: What the cells give.
+        sums: What the cells give.
         pixels: Those that are marked; empty is all of the picture.
         width: Pixels in a row.
         height: Rows.
         floor: What errors are relative to at least.
         bound: As ``estimate_errors`` has it.
-        settled_bound: The same of those that had settled.
+        converged_bound: The same of those that had converged.
         level: The last one.
         must_subdivide: Whether all of them are split again.
-        rim_level: To which those that are covered in part are split at least.
+        silhouette_level: To which those that are covered in part are split at least.
         first: The first thread's place among ``pixels``.
         run: How many a thread takes.
         colours_out: Colours before, and now, times coverage.
@@ -373,27 +375,27 @@ def resolve_pixels(
         coverage_out: Shares of cells that meet the mesh.
         illuminated_out: Set where any cell has a colour.
         edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
-        wanted_out: ``ACTIVE`` for those to be split again, ``CONVERGED`` for others that are marked.
+        marks_out: ``ACTIVE`` for those to be split again, ``CONVERGED`` for others that are marked.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
         pixel = k
         if pixels.shape[0] > 0:
             pixel = pixels[k]
-        mark = wanted_out[pixel]
+        mark = marks_out[pixel]
         # What has settled takes the cells that are there for the sake of those beside it, if its own are among them.
         if mark == wp.uint8(0) or (
-            mark == CONVERGED and wp.int32(given.levels[compact_index(given.ranks, pixel)]) < level
+            mark == CONVERGED and wp.int32(sums.levels[compact_index(sums.ranks, pixel)]) < level
         ):
             continue
         row = pixel // width
         column = pixel % width
         # Pixels that are split unequally leave edges between them as they are if each counts for what the filter has
         # there; alike, they are the filter together, and closer to it by themselves.
-        levels = levels_around(given, row, column, width, height)
+        levels = levels_around(sums, row, column, width, height)
         if levels[1] < level:
             # None of its parts still changes by much.
-            wanted_out[pixel] = CONVERGED
+            marks_out[pixel] = CONVERGED
             continue
         total = wp.vec4f()
         weight = wp.float32(0.0)
@@ -401,20 +403,20 @@ def resolve_pixels(
         square = wp.float32(0.0)
         for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
-                there = compact_index(given.ranks, (row + line - 1) * width + column + side - 1)
-                of_level = wp.int32(given.levels[there])
+                there = compact_index(sums.ranks, (row + line - 1) * width + column + side - 1)
+                cell_level = wp.int32(sums.levels[there])
                 share = FILTER_SHARES[line] * FILTER_SHARES[side]
-                per_weight = given.filter_normalisation[of_level, line] * given.filter_normalisation[of_level, side]
-                signal_difference = share * given.level_difference[there]
-                square += signal_difference * signal_difference
-                if of_level < level:
-                    rest += signal_difference
+                per_weight = sums.filter_normalisation[cell_level, line] * sums.filter_normalisation[cell_level, side]
+                change = share * sums.level_difference[there]
+                square += change * change
+                if cell_level < level:
+                    rest += change
                 if levels[0] == levels[1]:
                     weight += share / per_weight
-                    total += given.filtered_sums[there, 3 * line + side]
+                    total += sums.filtered_sums[there, 3 * line + side]
                 else:
                     weight += share
-                    total += per_weight * given.filtered_sums[there, 3 * line + side]
+                    total += per_weight * sums.filtered_sums[there, 3 * line + side]
         # Of what there is of the picture.
         total = total / weight
         colour = wp.vec3f(total[0], total[1], total[2])
@@ -429,7 +431,7 @@ def resolve_pixels(
         )
         limit = bound
         if mark == CONVERGED:
-            limit = settled_bound
+            limit = converged_bound
             if levels[0] < level:
                 # Parts of it are as they were.
                 error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
@@ -438,23 +440,23 @@ def resolve_pixels(
         coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
         if wp.length_sq(colour) > wp.float32(0.0):
             illuminated_out[pixel] = True
-            edges_out[pixel] = edges_out[pixel] or given.has_edge[compact_index(given.ranks, pixel)]
+            edges_out[pixel] = edges_out[pixel] or sums.has_edge[compact_index(sums.ranks, pixel)]
         silhouette = (
-            level < rim_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
+            level < silhouette_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
         )
         # What has settled may be told to err by more when it takes such cells, and goes on then.
         if error > limit * wp.max(wp.length(colour), floor[0]):
-            wanted_out[pixel] = ACTIVE
+            marks_out[pixel] = ACTIVE
         elif not must_subdivide and not silhouette:
-            wanted_out[pixel] = CONVERGED
+            marks_out[pixel] = CONVERGED
 
 
 @wp.kernel
 def select_cells(
     # In:
-    given: Shares,
+    sums: FilteredSums,
     tiles: wp.array(dtype=wp.int32),
-    wanted: wp.array(dtype=wp.uint8),
+    marks: wp.array(dtype=wp.uint8),
     colours: wp.array(dtype=wp.vec3f),
     coverage: wp.array(dtype=wp.float64),
     width: wp.int32,
@@ -463,7 +465,7 @@ def select_cells(
     bound: wp.float32,
     level: wp.int32,
     must_subdivide: wp.bool,
-    rim_level: wp.int32,
+    silhouette_level: wp.int32,
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -472,9 +474,9 @@ def select_cells(
     """Whether pixels are split again: those by whose cells any pixel around that is wanted changes much.
 
     Args:
-        given: What the cells give.
+        sums: What the cells give.
         tiles: Pixels that were split last; empty is all of the picture that are chosen.
-        wanted: Which pixels are yet to be told better.
+        marks: Which pixels are yet to be told better.
         colours: Of the picture.
         coverage: Of the picture.
         width: Pixels in a row.
@@ -483,7 +485,7 @@ def select_cells(
         bound: As ``estimate_errors`` has it.
         level: The last one.
         must_subdivide: Whether all of them are.
-        rim_level: As ``resolve_pixels`` has it.
+        silhouette_level: As ``resolve_pixels`` has it.
         first: The first thread's place among ``tiles``.
         run: How many a thread takes.
         chosen_out: By pixel of the picture, whether it was and is.
@@ -495,7 +497,7 @@ def select_cells(
             pixel = tiles[k]
         if chosen_out[pixel] == wp.uint8(0):
             continue
-        rank = compact_index(given.ranks, pixel)
+        rank = compact_index(sums.ranks, pixel)
         row = pixel // width
         column = pixel % width
         chosen = wp.uint8(0)
@@ -505,9 +507,9 @@ def select_cells(
                 x = column + 1 - side
                 if y >= 0 and y < height and x >= 0 and x < width:
                     there = y * width + x
-                    if wanted[there] == ACTIVE:
+                    if marks[there] == ACTIVE:
                         share = FILTER_SHARES[line] * FILTER_SHARES[side]
-                        signal_difference = share * given.level_difference[rank]
+                        change = share * sums.level_difference[rank]
                         least = (
                             wp.static(
                                 wp.float32(refinement_levels.SPLIT_AGAIN_SHARE / refinement_levels.ERROR_PER_DIFFERENCE)
@@ -517,9 +519,11 @@ def select_cells(
                         )
                         covered = coverage[there]
                         silhouette = (
-                            level < rim_level and covered > wp.float64(0.0) and covered < wp.float64(1.0 - 1.0e-4)
+                            level < silhouette_level
+                            and covered > wp.float64(0.0)
+                            and covered < wp.float64(1.0 - 1.0e-4)
                         )
-                        if must_subdivide or silhouette or signal_difference > least:
+                        if must_subdivide or silhouette or change > least:
                             chosen = wp.uint8(1)
         chosen_out[pixel] = chosen
 

@@ -26,36 +26,36 @@ def luminance_histogram(
     first: wp.int32,
     run: wp.int32,
     # Out:
-    tallies_out: wp.array(dtype=wp.int32),
+    histogram_out: wp.array(dtype=wp.int32),
 ):
     """How often luminances occur among the pixels that are lit: by groups, and then by bins."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if illuminated[i]:
             luminance = wp.max(colours[i][1], wp.float32(0.0))
             place = wp.int32(wp.cast(luminance, wp.uint32) >> BELOW)
-            atomic_increment(tallies_out, place // BINS)
-            atomic_increment(tallies_out, GROUPS + place)
+            atomic_increment(histogram_out, place // BINS)
+            atomic_increment(histogram_out, GROUPS + place)
 
 
 @wp.kernel
 def luminance_floor(
     # In:
-    tallies: wp.array(dtype=wp.int32),
+    histogram: wp.array(dtype=wp.int32),
     # Out:
     floor_out: wp.array(dtype=wp.float32),
 ):
     """A picture's floor, by one thread."""
     total = wp.int32(0)
     for k in range(GROUPS):
-        total += tallies[k]
+        total += histogram[k]
     left = BRIGHTEST_SHARE * wp.float32(total)
     group = wp.int32(GROUPS - 1)
-    while group > 0 and wp.float32(tallies[group]) <= left:
-        left -= wp.float32(tallies[group])
+    while group > 0 and wp.float32(histogram[group]) <= left:
+        left -= wp.float32(histogram[group])
         group -= 1
     place = wp.int32((group + 1) * BINS - 1)
-    while place > group * BINS and wp.float32(tallies[GROUPS + place]) <= left:
-        left -= wp.float32(tallies[GROUPS + place])
+    while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
+        left -= wp.float32(histogram[GROUPS + place])
         place -= 1
     # The middle of the bin.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
@@ -128,12 +128,12 @@ def mark_interior(
     first: wp.int32,
     run: wp.int32,
     # Out:
-    wanted_out: wp.array(dtype=wp.uint8),
+    marks_out: wp.array(dtype=wp.uint8),
 ):
     """Mark as settled the pixels that are not wanted but marked with all around them."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        if wanted_out[i] == wp.uint8(0) and marks_around(marks, i, width, height)[0] != wp.uint8(0):
-            wanted_out[i] = CONVERGED
+        if marks_out[i] == wp.uint8(0) and marks_around(marks, i, width, height)[0] != wp.uint8(0):
+            marks_out[i] = CONVERGED
 
 
 @wp.kernel
@@ -157,7 +157,7 @@ def copy_batch(
     # In:
     pixels: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
-    taken: wp.array(dtype=wp.int32),
+    copied: wp.array(dtype=wp.int32),
     first: wp.int32,
     run: wp.int32,
     # Out:
@@ -165,7 +165,7 @@ def copy_batch(
 ):
     """The next pixels of a list, and −1 where there are no more."""
     for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        place = taken[0] + k
+        place = copied[0] + k
         pixels_out[k] = -1
         if place < counts[0]:
             pixels_out[k] = pixels[place]
@@ -177,11 +177,11 @@ def advance_batch(
     counts: wp.array(dtype=wp.int32),
     count: wp.int32,
     # Out:
-    taken_out: wp.array(dtype=wp.int32),
-    unserved_gain: wp.array(dtype=wp.int32),
+    copied_out: wp.array(dtype=wp.int32),
+    has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Count those that were taken, and tell whether any are left."""
-    taken_out[0] += count
-    unserved_gain[0] = wp.int32(0)
-    if taken_out[0] < counts[0]:
-        unserved_gain[0] = wp.int32(1)
+    """Count those that were copied, and tell whether any are left."""
+    copied_out[0] += count
+    has_more_out[0] = wp.int32(0)
+    if copied_out[0] < counts[0]:
+        has_more_out[0] = wp.int32(1)

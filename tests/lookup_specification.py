@@ -30,7 +30,7 @@ RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.
 WITHIN = wp.constant(wp.float32(0.5))
 INNERMOST, INNERMOST_OF_LOBE = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(0.3))
 NARROWEST = wp.constant(wp.float32(0.3))
-MOST_BLUR2, SPOKES_APART = wp.constant(wp.float32(0.7)), wp.constant(wp.float32(1.0))
+MOST_BLUR2, AZIMUTHS_APART = wp.constant(wp.float32(0.7)), wp.constant(wp.float32(1.0))
 LEAST_LEFT = wp.constant(wp.float32(1.0 - 1.2 * 0.7))
 LOG_2 = wp.constant(wp.float32(math.log(2.0)))
 
@@ -45,40 +45,40 @@ def turns_of(u: wp.float32, v: wp.float32) -> wp.float32:
 
 
 @functools.cache
-def lookup(functions: int, source: bool = False) -> Any:
-    """The kernel, whose arguments are those of ``colour_lookup.lookup(functions, source).integrate``."""
-    fast = colour_lookup.lookup(functions, source)
-    Colours, FootprintTaps, row_t, functions_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.functions  # noqa: N806
+def lookup(w_basis_size: int, source: bool = False) -> Any:
+    """The kernel, whose arguments are those of ``colour_lookup.lookup(w_basis_size, source).integrate``."""
+    fast = colour_lookup.lookup(w_basis_size, source)
+    Colours, FootprintTaps, row_t, w_basis_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.w_basis  # noqa: N806
     # Sums of rows, and of their weights.
-    row_w_t = wp.types.vector(length=3 * functions + 1, dtype=wp.float32)
+    row_w_t = wp.types.vector(length=3 * w_basis_size + 1, dtype=wp.float32)
 
     @wp.func
-    def node_of(table: Colours, u: wp.float32, v: wp.float32) -> wp.float32:
-        """The place among the nodes of (u, v)."""
+    def ring_of(table: Colours, u: wp.float32, v: wp.float32) -> wp.float32:
+        """The place among the rings of (u, v)."""
         size = wp.max(wp.sqrt(u * u + v * v), table.least_uv)
-        return wp.log(size) * table.per_log + table.node_of_one
+        return wp.log(size) * table.rings_per_log + table.ring_of_one
 
     @wp.func
-    def functions_at(table: Colours, w: wp.float32) -> functions_t:
+    def w_basis_at(table: Colours, w: wp.float32) -> w_basis_t:
         """The functions at |w|: the cubic through four entries."""
         steps = wp.max((w - table.least_w) * table.per_w, 0.0)
-        entry = wp.clamp(wp.int32(steps) - 1, 0, table.functions.shape[0] - 4)
+        entry = wp.clamp(wp.int32(steps) - 1, 0, table.w_basis.shape[0] - 4)
         t = steps - wp.float32(entry) - 1.0
         return (
-            -t * (1.0 - t) * (2.0 - t) / 6.0 * table.functions[entry]
-            + (t + 1.0) * (1.0 - t) * (2.0 - t) / 2.0 * table.functions[entry + 1]
-            + (t + 1.0) * t * (2.0 - t) / 2.0 * table.functions[entry + 2]
-            - (t + 1.0) * t * (1.0 - t) / 6.0 * table.functions[entry + 3]
+            -t * (1.0 - t) * (2.0 - t) / 6.0 * table.w_basis[entry]
+            + (t + 1.0) * (1.0 - t) * (2.0 - t) / 2.0 * table.w_basis[entry + 1]
+            + (t + 1.0) * t * (2.0 - t) / 2.0 * table.w_basis[entry + 2]
+            - (t + 1.0) * t * (1.0 - t) / 6.0 * table.w_basis[entry + 3]
         )
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
         """XYZ of a sum of rows; projected colour curves have shallow negative lobes."""
-        at_w = functions_at(table, w)
+        at_w = w_basis_at(table, w)
         result = wp.vec3f()
         for c in range(3):
-            for k in range(wp.static(functions)):
-                result[c] += row_sum[c * wp.static(functions) + k] * at_w[k]
+            for k in range(wp.static(w_basis_size)):
+                result[c] += row_sum[c * wp.static(w_basis_size) + k] * at_w[k]
             result[c] = wp.max(result[c], 0.0)
         return result
 
@@ -108,21 +108,26 @@ def lookup(functions: int, source: bool = False) -> Any:
 
     @wp.func
     def point(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32) -> wp.vec3f:
-        """The colour of a single direction: splines between three nodes, and at each between three spokes."""
+        """The colour of a single direction: splines between three rings, and at each between three spokes."""
         octaves = table.azimuths.shape[1]
-        place = wp.min(node_of(table, u, v), wp.float32(octaves * table.nodes - 2))
+        place = wp.min(ring_of(table, u, v), wp.float32(octaves * table.rings_per_octave - 2))
         middle = wp.int32(wp.rint(place))
-        of_nodes = colour_lookup.spline(place - wp.float32(middle))
+        ring_weights = colour_lookup.spline(place - wp.float32(middle))
         row_sum = row_t()
         for m in range(3):
-            node = middle - 1 + m
-            octave = node // table.nodes
+            ring = middle - 1 + m
+            octave = ring // table.rings_per_octave
             position = turns_of(u, v) * wp.float32(table.azimuths[0, octave])
             azimuth = wp.int32(wp.rint(position))
-            of_spokes = colour_lookup.spline(position - wp.float32(azimuth))
+            azimuth_weights = colour_lookup.spline(position - wp.float32(azimuth))
             for j in range(3):
-                row = table.first_rows[0, octave] + (azimuth - 1 + j) * table.nodes + node - octave * table.nodes
-                row_sum += of_nodes[m] * of_spokes[j] * table.rows[row]
+                row = (
+                    table.first_rows[0, octave]
+                    + (azimuth - 1 + j) * table.rings_per_octave
+                    + ring
+                    - octave * table.rings_per_octave
+                )
+                row_sum += ring_weights[m] * azimuth_weights[j] * table.rows[row]
         return colour_of(table, row_sum, w)
 
     @wp.func
@@ -137,11 +142,11 @@ def lookup(functions: int, source: bool = False) -> Any:
         return wp.mat22f(angle2, both, both, ratio2)
 
     @wp.func
-    def sum_of_spokes(
-        table: Colours, taps: FootprintTaps, node: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
+    def sum_of_azimuths(
+        table: Colours, taps: FootprintTaps, ring: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
     ) -> row_t:
-        """A node's rows around an angle, on the mip level that is blurred by as much as ``level_of`` or less."""
-        octave = node // table.nodes
+        """A ring's rows around an angle, on the mip level that is blurred by as much as ``level_of`` or less."""
+        octave = ring // table.rings_per_octave
         line2 = wp.float32(0.0)
         if wp.static(source):
             line2 = table.line_blurs2[octave]
@@ -163,7 +168,7 @@ def lookup(functions: int, source: bool = False) -> Any:
         result = row_t()
         for j in range(count):
             at = colour_lookup.cyclic(azimuth + j, azimuths)
-            row = table.first_rows[level, octave] + at * table.nodes + node - octave * table.nodes
+            row = table.first_rows[level, octave] + at * table.rings_per_octave + ring - octave * table.rings_per_octave
             result += taps.weights[step, fraction, j] * table.rows[row]
         return result
 
@@ -179,26 +184,34 @@ def lookup(functions: int, source: bool = False) -> Any:
         ratio2 = polar[1, 1] * ratio_share * ratio_share
         both = polar[0, 1] * turn_share * ratio_share
         # The mean of ln |(u, v)| to second order.
-        place = node_of(table, u, v) + 0.5 * (angle2 - ratio2) * table.per_log
-        variance = ratio2 * table.per_log * table.per_log + 0.25
+        place = ring_of(table, u, v) + 0.5 * (angle2 - ratio2) * table.rings_per_log
+        variance = ratio2 * table.rings_per_log * table.rings_per_log + 0.25
         deviation = wp.sqrt(variance)
-        turn_per_node = both * table.per_log / variance
-        aside2 = wp.max(angle2 - turn_per_node * both * table.per_log, 0.0)
-        skew = -0.5 * ratio2 * ratio2 * table.per_log * table.per_log * table.per_log / (variance * deviation)
+        turn_per_ring = both * table.rings_per_log / variance
+        aside2 = wp.max(angle2 - turn_per_ring * both * table.rings_per_log, 0.0)
+        skew = (
+            -0.5
+            * ratio2
+            * ratio2
+            * table.rings_per_log
+            * table.rings_per_log
+            * table.rings_per_log
+            / (variance * deviation)
+        )
 
         octaves = table.azimuths.shape[1]
-        spacing = table.blurs[1, wp.clamp(wp.int32(place * table.per_octave), 0, octaves - 1)]
+        spacing = table.blurs[1, wp.clamp(wp.int32(place * table.octaves_per_ring), 0, octaves - 1)]
         across2 = aside2 + spacing * spacing
         if wp.static(source):
             across2 = aside2 + 1.0e-12
-        curves = CURVES * table.per_log
-        sharp = wp.sqrt(1.0 / (curves * curves) + turn_per_node * turn_per_node / across2 + 1.0 / variance)
-        most = MOST_APART / (sharp + table.detail)
+        curves = CURVES * table.rings_per_log
+        sharp = wp.sqrt(1.0 / (curves * curves) + turn_per_ring * turn_per_ring / across2 + 1.0 / variance)
+        most = MOST_APART / (sharp + table.decimation_scale)
         apart = wp.int32(1)
         while apart < 8 and wp.float32(2 * apart) <= most:
             apart = 2 * apart
 
-        # Weights of nodes are tabulated, or those of a Gaussian that is cut off.
+        # Weights of rings are tabulated, or those of a Gaussian that is cut off.
         tabulated = variance < MOST_TABULATED + 0.25
         step = wp.int32(0)
         half = DEVIATIONS * deviation
@@ -215,15 +228,15 @@ def lookup(functions: int, source: bool = False) -> Any:
         row_sum = row_t()
         total = wp.float32(0.0)
         begin = (wp.max(first, 0) + apart - 1) // apart * apart
-        for node in range(begin, wp.min(end, octaves * table.nodes), apart):
-            t = (wp.float32(node) - place) / deviation
+        for ring in range(begin, wp.min(end, octaves * table.rings_per_octave), apart):
+            t = (wp.float32(ring) - place) / deviation
             weight = wp.exp(-0.5 * CUT_PER_VARIANCE * t * t) * wp.max(1.0 + skew * t * (t * t - 3.0), 0.0)
             if tabulated:
-                weight = taps.weights[step, fraction, node - first]
+                weight = taps.weights[step, fraction, ring - first]
             # Further out a straight footprint is as wide, and less of an angle.
-            nearer = wp.exp(-(wp.float32(node) - place) / table.per_log + 0.5 * ratio2)
-            turns = turns_of(u, v) + turn_per_node * table.per_log * (1.0 - nearer) / (2.0 * wp.PI)
-            row_sum += weight * sum_of_spokes(table, taps, node, turns, aside2 * nearer * nearer, aside2)
+            nearer = wp.exp(-(wp.float32(ring) - place) / table.rings_per_log + 0.5 * ratio2)
+            turns = turns_of(u, v) + turn_per_ring * table.rings_per_log * (1.0 - nearer) / (2.0 * wp.PI)
+            row_sum += weight * sum_of_azimuths(table, taps, ring, turns, aside2 * nearer * nearer, aside2)
             total += weight
         if tabulated:
             total = wp.float32(1.0)
@@ -232,16 +245,16 @@ def lookup(functions: int, source: bool = False) -> Any:
     @wp.func
     def on_ring(
         table: Colours,
-        node: wp.int32,
+        ring: wp.int32,
         level: wp.int32,
         from_middle: wp.vec2f,
         inverse: wp.mat22f,
         most_blur2: wp.float32,
     ) -> row_w_t:
-        """A node's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
-        octave = node // table.nodes
-        radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
-        neighbour_extent = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
+        """A ring's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
+        octave = ring // table.rings_per_octave
+        radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
+        cutoff = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
         azimuths = table.azimuths[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
@@ -254,24 +267,29 @@ def lookup(functions: int, source: bool = False) -> Any:
             across = wp.vec2f(-along[1], along[0])
             away = radius * along - from_middle
             slope = radius * wp.dot(across, inverse * away)
-            bend = radius * radius * wp.dot(across, inverse * across) - radius * wp.dot(along, inverse * away)
-            left = wp.max(1.0 - blur2 * bend, LEAST_LEFT)
+            curvature = radius * radius * wp.dot(across, inverse * across) - radius * wp.dot(along, inverse * away)
+            left = wp.max(1.0 - blur2 * curvature, LEAST_LEFT)
             exponent = wp.dot(away, inverse * away)
-            if exponent < neighbour_extent * neighbour_extent:
+            if exponent < cutoff * cutoff:
                 weight = wp.exp(-0.5 * (exponent + slope * slope * blur2 / left)) / wp.sqrt(left)
                 weight *= radius * radius * spacing
-                row = table.rows[table.first_rows[level, octave] + azimuth * table.nodes + node - octave * table.nodes]
-                for k in range(wp.static(3 * functions)):
+                row = table.rows[
+                    table.first_rows[level, octave]
+                    + azimuth * table.rings_per_octave
+                    + ring
+                    - octave * table.rings_per_octave
+                ]
+                for k in range(wp.static(3 * w_basis_size)):
                     result[k] += weight * row[k]
-                result[wp.static(3 * functions)] += weight
+                result[wp.static(3 * w_basis_size)] += weight
         return result
 
     @wp.func
-    def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, given: wp.mat22f) -> wp.vec3f:
-        """The mean colour over a wide Gaussian of (u, v): rows at nodes and spokes, by its density there."""
+    def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, footprint: wp.mat22f) -> wp.vec3f:
+        """The mean colour over a wide Gaussian of (u, v): rows at rings and spokes, by its density there."""
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
-        covariance = given + 0.25 / (table.per_log * table.per_log) * wp.outer(middle, middle)
+        covariance = footprint + 0.25 / (table.rings_per_log * table.rings_per_log) * wp.outer(middle, middle)
         difference = covariance[0, 0] - covariance[1, 1]
         root = wp.sqrt(0.25 * difference * difference + covariance[0, 1] * covariance[0, 1])
         widest2 = 0.5 * wp.trace(covariance) + root
@@ -281,18 +299,18 @@ def lookup(functions: int, source: bool = False) -> Any:
         long = wp.vec2f(wp.cos(axis), wp.sin(axis))
         across = wp.vec2f(-long[1], long[0])
         inverse = wp.outer(long, long) / widest2 + wp.outer(across, across) / narrow2
-        outermost = node_of(table, away + OUTWARDS * wp.sqrt(widest2), 0.0)
-        node = wp.min(wp.int32(outermost), table.azimuths.shape[1] * table.nodes - 1)
+        outermost = ring_of(table, away + OUTWARDS * wp.sqrt(widest2), 0.0)
+        ring = wp.min(wp.int32(outermost), table.azimuths.shape[1] * table.rings_per_octave - 1)
         nearest = wp.min(INNERMOST * wp.sqrt(narrow2), INNERMOST_OF_LOBE * table.lobe_uv)
         innermost = wp.max(wp.max(away - INWARDS * wp.sqrt(widest2), nearest), table.least_uv)
         steepness = wp.sqrt(wp.dot(middle, inverse * middle))
         distance = wp.min(RINGS_APART, RINGS_PER_DEVIATION / wp.max(steepness, 1.0e-20))
-        apart = wp.max(wp.int32(distance * table.per_log), 1)
+        apart = wp.max(wp.int32(distance * table.rings_per_log), 1)
         total = row_w_t()
         level = wp.int32(0)
-        radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
-        while node >= 0 and radius > innermost:
-            octave = node // table.nodes
+        radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
+        while ring >= 0 and radius > innermost:
+            octave = ring // table.rings_per_octave
             variance = narrow2 / (radius * wp.max(radius, away))
             level = wp.max(level - 1, 0)
             serves = wp.bool(True)
@@ -301,33 +319,33 @@ def lookup(functions: int, source: bool = False) -> Any:
                 blur = table.blurs[level + 1, octave]
                 serves = (
                     blur * blur - 0.25 * spacing * spacing <= MOST_BLUR2 * variance
-                    and spacing * spacing <= SPOKES_APART * SPOKES_APART * variance
+                    and spacing * spacing <= AZIMUTHS_APART * AZIMUTHS_APART * variance
                 )
                 if serves:
                     level += 1
             steps = wp.int32(1)
             if radius < WITHIN * wp.sqrt(narrow2):
                 steps = wp.int32(2)
-            total += wp.float32(steps) * on_ring(table, node, level, middle, inverse, MOST_BLUR2 * variance)
-            node -= steps * apart
-            radius = wp.exp((wp.float32(node) - table.node_of_one) / table.per_log)
+            total += wp.float32(steps) * on_ring(table, ring, level, middle, inverse, MOST_BLUR2 * variance)
+            ring -= steps * apart
+            radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
         rows = row_t()
-        for k in range(wp.static(3 * functions)):
-            rows[k] = total[k] / wp.max(total[wp.static(3 * functions)], 1.0e-30)
+        for k in range(wp.static(3 * w_basis_size)):
+            rows[k] = total[k] / wp.max(total[wp.static(3 * w_basis_size)], 1.0e-30)
         return colour_of(table, rows, w)
 
     @wp.func
-    def is_left_out(
+    def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
         """Whether a source blurs less than the rows are blurred, or so much that it is no range of angles."""
-        octave = wp.int32(node_of(table, u, v) * table.per_octave)
+        octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)
-        over2 = polar[1, 1] + 0.25 / (table.per_log * table.per_log)
+        over2 = polar[1, 1] + 0.25 / (table.rings_per_log * table.rings_per_log)
         if parts > 1:
             over2 -= (1.0 - within) * polar[0, 1] * polar[0, 1] / polar[0, 0]
         blurred = (within * polar[0, 0] - table.line_blurs2[octave]) * over2
-        return u * u + v * v < table.near2 or blurred < within * within * polar[0, 1] * polar[0, 1]
+        return u * u + v * v < table.inner_radius2 or blurred < within * within * polar[0, 1] * polar[0, 1]
 
     @wp.kernel(module="unique", module_options=options(max_unroll=1))
     def integrate(
@@ -383,7 +401,7 @@ def lookup(functions: int, source: bool = False) -> Any:
                 along = covariance * wp.vec2f(-v, u) / (uv2 * whole)
             within = taps.parts[count - 1, 0, 0]
             if wp.static(source):
-                if is_left_out(table, u, v, polar, within, count):
+                if is_unserved(table, u, v, polar, within, count):
                     unserved_gain[i] = gains[i]
                     continue
             xyz_out[i] += gains[i] * zeroth_order(table, u, v, w, covariance, source2)

@@ -19,11 +19,11 @@ WARPDIFF_INLINE int atomic_increment(int* count)
 #if !defined(__CUDA_ARCH__)
 
 template <class Number>
-WARPDIFF_INLINE void keep_smallest(Number* kept, Number found)
+WARPDIFF_INLINE void keep_smallest(Number* smallest, Number value)
 {
-    Number known = __atomic_load_n(kept, __ATOMIC_RELAXED);
-    while (
-        found < known && !__atomic_compare_exchange_n(kept, &known, found, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    Number known = __atomic_load_n(smallest, __ATOMIC_RELAXED);
+    while (value < known
+        && !__atomic_compare_exchange_n(smallest, &known, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
     }
 }
 

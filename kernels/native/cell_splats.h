@@ -42,13 +42,14 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Splat pixels from begin to end of those that are split, −1 is none: `least_fall` is the share of what was expected
-// that their means are taken to change by at least.
-template <class Colours, class Hits, class Flags, class Numbers, class Shares, class Bytes>
+// Splat pixels from begin to end of those that are split, −1 is none: `min_contraction` is the least change of
+// their means, as a share of what was expected.
+template <class Colours, class Hits, class Flags, class Numbers, class Sums, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Flags& occluded, const Numbers& gains,
     const Hits& pixels, const Colours& colours_before, const Numbers& errors_before, const Hits& ranks,
-    const Numbers& weights, int level, float least_fall, int begin, int end, Shares& shares_out, Colours& means_out,
-    Numbers& changes_out, Bytes& levels_out, Bytes& dark_out, Flags& crossed_out)
+    const Numbers& weights, int level, float min_contraction, int begin, int end, Sums& filtered_sums_out,
+    Colours& means_out, Numbers& level_difference_out, Bytes& levels_out, Bytes& has_unlit_quadrant_out,
+    Flags& has_edge_out)
 {
     const int across = 1 << level;
     for (int tile = begin; tile < end; ++tile) {
@@ -59,7 +60,7 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
             is_empty(occluded) ? nullptr : numbers<const bool>(occluded) + first, numbers<const float>(gains) + first,
             numbers<const float>(weights), across);
         const long long rank = is_empty(ranks) ? pixel : numbers<const int>(ranks)[pixel];
-        memcpy(numbers<float>(shares_out) + 36 * rank, sums.filtered_sums, sizeof(sums.filtered_sums));
+        memcpy(numbers<float>(filtered_sums_out) + 36 * rank, sums.filtered_sums, sizeof(sums.filtered_sums));
         float* const mean = numbers<float>(means_out) + 3 * rank;
         const float* const before = level == 1 ? numbers<const float>(colours_before) + 3LL * pixel : mean;
         float change2 = 0.0f;
@@ -69,12 +70,12 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         }
         for (int c = 0; c < 3; ++c) mean[c] = sums.mean[c];
         // Cells may agree with what was before where both are wrong.
-        float* const change = numbers<float>(changes_out) + rank;
+        float* const change = numbers<float>(level_difference_out) + rank;
         const float expected = level == 1 ? numbers<const float>(errors_before)[pixel] : *change;
-        *change = wp::max(wp::sqrt(change2), least_fall * expected);
+        *change = wp::max(wp::sqrt(change2), min_contraction * expected);
         numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;
-        numbers<unsigned char>(dark_out)[rank] = sums.has_unlit_quadrant;
-        numbers<bool>(crossed_out)[rank] = sums.has_edge;
+        numbers<unsigned char>(has_unlit_quadrant_out)[rank] = sums.has_unlit_quadrant;
+        numbers<bool>(has_edge_out)[rank] = sums.has_edge;
     }
 }
 

@@ -18,7 +18,7 @@ struct AtW {
     WARPDIFF_INLINE void set(int i, const Table& table, float w)
     {
         const float steps = wp::max((w - table.least_w) * table.per_w, 0.0f);
-        const int last = table.functions.shape[0] - 4, before = (int)steps - 1;
+        const int last = table.w_basis.shape[0] - 4, before = (int)steps - 1;
         entry[i] = before < 0 ? 0 : before < last ? before : last;
         const float t = steps - (float)entry[i] - 1.0f, prior = t + 1.0f, after = 1.0f - t, beyond = 2.0f - t;
         weights[0][i] = (-1.0f / 6.0f) * t * after * beyond;
@@ -37,14 +37,14 @@ template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i)
 {
     typedef typename Row<WIDTH>::Vector Vector;
-    constexpr int EACH = Row<WIDTH>::VECTORS / 3;
-    const Vector* const entries = numbers<const Vector>(table.functions) + (long long)at_w.entry[i] * EACH;
+    constexpr int CHANNEL_VECTORS = Row<WIDTH>::VECTORS / 3;
+    const Vector* const entries = numbers<const Vector>(table.w_basis) + (long long)at_w.entry[i] * CHANNEL_VECTORS;
     const float w0 = at_w.weights[0][i], w1 = at_w.weights[1][i], w2 = at_w.weights[2][i], w3 = at_w.weights[3][i];
     Vector products[3] = {Vector{}, Vector{}, Vector{}};
-    for (int k = 0; k < EACH; ++k) {
-        const Vector functions =
-            w0 * entries[k] + w1 * entries[k + EACH] + w2 * entries[k + 2 * EACH] + w3 * entries[k + 3 * EACH];
-        for (int c = 0; c < 3; ++c) products[c] += sum.at[c * EACH + k] * functions;
+    for (int k = 0; k < CHANNEL_VECTORS; ++k) {
+        const Vector functions = w0 * entries[k] + w1 * entries[k + CHANNEL_VECTORS]
+            + w2 * entries[k + 2 * CHANNEL_VECTORS] + w3 * entries[k + 3 * CHANNEL_VECTORS];
+        for (int c = 0; c < 3; ++c) products[c] += sum.at[c * CHANNEL_VECTORS + k] * functions;
     }
     Colour result;
     for (int c = 0; c < 3; ++c) {

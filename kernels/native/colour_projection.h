@@ -1,4 +1,4 @@
-// From rows of the power spectrum on spokes to colours at the nodes of a table, for a few spokes side by side.
+// From rows of the power spectrum on spokes to colours at the rings of a table, for a few spokes side by side.
 
 #pragma once
 
@@ -9,7 +9,7 @@ namespace warpdiff {
 
 // Room for the rows that a spoke of colours takes, one after the other.
 template <int TERMS>
-struct Spoke {
+struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
     static constexpr int VECTORS = Row<TERMS>::VECTORS;
 
@@ -17,7 +17,7 @@ struct Spoke {
     int length;
 
     template <class Rows>
-    WARPDIFF_INLINE Spoke(const Rows& all, int at, int length_of)
+    WARPDIFF_INLINE AzimuthRows(const Rows& all, int at, int length_of)
         : rows(numbers<Vector>(all) + (long long)at * VECTORS),
           length(length_of)
     {
@@ -27,15 +27,15 @@ struct Spoke {
 // Rows halfway between spokes: Lagrange's polynomial through four on either side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
-    const Rows& values, long long first, int before, int azimuths, int nodes, typename Spoke<TERMS>::Vector* out)
+    const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
 {
     constexpr float HALFWAY[4] = {1225.0f / 2048.0f, -245.0f / 2048.0f, 49.0f / 2048.0f, -5.0f / 2048.0f};
-    typedef typename Spoke<TERMS>::Vector Vector;
-    const int size = nodes * Spoke<TERMS>::VECTORS;
+    typedef typename AzimuthRows<TERMS>::Vector Vector;
+    const int size = rings * AzimuthRows<TERMS>::VECTORS;
     const Vector* rows[8];
     for (int k = 0; k < 8; ++k) {
         const long long azimuth = (before + k - 3 + azimuths) % azimuths;
-        rows[k] = numbers<const Vector>(values) + (first + azimuth * nodes) * Spoke<TERMS>::VECTORS;
+        rows[k] = numbers<const Vector>(values) + (first + azimuth * rings) * AzimuthRows<TERMS>::VECTORS;
     }
     for (int l = 0; l < size; ++l) {
         Vector sum = Vector{};
@@ -44,35 +44,36 @@ WARPDIFF_INLINE void interpolate_halfway(
     }
 }
 
-// The rows that colours along SPOKES spokes take, `length` for each: one before the first of their octave, which counts
-// as dark, the octave, the next one, and of the one behind that what is left. An octave may have half as many spokes as
-// the next one.
-template <int TERMS, int SPOKES, class Values, class Integers>
-WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& spokes_of, int nodes,
-    int octave, int first_spoke, Values& sequence, int at, int length)
+// The rows that colours along AZIMUTHS spokes take, `length` for each: one before the first of their octave, which
+// counts as dark, the octave, the next one, and of the one behind that what is left. An octave may have half as many
+// spokes as the next one.
+template <int TERMS, int AZIMUTHS, class Values, class Integers>
+WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& azimuths_of, int rings,
+    int octave, int first_azimuth, Values& sequence, int at, int length)
 {
-    typedef typename Spoke<TERMS>::Vector Vector;
-    constexpr int ROW = Spoke<TERMS>::VECTORS;
+    typedef typename AzimuthRows<TERMS>::Vector Vector;
+    constexpr int ROW = AzimuthRows<TERMS>::VECTORS;
     const int* const begins = numbers<const int>(starts);
-    const int* const counts = numbers<const int>(spokes_of);
-    const int coarse = counts[octave], count = counts[octave + 1], size = nodes * ROW;
-    const int more = octave + 2 < spokes_of.shape[0] ? counts[octave + 2] / count : 0;
-    // A spectrum of few nodes an octave ends before the filter's last taps.
-    const int left = (length - 1 - nodes) * ROW, next = wp::min(left, size);
+    const int* const counts = numbers<const int>(azimuths_of);
+    const int coarse = counts[octave], count = counts[octave + 1], size = rings * ROW;
+    const int more = octave + 2 < azimuths_of.shape[0] ? counts[octave + 2] / count : 0;
+    // A spectrum of few rings an octave ends before the filter's last taps.
+    const int left = (length - 1 - rings) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
-    auto on_spoke = [&](int of, int azimuth) {
-        return numbers<const Vector>(values) + (begins[of] + (long long)azimuth * nodes) * ROW;
+    auto rows_of_azimuth = [&](int of, int azimuth) {
+        return numbers<const Vector>(values) + (begins[of] + (long long)azimuth * rings) * ROW;
     };
-    Vector* out = Spoke<TERMS>(sequence, at, length).rows;
-    for (int azimuth = first_spoke; azimuth < first_spoke + SPOKES; ++azimuth, out += (long long)length * ROW) {
+    Vector* out = AzimuthRows<TERMS>(sequence, at, length).rows;
+    for (int azimuth = first_azimuth; azimuth < first_azimuth + AZIMUTHS; ++azimuth, out += (long long)length * ROW) {
         for (int l = 0; l < ROW; ++l) out[l] = Vector{};
         Vector* const own = out + ROW;
         if (coarse != count && azimuth % 2 != 0)
-            interpolate_halfway<TERMS>(values, begins[octave], azimuth / 2, coarse, nodes, own);
+            interpolate_halfway<TERMS>(values, begins[octave], azimuth / 2, coarse, rings, own);
         else
-            memcpy(own, on_spoke(octave, coarse == count ? azimuth : azimuth / 2), size * sizeof(Vector));
-        memcpy(own + size, on_spoke(octave + 1, azimuth), next * sizeof(Vector));
-        if (further > 0) memcpy(own + size + next, on_spoke(octave + 2, azimuth * more), further * sizeof(Vector));
+            memcpy(own, rows_of_azimuth(octave, coarse == count ? azimuth : azimuth / 2), size * sizeof(Vector));
+        memcpy(own + size, rows_of_azimuth(octave + 1, azimuth), next * sizeof(Vector));
+        if (further > 0)
+            memcpy(own + size + next, rows_of_azimuth(octave + 2, azimuth * more), further * sizeof(Vector));
         for (int l = next + further; l < left; ++l) own[size + l] = Vector{};
     }
 }
@@ -80,11 +81,11 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
 // Turn a spoke's rows into coefficients of the quadratic spline that passes through them, by a filter that runs up and
 // down.
 template <int TERMS>
-WARPDIFF_INLINE void filter_to_spline(typename Spoke<TERMS>::Vector* rows, int length)
+WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows, int length)
 {
     constexpr float POLE = SPLINE_POLE, GAIN = 1.41421356f * (1.0f - POLE * POLE);
-    constexpr int ROW = Spoke<TERMS>::VECTORS;
-    typedef typename Spoke<TERMS>::Vector Vector;
+    constexpr int ROW = AzimuthRows<TERMS>::VECTORS;
+    typedef typename AzimuthRows<TERMS>::Vector Vector;
     for (int l = 0; l < ROW; ++l) {
         Vector last = Vector{};
         for (int j = 0; j < length; ++j) rows[j * ROW + l] = last = rows[j * ROW + l] + POLE * last;
@@ -97,45 +98,45 @@ WARPDIFF_INLINE void filter_to_spline(typename Spoke<TERMS>::Vector* rows, int l
 }
 
 // Coefficients of FUNCTIONS functions of w in vectors, the last of which may overlap the one before.
-template <int W_BASIS_STEP>
+template <int W_BASIS_SIZE>
 struct FunctionVectors {
-    static constexpr int LANES = ON_GPU ? 1 : W_BASIS_STEP > 4 ? 8 : 4;
-    static constexpr int COUNT = (W_BASIS_STEP + LANES - 1) / LANES;
+    static constexpr int LANES = ON_GPU ? 1 : W_BASIS_SIZE > 4 ? 8 : 4;
+    static constexpr int COUNT = (W_BASIS_SIZE + LANES - 1) / LANES;
     typedef typename FloatVector<LANES>::type Vector;
 
     static constexpr int first(int p)
     {
-        return p * LANES < W_BASIS_STEP - LANES ? p * LANES : W_BASIS_STEP - LANES;
+        return p * LANES < W_BASIS_SIZE - LANES ? p * LANES : W_BASIS_SIZE - LANES;
     }
 };
 
-// Sums over `taps` rows of SPOKES spokes, `apart` floats from each other: what a row's terms give for each function of
-// w, by a matrix that the spokes share, weighed with the colour curves.
-template <int TERMS, int W_BASIS_STEP, int SPOKES>
-WARPDIFF_INLINE void project_node(const float* row, long long apart, const float* factor, const float* colour, int taps,
+// Sums over `taps` rows of AZIMUTHS spokes, `apart` floats from each other: what a row's terms give for each function
+// of w, by a matrix that the spokes share, weighed with the colour curves.
+template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
+WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
 {
-    typedef FunctionVectors<W_BASIS_STEP> Functions;
+    typedef FunctionVectors<W_BASIS_SIZE> Functions;
     typedef typename Functions::Vector Vector;
-    Vector sum[SPOKES][3][Functions::COUNT];
-    for (int b = 0; b < SPOKES; ++b)
+    Vector sum[AZIMUTHS][3][Functions::COUNT];
+    for (int b = 0; b < AZIMUTHS; ++b)
         for (int c = 0; c < 3; ++c)
             for (int p = 0; p < Functions::COUNT; ++p) sum[b][c][p] = Vector{};
     for (int i = 0; i < taps; ++i) {
-        Vector at_w[SPOKES][Functions::COUNT];
-        for (int b = 0; b < SPOKES; ++b)
+        Vector at_w[AZIMUTHS][Functions::COUNT];
+        for (int b = 0; b < AZIMUTHS; ++b)
             for (int p = 0; p < Functions::COUNT; ++p) at_w[b][p] = Vector{};
         for (int l = 0; l < terms; ++l) {
 #pragma unroll
-            for (int b = 0; b < SPOKES; ++b) {
+            for (int b = 0; b < AZIMUTHS; ++b) {
 #pragma unroll
                 for (int p = 0; p < Functions::COUNT; ++p)
                     at_w[b][p] += row[b * apart + l] * *(const Vector*)(factor + Functions::first(p));
             }
-            factor += W_BASIS_STEP;
+            factor += W_BASIS_SIZE;
         }
 #pragma unroll
-        for (int b = 0; b < SPOKES; ++b) {
+        for (int b = 0; b < AZIMUTHS; ++b) {
 #pragma unroll
             for (int c = 0; c < 3; ++c)
                 for (int p = 0; p < Functions::COUNT; ++p) sum[b][c][p] += colour[c] * at_w[b][p];
@@ -143,25 +144,25 @@ WARPDIFF_INLINE void project_node(const float* row, long long apart, const float
         row += TERMS;
         colour += 3;
     }
-    for (int b = 0; b < SPOKES; ++b)
+    for (int b = 0; b < AZIMUTHS; ++b)
         for (int c = 0; c < 3; ++c)
             for (int p = 0; p < Functions::COUNT; ++p)
-                *(Vector*)(out + b * out_apart + c * W_BASIS_STEP + Functions::first(p)) = sum[b][c][p];
+                *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Colours along SPOKES spokes from their `length` rows; that of the first node begins behind those `skipped`.
-template <int TERMS, int W_BASIS_STEP, int SPOKES, class Rows, class Matrices, class Weights, class Colours>
-WARPDIFF_INLINE void project_spokes(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
-    const Weights& weights, int terms, int nodes, int first_spoke, Colours& rows_out)
+// Colours along AZIMUTHS spokes from their `length` rows; that of the first ring begins behind those `skipped`.
+template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
+WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
+    const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)
 {
-    const Spoke<TERMS> first(sequence, at, length);
-    for (int b = 0; b < SPOKES; ++b)
-        filter_to_spline<TERMS>(first.rows + (long long)b * length * Spoke<TERMS>::VECTORS, length);
-    float* const out = numbers<float>(rows_out) + 3LL * first_spoke * nodes * W_BASIS_STEP;
-    for (int k = 0; k < nodes; ++k)
-        project_node<TERMS, W_BASIS_STEP, SPOKES>((const float*)first.rows + (long long)(skipped + k) * TERMS,
+    const AzimuthRows<TERMS> first(sequence, at, length);
+    for (int b = 0; b < AZIMUTHS; ++b)
+        filter_to_spline<TERMS>(first.rows + (long long)b * length * AzimuthRows<TERMS>::VECTORS, length);
+    float* const out = numbers<float>(rows_out) + 3LL * first_azimuth * rings * W_BASIS_SIZE;
+    for (int k = 0; k < rings; ++k)
+        project_ring<TERMS, W_BASIS_SIZE, AZIMUTHS>((const float*)first.rows + (long long)(skipped + k) * TERMS,
             (long long)length * TERMS, numbers<const float>(matrices), numbers<const float>(weights), weights.shape[0],
-            terms, out + 3LL * k * W_BASIS_STEP, 3LL * nodes * W_BASIS_STEP);
+            terms, out + 3LL * k * W_BASIS_SIZE, 3LL * rings * W_BASIS_SIZE);
 }
 
 } // namespace warpdiff

@@ -1,7 +1,7 @@
 // Mean colours over footprints, Gaussians of (u, v), from a colour table and its mip levels.
 //
 // Stage by stage for a run of pixels. A footprint is one part, mostly: it is split where its direction turns. A part
-// sums the nodes around it, by segments of nodes that lie in one octave; a node sums the spokes around it, on the mip
+// sums the rings around it, by segments of rings that lie in one octave; a ring sums the spokes around it, on the mip
 // level that is blurred by as much or less. What a stage finds is kept in arrays for the next one, so that the compiler
 // makes vectors of it and no pixel waits for another's branches. A GPU takes one pixel, part and segment at a time.
 
@@ -16,26 +16,26 @@ namespace warpdiff {
 
 // Loops are of so many, whole ones: compilers round otherwise in what is left over by vectors.
 constexpr int ABREAST = batch_of(8);
-// Nodes of a segment: any number on a GPU, where they are not kept.
-constexpr int SEGMENT_NODES = ON_GPU ? 1 << 20 : 4;
+// Rings of a segment: any number on a GPU, where they are not kept.
+constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
 // Beyond this deviation, relative to |(u, v)|, a footprint under a window is summed over rings.
 constexpr float WIDE = 0.25f;
 // A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest one under a
 // source surrounds the mirror direction and is no range of angles.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
-// Up to this variance [nodes²] nodes have tabulated weights, beyond it the Gaussian itself for weights, and lie as far
+// Up to this variance [rings²] rings have tabulated weights, beyond it the Gaussian itself for weights, and lie as far
 // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ) and what
-// else is in them, and spokes where these turn from node to node.
+// else is in them, and spokes where these turn from ring to ring.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Of a wide blur nodes count so many deviations out, which leaves the Gaussian a variance of 1/per_variance of its own.
+// Of a wide blur rings count so many deviations out, which leaves the Gaussian a variance of 1/per_variance of its own.
 struct CutGaussian {
     float deviations, per_variance;
 };
 
 // Footprints of N pixels.
 template <int N>
-struct Asked {
+struct Footprints {
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // of a source, in the surface's frame
     Batch<N> row_u, row_v, column_u, column_v; // changes by one deviation along rows and columns
@@ -51,25 +51,25 @@ struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    Batch<N> turns, place, deviation, skew; // the middle's angle and place among the nodes, across nodes
-    Batch<N> turn_per_node, aside2, half_ratio2, spacing;
+    Batch<N> turns, place, deviation, skew; // the middle's angle and place among the rings, across rings
+    Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments of parts: nodes of one octave.
+// Segments of parts: rings of one octave.
 template <int N>
 struct Segments {
     int count;
-    Batch<N, int> part, first, apart, nodes;
-    // Which spoke the middle of the part lies on, and by how many it turns, times 1 − 1/ρ, for a node that lies ρ times
-    // as far out; how far the first node lies from the mean of ln |(u, v)| [nodes], and that from the middle; the blur
+    Batch<N, int> part, first, apart, rings;
+    // Which spoke the middle of the part lies on, and by how many it turns, times 1 − 1/ρ, for a ring that lies ρ times
+    // as far out; how far the first ring lies from the mean of ln |(u, v)| [rings], and that from the middle; the blur
     // at the middle and what the level has of it, in steps of the taps' variances.
-    Batch<N> position, turning, away, behind, blur, given, skew, per_deviation;
+    Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows that a node sums: the first one, its number, and where their weights begin.
-struct NodeRows {
+// Rows that a ring sums: the first one, its number, and where their weights begin.
+struct RingRows {
     int row, count, taps;
 };
 
@@ -96,77 +96,78 @@ WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, f
 
 template <bool SOURCE, int N>
 WARPDIFF_INLINE void load_footprints(
-    Asked<N>& asked, const double* scattering_vectors, const float* to_lights, const float* footprints, int count)
+    Footprints<N>& pixels, const double* scattering_vectors, const float* to_lights, const float* footprints, int count)
 {
     for (int i = 0; i < count; ++i) {
-        asked.u[i] = (float)scattering_vectors[3 * i];
-        asked.v[i] = (float)scattering_vectors[3 * i + 1];
-        asked.w[i] = (float)-scattering_vectors[3 * i + 2];
-        asked.light_x[i] = SOURCE ? to_lights[3 * i] : 0.0f;
-        asked.light_y[i] = SOURCE ? to_lights[3 * i + 1] : 0.0f;
-        asked.light_z[i] = SOURCE ? to_lights[3 * i + 2] : 0.0f;
-        asked.row_u[i] = footprints ? footprints[4 * i] : 0.0f;
-        asked.row_v[i] = footprints ? footprints[4 * i + 1] : 0.0f;
-        asked.column_u[i] = footprints ? footprints[4 * i + 2] : 0.0f;
-        asked.column_v[i] = footprints ? footprints[4 * i + 3] : 0.0f;
+        pixels.u[i] = (float)scattering_vectors[3 * i];
+        pixels.v[i] = (float)scattering_vectors[3 * i + 1];
+        pixels.w[i] = (float)-scattering_vectors[3 * i + 2];
+        pixels.light_x[i] = SOURCE ? to_lights[3 * i] : 0.0f;
+        pixels.light_y[i] = SOURCE ? to_lights[3 * i + 1] : 0.0f;
+        pixels.light_z[i] = SOURCE ? to_lights[3 * i + 2] : 0.0f;
+        pixels.row_u[i] = footprints ? footprints[4 * i] : 0.0f;
+        pixels.row_v[i] = footprints ? footprints[4 * i + 1] : 0.0f;
+        pixels.column_u[i] = footprints ? footprints[4 * i + 2] : 0.0f;
+        pixels.column_v[i] = footprints ? footprints[4 * i + 3] : 0.0f;
     }
     for (int i = wp::max(count, 0); i % ABREAST != 0; ++i)
-        asked.u[i] = asked.v[i] = asked.w[i] = asked.light_x[i] = asked.light_y[i] = asked.light_z[i] = asked.row_u[i] =
-            asked.row_v[i] = asked.column_u[i] = asked.column_v[i] = 0.0f;
+        pixels.u[i] = pixels.v[i] = pixels.w[i] = pixels.light_x[i] = pixels.light_y[i] = pixels.light_z[i] =
+            pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
 // Covariances, in (u, v) and polar, and into how many parts they are split.
 template <bool SOURCE, int MOST_PARTS, int N, class Table>
-WARPDIFF_INLINE void find_covariances(const Table& table, Asked<N>& asked, int count)
+WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
             // A source's is Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
-            const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = asked.light_x[i], t1 = asked.light_y[i];
-            const float row_u = asked.row_u[i], row_v = asked.row_v[i];
-            const float column_u = asked.column_u[i], column_v = asked.column_v[i];
-            asked.source2[i] = spread2 * asked.light_z[i];
-            asked.xx[i] = spread2 * (1.0f - t0 * t0) + (row_u * row_u + column_u * column_u);
-            asked.xy[i] = -spread2 * t0 * t1 + (row_u * row_v + column_u * column_v);
-            asked.yy[i] = spread2 * (1.0f - t1 * t1) + (row_v * row_v + column_v * column_v);
-            asked.at_w.set(i, table, asked.w[i]);
+            const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
+            const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
+            const float column_u = pixels.column_u[i], column_v = pixels.column_v[i];
+            pixels.source2[i] = spread2 * pixels.light_z[i];
+            pixels.xx[i] = spread2 * (1.0f - t0 * t0) + (row_u * row_u + column_u * column_u);
+            pixels.xy[i] = -spread2 * t0 * t1 + (row_u * row_v + column_u * column_v);
+            pixels.yy[i] = spread2 * (1.0f - t1 * t1) + (row_v * row_v + column_v * column_v);
+            pixels.at_w.set(i, table, pixels.w[i]);
             const PolarCovariance polar =
-                to_polar(table, asked.u[i], asked.v[i], asked.xx[i], asked.xy[i], asked.yy[i]);
-            asked.angle2[i] = polar.angle2;
-            asked.ratio2[i] = polar.ratio2;
-            asked.both[i] = polar.both;
+                to_polar(table, pixels.u[i], pixels.v[i], pixels.xx[i], pixels.xy[i], pixels.yy[i]);
+            pixels.angle2[i] = polar.angle2;
+            pixels.ratio2[i] = polar.ratio2;
+            pixels.both[i] = polar.both;
             // Parts lie along what goes with the angle.
-            const float whole = wp::sqrt(asked.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
-            asked.along_u[i] = polar.angle_u * per_whole;
-            asked.along_v[i] = polar.angle_v * per_whole;
+            const float whole = wp::sqrt(pixels.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
+            pixels.along_u[i] = polar.angle_u * per_whole;
+            pixels.along_v[i] = polar.angle_v * per_whole;
             const float turns = whole * (1.0f / MOST_TURN);
-            asked.parts[i] = turns > 1.0f ? smaller(-wp::floor(-turns), (float)MOST_PARTS) : 1.0f;
+            pixels.parts[i] = turns > 1.0f ? smaller(-wp::floor(-turns), (float)MOST_PARTS) : 1.0f;
         }
 }
 
 // Whether a source blurs less than the rows are blurred, or so much that it is no range of angles. `cut` is the share
-// of the angle's variance that parts take, `within` the rest. Nodes are further apart than what goes with the ratio
-// spreads.
+// of the angle's variance that parts take, `within` the rest. SegmentRings are further apart than what goes with the
+// ratio spreads.
 template <int N, class Table>
-WARPDIFF_INLINE bool is_left_out(const Table& table, const Asked<N>& asked, int i, float within, float cut)
+WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
-    const float u = asked.u[i], v = asked.v[i], both = asked.both[i], per_log = table.per_log;
+    const float u = pixels.u[i], v = pixels.v[i], both = pixels.both[i], per_log = table.rings_per_log;
     const LogPolar at = log_polar(u, v, table.least_uv);
-    const float over2 = asked.ratio2[i] - ((int)asked.parts[i] > 1 ? cut * both * both / asked.angle2[i] : 0.0f)
+    const float over2 = pixels.ratio2[i] - ((int)pixels.parts[i] > 1 ? cut * both * both / pixels.angle2[i] : 0.0f)
         + 0.25f / (per_log * per_log);
-    const int octave = wp::clamp((int)((at.log2 * (float)table.nodes + table.node_of_one) * table.per_octave), 0,
-        (int)table.azimuths.shape[1] - 1);
-    return u * u + v * v < table.near2
-        || (within * asked.angle2[i] - numbers<const float>(table.line_blurs2)[octave]) * over2
+    const int octave =
+        wp::clamp((int)((at.log2 * (float)table.rings_per_octave + table.ring_of_one) * table.octaves_per_ring), 0,
+            (int)table.azimuths.shape[1] - 1);
+    return u * u + v * v < table.inner_radius2
+        || (within * pixels.angle2[i] - numbers<const float>(table.line_blurs2)[octave]) * over2
         < within * within * both * both;
 }
 
 // Whether a footprint is summed over rings.
 template <int N, class Table>
-WARPDIFF_INLINE bool is_wide(const Table& table, const Asked<N>& asked, int i)
+WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, int i)
 {
-    const float uv2 = asked.u[i] * asked.u[i] + asked.v[i] * asked.v[i] + table.lobe_uv * table.lobe_uv;
-    return asked.xx[i] + asked.yy[i] > WIDE * WIDE * uv2;
+    const float uv2 = pixels.u[i] * pixels.u[i] + pixels.v[i] * pixels.v[i] + table.lobe_uv * table.lobe_uv;
+    return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
 // The pixel and the part of it that come next.
@@ -175,47 +176,49 @@ struct NextPart {
 };
 
 // The next parts, as many as there is room for: their (u, v), covariances and shares of the colour.
-template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class LeftOut>
-WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains, const Asked<N>& asked,
-    int begin, int count, NextPart& next, Parts<N>& parts, LeftOut& unserved_gain, float* xyz)
+template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
+WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
+    const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
+    float* xyz)
 {
     parts.count = 0;
     while (parts.count < N && next.pixel < count) {
-        const int i = next.pixel, all = (int)asked.parts[i], k = parts.count;
-        const float gain = gains[i], u = asked.u[i], v = asked.v[i];
+        const int i = next.pixel, all = (int)pixels.parts[i], k = parts.count;
+        const float gain = gains[i], u = pixels.u[i], v = pixels.v[i];
         const float* const split = splits + (all - 1) * 3 * MOST_PARTS;
         const float within = split[0], cut = 1.0f - within, away = split[MOST_PARTS + next.part];
         float share = gain * split[2 * MOST_PARTS + next.part];
         bool served = gain > 0.0f;
         if (SOURCE) {
-            const bool left = is_left_out(table, asked, i, within, cut);
-            numbers<float>(unserved_gain)[begin + i] = served && left ? gain : 0.0f;
-            served = served && !left;
-            share *= 2.0f * PI * asked.source2[i];
+            const bool unserved = is_unserved(table, pixels, i, within, cut);
+            numbers<float>(unserved_gain)[begin + i] = served && unserved ? gain : 0.0f;
+            served = served && !unserved;
+            share *= 2.0f * PI * pixels.source2[i];
         }
         if (!served) {
             ++next.pixel;
             continue;
         }
         if (next.part == 0)
-            add_zeroth_order(
-                table, u, v, asked.w[i], asked.xx[i], asked.xy[i], asked.yy[i], asked.source2[i], gain, xyz + 3 * i);
-        if (!SOURCE && is_wide(table, asked, i)) {
-            const WeighedRows<WIDTH> sum = sum_over_rings<WIDTH>(table, u, v, asked.xx[i], asked.xy[i], asked.yy[i]);
-            add_colour(table, sum.rows, asked.at_w, i, gain / larger(sum.weights, 1.0e-30f), xyz);
+            add_zeroth_order(table, u, v, pixels.w[i], pixels.xx[i], pixels.xy[i], pixels.yy[i], pixels.source2[i],
+                gain, xyz + 3 * i);
+        if (!SOURCE && is_wide(table, pixels, i)) {
+            const WeighedRows<WIDTH> sum = sum_over_rings<WIDTH>(table, u, v, pixels.xx[i], pixels.xy[i], pixels.yy[i]);
+            add_colour(table, sum.rows, pixels.at_w, i, gain / larger(sum.weights, 1.0e-30f), xyz);
             next = {i + 1, 0};
             continue;
         }
-        const float along_u = asked.along_u[i], along_v = asked.along_v[i];
+        const float along_u = pixels.along_u[i], along_v = pixels.along_v[i];
         parts.u[k] = u + away * along_u;
         parts.v[k] = v + away * along_v;
-        parts.angle2[k] = asked.angle2[i];
-        parts.ratio2[k] = asked.ratio2[i];
-        parts.both[k] = asked.both[i];
+        parts.angle2[k] = pixels.angle2[i];
+        parts.ratio2[k] = pixels.ratio2[i];
+        parts.both[k] = pixels.both[i];
         if (all > 1) {
             // Of what is left of the covariance, along the part's own (u, v) and across.
-            const PolarCovariance polar = to_polar(table, parts.u[k], parts.v[k], asked.xx[i] - cut * along_u * along_u,
-                asked.xy[i] - cut * along_u * along_v, asked.yy[i] - cut * along_v * along_v);
+            const PolarCovariance polar =
+                to_polar(table, parts.u[k], parts.v[k], pixels.xx[i] - cut * along_u * along_u,
+                    pixels.xy[i] - cut * along_u * along_v, pixels.yy[i] - cut * along_v * along_v);
             parts.angle2[k] = polar.angle2;
             parts.ratio2[k] = polar.ratio2;
             parts.both[k] = polar.both;
@@ -234,11 +237,11 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Where parts lie in the table, and how their blur lies across nodes and spokes.
+// Where parts lie in the table, and how their blur lies across rings and spokes.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
-    const float per_log = table.per_log;
+    const float per_log = table.rings_per_log;
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
             const float of_angle2 = parts.angle2[k], of_ratio2 = parts.ratio2[k];
@@ -250,13 +253,13 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
-            parts.place[k] = at.log2 * (float)table.nodes + table.node_of_one;
-            // What goes with the ratio turns the spokes from node to node; the rest of the angle blurs each of them.
-            // The spline between nodes has a variance of a quarter.
+            parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
+            // What goes with the ratio turns the spokes from ring to ring; the rest of the angle blurs each of them.
+            // The spline between rings has a variance of a quarter.
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
-            parts.turn_per_node[k] = both * per_log / variance;
+            parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
-            parts.aside2[k] = larger(angle2 - parts.turn_per_node[k] * both * per_log, 0.0f);
+            parts.aside2[k] = larger(angle2 - parts.turn_per_ring[k] * both * per_log, 0.0f);
             parts.deviation[k] = deviation;
             // A sixth of the third moment of ln |(u, v)| in deviations, of what goes along it: the lower half reaches
             // further. What an angle that goes with it adds is not that of spokes that lie on a line.
@@ -264,25 +267,25 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
         }
 }
 
-// Which nodes parts sum: their first and last, how far they are apart, and which weights they have.
+// Which rings parts sum: their first and last, how far they are apart, and which weights they have.
 template <bool SOURCE, int N, class Table, class Taps>
-WARPDIFF_INLINE void choose_nodes(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
+WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
-    const int all_nodes = octaves * table.nodes;
-    const float per_log = table.per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
+    const int all_rings = octaves * table.rings_per_octave;
+    const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
     // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
-                table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.per_octave), 0, octaves - 1)];
+                table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
             // A source's lines are narrower than the spokes are apart, and what blurs them has that in it.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
-            const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_node[k];
+            const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
-            const float most = MOST_APART / (sharp + table.detail);
+            const float most = MOST_APART / (sharp + table.decimation_scale);
             parts.apart[k] = most < 2.0f ? 1 : most < 4.0f ? 2 : most < 8.0f ? 4 : 8;
             parts.step[k] =
                 variance < MOST_TABULATED + 0.25f ? (int)((variance - 0.25f) * taps.per_variance + 0.5f) : -1;
@@ -298,34 +301,34 @@ WARPDIFF_INLINE void choose_nodes(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // Whole multiples, so that pixels beside each other take the same nodes.
+            // Whole multiples, so that pixels beside each other take the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
-            parts.begin[k] = wp::min(begin, all_nodes - 1);
-            parts.end[k] = begin < all_nodes ? wp::clamp(end, parts.begin[k], all_nodes) : parts.begin[k];
+            parts.begin[k] = wp::min(begin, all_rings - 1);
+            parts.end[k] = begin < all_rings ? wp::clamp(end, parts.begin[k], all_rings) : parts.begin[k];
         }
 }
 
-// The part and the node of it that come next.
-struct NextNode {
-    int part, node;
+// The part and the ring of it that come next.
+struct NextRing {
+    int part, ring;
 };
 
 // The next segments, as many as there is room for.
 template <int N, class Table>
-WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextNode& next, Segments<N>& segments)
+WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
     segments.count = 0;
     while (segments.count < N && next.part < parts.count) {
         const int s = segments.count++, k = next.part;
-        const int octave = (int)((float)next.node * table.per_octave), apart = parts.apart[k];
-        const int end = wp::min(parts.end[k], (octave + 1) * table.nodes);
+        const int octave = (int)((float)next.ring * table.octaves_per_ring), apart = parts.apart[k];
+        const int end = wp::min(parts.end[k], (octave + 1) * table.rings_per_octave);
         segments.part[s] = k;
-        segments.first[s] = next.node;
+        segments.first[s] = next.ring;
         segments.apart[s] = apart;
-        segments.nodes[s] = wp::min((end - next.node + apart - 1) / apart, SEGMENT_NODES);
-        next.node += segments.nodes[s] * apart;
-        if (next.node >= parts.end[k] && ++next.part < parts.count) next.node = parts.begin[next.part];
+        segments.rings[s] = wp::min((end - next.ring + apart - 1) / apart, SEGMENT_RINGS);
+        next.ring += segments.rings[s] * apart;
+        if (next.ring >= parts.end[k] && ++next.part < parts.count) next.ring = parts.begin[next.part];
     }
     for (int s = segments.count; s % ABREAST != 0; ++s) {
         segments.part[s] = segments.part[s - 1];
@@ -344,7 +347,7 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     const float* const blurs = numbers<const float>(table.blurs);
     for (int from = 0; from < segments.count; from += ABREAST)
         for (int s = from; s < from + ABREAST; ++s) {
-            const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.per_octave);
+            const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
             // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
@@ -355,18 +358,18 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
             const float steps_of_blur = per_radian * per_radian * taps.per_variance;
             segments.azimuths[s] = azimuths[at];
             segments.blur[s] = parts.aside2[k] * steps_of_blur;
-            segments.given[s] = (blur * blur + line2) * steps_of_blur - 0.5f;
-            segments.turning[s] = parts.turn_per_node[k] * table.per_log * per_radian;
+            segments.level_blur[s] = (blur * blur + line2) * steps_of_blur - 0.5f;
+            segments.turning[s] = parts.turn_per_ring[k] * table.rings_per_log * per_radian;
             segments.position[s] = parts.turns[k] * (float)azimuths[at];
             segments.away[s] = (float)segments.first[s] - parts.place[k];
             segments.behind[s] = parts.half_ratio2[k];
             segments.skew[s] = parts.skew[k];
             segments.per_deviation[s] = 1.0f / parts.deviation[k];
-            segments.first_row[s] = first_rows[at] + segments.first[s] - octave * table.nodes;
+            segments.first_row[s] = first_rows[at] + segments.first[s] - octave * table.rings_per_octave;
         }
 }
 
-// The weight of a segment's m-th node by a Gaussian, up to a factor.
+// The weight of a segment's m-th ring by a Gaussian, up to a factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -375,57 +378,60 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// The spoke around the direction that goes with a node, and what is left of the blur, in steps of the taps' variances:
-// across (u, v) a straight footprint is as wide at all nodes, and its middle lies aside in proportion to how far out
+// The spoke around the direction that goes with a ring, and what is left of the blur, in steps of the taps' variances:
+// across (u, v) a straight footprint is as wide at all rings, and its middle lies aside in proportion to how far out
 // they are, which further out is less of an angle.
 template <int N, class Table, class Taps>
-WARPDIFF_INLINE void place_node(
+WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
 {
     const float nearer = exp_of_minus_small(
-        (segments.away[s] + (float)(m * segments.apart[s])) * (1.0f / table.per_log) - segments.behind[s]);
+        (segments.away[s] + (float)(m * segments.apart[s])) * (1.0f / table.rings_per_log) - segments.behind[s]);
     position = segments.position[s] + segments.turning[s] * (1.0f - nearer);
-    step = (int)smaller(
-        larger(segments.blur[s] * nearer * nearer - segments.given[s], 0.0f), (float)((int)taps.weights.shape[0] - 1));
+    step = (int)smaller(larger(segments.blur[s] * nearer * nearer - segments.level_blur[s], 0.0f),
+        (float)((int)taps.weights.shape[0] - 1));
 }
 
 // The rows around there, of which `count` are taken.
 template <int N, class Table, class Taps>
-WARPDIFF_INLINE NodeRows rows_of_node(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
+WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
 {
     const int fractions = taps.weights.shape[1], azimuths = segments.azimuths[s], least = -(count / 2);
     const float start = position - 0.5f * (float)(count - 1), first = wp::rint(start);
     const int fraction = (int)((start - first + 0.5f) * (float)fractions), azimuth = (int)first;
-    const int rotated = azimuth < least ? azimuth + azimuths : azimuth >= azimuths + least ? azimuth - azimuths : azimuth;
+    const int rotated = azimuth < least ? azimuth + azimuths
+        : azimuth >= azimuths + least   ? azimuth - azimuths
+                                        : azimuth;
     return {
-        segments.first_row[s] + wp::clamp(rotated, least, azimuths + least) * table.nodes + m * segments.apart[s],
+        segments.first_row[s] + wp::clamp(rotated, least, azimuths + least) * table.rings_per_octave
+            + m * segments.apart[s],
         count,
         (step * fractions + wp::clamp(fraction, 0, fractions - 1)) * (int)taps.weights.shape[2],
     };
 }
 
-// What is found of nodes, kept for whole batches on the CPU; a GPU finds it when it is asked for.
+// What is found of rings, kept for whole batches on the CPU; a GPU finds it when it is asked for.
 template <int N>
-struct Nodes {
-    static constexpr int EACH = ON_GPU ? 1 : SEGMENT_NODES;
-    int row[N][EACH], taps[N][EACH], count[N][EACH];
-    float weight[N][EACH];
+struct SegmentRings {
+    static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
+    int row[N][RINGS], taps[N][RINGS], count[N][RINGS];
+    float weight[N][RINGS];
 
     template <class Table, class Taps>
     WARPDIFF_INLINE void find(const Table& table, const Taps& taps, const Segments<N>& segments, CutGaussian cut)
     {
         if (ON_GPU) return;
         for (int s = 0; s < segments.count; ++s) {
-            float position[EACH];
-            int step[EACH];
-            for (int m = 0; m < EACH; ++m) {
-                place_node(table, taps, segments, s, m, position[m], step[m]);
+            float position[RINGS];
+            int step[RINGS];
+            for (int m = 0; m < RINGS; ++m) {
+                place_ring(table, taps, segments, s, m, position[m], step[m]);
                 weight[s][m] = gaussian_weight(segments, cut, s, m);
             }
-            for (int m = 0; m < EACH; ++m) count[s][m] = numbers<const int>(taps.lengths)[step[m]];
-            for (int m = 0; m < EACH; ++m) {
-                const NodeRows rows = rows_of_node(table, taps, segments, s, m, position[m], step[m], count[s][m]);
+            for (int m = 0; m < RINGS; ++m) count[s][m] = numbers<const int>(taps.lengths)[step[m]];
+            for (int m = 0; m < RINGS; ++m) {
+                const RingRows rows = rows_of_ring(table, taps, segments, s, m, position[m], step[m], count[s][m]);
                 row[s][m] = rows.row;
                 taps_at(s, m) = rows.taps;
             }
@@ -438,13 +444,15 @@ struct Nodes {
     }
 
     template <class Table, class Taps>
-    WARPDIFF_INLINE NodeRows rows_at(const Table& table, const Taps& given, const Segments<N>& segments, int s, int m)
+    WARPDIFF_INLINE RingRows rows_at(
+        const Table& table, const Taps& all_taps, const Segments<N>& segments, int s, int m)
     {
         if (!ON_GPU) return {row[s][m], count[s][m], taps[s][m]};
         float position;
         int step;
-        place_node(table, given, segments, s, m, position, step);
-        return rows_of_node(table, given, segments, s, m, position, step, numbers<const int>(given.lengths)[step]);
+        place_ring(table, all_taps, segments, s, m, position, step);
+        return rows_of_ring(
+            table, all_taps, segments, s, m, position, step, numbers<const int>(all_taps.lengths)[step]);
     }
 
     WARPDIFF_INLINE float weight_at(const Segments<N>& segments, CutGaussian cut, int s, int m) const
@@ -455,70 +463,70 @@ struct Nodes {
 
 // Sum rows of segments, and add the colours of parts that end with them.
 template <int WIDTH, int N, class Table, class Taps>
-WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Asked<N>& asked,
-    const Parts<N>& parts, const Segments<N>& segments, Nodes<N>& nodes, WeighedRows<WIDTH>& sum, float* xyz)
+WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
+    const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)
 {
     const float* const weights = numbers<const float>(taps.weights);
     for (int s = 0; s < segments.count; ++s) {
         const int k = segments.part[s];
         const bool tabulated = parts.step[k] >= 0;
         const float* const tabulated_weights = weights + (tabulated ? parts.first_weight[k] + segments.first[s] : 0);
-        for (int m = 0; m < segments.nodes[s]; ++m) {
-            const NodeRows rows = nodes.rows_at(table, taps, segments, s, m);
-            const float weight = tabulated ? tabulated_weights[m] : nodes.weight_at(segments, cut, s, m);
+        for (int m = 0; m < segments.rings[s]; ++m) {
+            const RingRows rows = rings.rows_at(table, taps, segments, s, m);
+            const float weight = tabulated ? tabulated_weights[m] : rings.weight_at(segments, cut, s, m);
             const float* row = numbers<const float>(table.rows) + (long long)rows.row * WIDTH;
-            Row<WIDTH> of_node;
-            of_node.clear();
+            Row<WIDTH> ring_sum;
+            ring_sum.clear();
 #pragma clang loop unroll_count(4)
             for (int j = 0; j < rows.count; ++j) {
-                of_node.add(weights[rows.taps + j], row);
-                row += (long long)table.nodes * WIDTH;
+                ring_sum.add(weights[rows.taps + j], row);
+                row += (long long)table.rings_per_octave * WIDTH;
             }
-            sum.rows.add(weight, of_node);
+            sum.rows.add(weight, ring_sum);
             sum.weights += weight;
         }
-        if (segments.first[s] + segments.nodes[s] * segments.apart[s] < parts.end[k]) continue;
+        if (segments.first[s] + segments.rings[s] * segments.apart[s] < parts.end[k]) continue;
         const int i = parts.pixel[k];
         const float share = tabulated ? parts.share[k] : parts.share[k] / larger(sum.weights, 1.0e-6f);
-        add_colour(table, sum.rows, asked.at_w, i, share, xyz);
+        add_colour(table, sum.rows, pixels.at_w, i, share, xyz);
         sum.clear();
     }
 }
 
-// Add the mean XYZ over footprints and the source of deflections from begin to end, at most RUN, times their gains.
+// Add the mean XYZ over footprints and the source of deflections from begin to end, at most BATCH, times their gains.
 //
-// Of a source, those that the table does not serve are skipped, and `left_out` holds their gains, others' are 0.
-template <int W_BASIS_STEP, bool SOURCE, int RUN, int MOST_PARTS, class Table, class Taps, class Deflections, class Lights,
-    class Gains, class Footprints, class Colours>
+// Of a source, those that the table does not serve are skipped, and `unserved_gain` holds their gains, others' are 0.
+template <int W_BASIS_SIZE, bool SOURCE, int BATCH, int MOST_PARTS, class Table, class Taps, class ScatteringVectors,
+    class Lights, class Gains, class FootprintArray, class Colours>
 WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, CutGaussian cut,
-    const Deflections& scattering_vectors, const Lights& to_lights, const Gains& gains, const Footprints& footprints,
-    int begin, int end, Gains& unserved_gain, Colours& xyz_out)
+    const ScatteringVectors& scattering_vectors, const Lights& to_lights, const Gains& gains,
+    const FootprintArray& footprints, int begin, int end, Gains& unserved_gain, Colours& xyz_out)
 {
-    constexpr int N = batch_of(RUN), WIDTH = 3 * W_BASIS_STEP;
+    constexpr int N = batch_of(BATCH), WIDTH = 3 * W_BASIS_SIZE;
     const int count = end - begin;
     const float* const factors = numbers<const float>(gains) + begin;
     float* const xyz = numbers<float>(xyz_out) + 3LL * begin;
-    Asked<N> asked;
-    load_footprints<SOURCE>(asked, numbers<const double>(scattering_vectors) + 3LL * begin,
+    Footprints<N> pixels;
+    load_footprints<SOURCE>(pixels, numbers<const double>(scattering_vectors) + 3LL * begin,
         numbers<const float>(to_lights) + 3LL * begin,
         is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, count);
-    find_covariances<SOURCE, MOST_PARTS>(table, asked, count);
+    find_covariances<SOURCE, MOST_PARTS>(table, pixels, count);
     WeighedRows<WIDTH> sum;
     sum.clear();
     for (NextPart next_part = {0, 0};;) {
         Parts<N> parts;
-        next_parts<SOURCE, MOST_PARTS, WIDTH>(
-            table, numbers<const float>(taps.parts), factors, asked, begin, count, next_part, parts, unserved_gain, xyz);
+        next_parts<SOURCE, MOST_PARTS, WIDTH>(table, numbers<const float>(taps.parts), factors, pixels, begin, count,
+            next_part, parts, unserved_gain, xyz);
         if (parts.count == 0) break;
         place_parts(table, parts);
-        choose_nodes<SOURCE>(table, taps, cut, parts);
-        for (NextNode next_node = {0, parts.begin[0]}; next_node.part < parts.count;) {
+        choose_rings<SOURCE>(table, taps, cut, parts);
+        for (NextRing next_ring = {0, parts.begin[0]}; next_ring.part < parts.count;) {
             Segments<N> segments;
-            Nodes<N> nodes;
-            next_segments(table, parts, next_node, segments);
+            SegmentRings<N> rings;
+            next_segments(table, parts, next_ring, segments);
             place_segments<SOURCE>(table, taps, parts, segments);
-            nodes.find(table, taps, segments, cut);
-            sum_segments<WIDTH>(table, taps, cut, asked, parts, segments, nodes, sum, xyz);
+            rings.find(table, taps, segments, cut);
+            sum_segments<WIDTH>(table, taps, cut, pixels, parts, segments, rings, sum, xyz);
         }
     }
 }

@@ -35,8 +35,8 @@ struct FilterSteps {
 // Frames and deflections of a batch of pixels, and their footprints.
 template <int N>
 struct FootprintBatch {
-    Batch<N> tangent[3], bitangent[3], normal[3], seen[3];
-    Batch<N> found[4];
+    Batch<N> tangent[3], bitangent[3], normal[3], minus_uvw[3];
+    Batch<N> footprint[4];
 
     template <class Pixels>
     WARPDIFF_INLINE void load(const Pixels& pixels, const double* uvw, const Batch<N, bool>& met, int from, int count)
@@ -49,7 +49,7 @@ struct FootprintBatch {
                 tangent[c][i] = met[i] ? frames[0][at + c] : 0.0f;
                 bitangent[c][i] = met[i] ? frames[1][at + c] : 0.0f;
                 normal[c][i] = met[i] ? frames[2][at + c] : 0.0f;
-                seen[c][i] = met[i] ? (float)-uvw[at + c] : 0.0f;
+                minus_uvw[c][i] = met[i] ? (float)-uvw[at + c] : 0.0f;
             }
         }
     }
@@ -99,8 +99,8 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
 
 // Changes of (u, v) along both steps: the frame turns as a whole, with the normal, and about it with the tangent.
 template <int N>
-WARPDIFF_INLINE void differentiate_deflection(const FaceDifferentials& face, const FilterSteps& filter, bool smooth,
-    float least_cosine, int i, FootprintBatch<N>& batch)
+WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& face, const FilterSteps& filter,
+    bool smooth, float least_cosine, int i, FootprintBatch<N>& batch)
 {
     float t[3], b[3], n[3];
     for (int c = 0; c < 3; ++c) {
@@ -134,15 +134,15 @@ WARPDIFF_INLINE void differentiate_deflection(const FaceDifferentials& face, con
         of_t -= of_cosine * t_view;
         of_b -= of_cosine * b_view;
         const float round = per_tangent * (share1 * b_tangent1 + share2 * b_tangent2 - tilt * of_b);
-        batch.found[2 * axis][i] = round * batch.seen[1][i] - of_t * batch.seen[2][i] + t_turn;
-        batch.found[2 * axis + 1][i] = -round * batch.seen[0][i] - of_b * batch.seen[2][i] + b_turn;
+        batch.footprint[2 * axis][i] = round * batch.minus_uvw[1][i] - of_t * batch.minus_uvw[2][i] + t_turn;
+        batch.footprint[2 * axis + 1][i] = -round * batch.minus_uvw[0][i] - of_b * batch.minus_uvw[2][i] + b_turn;
     }
 }
 
 // Footprints of the rays from begin to end, of filters of a deviation in pixels.
-template <int BATCH, class Camera, class Surface, class Pixels, class Deflections, class Footprints>
+template <int BATCH, class Camera, class Surface, class Pixels, class ScatteringVectors, class Footprints>
 WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surface, const Pixels& pixels,
-    const Deflections& scattering_vectors, float deviation, int begin, int end, FootprintLimits limits,
+    const ScatteringVectors& scattering_vectors, float deviation, int begin, int end, FootprintLimits limits,
     Footprints& footprints_out)
 {
     constexpr int N = batch_of(BATCH);
@@ -162,10 +162,10 @@ WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surfac
         batch.load(pixels, numbers<const double>(scattering_vectors), pixel_batch.met, from, count);
         for (int i = 0; i < N; ++i) {
             const FaceDifferentials face = differentiate_face(pixel_batch, i, filter, limits);
-            differentiate_deflection(face, filter, smooth, limits.least_cosine, i, batch);
+            differentiate_scattering_vector(face, filter, smooth, limits.least_cosine, i, batch);
         }
         for (int i = 0; i < count; ++i)
-            for (int c = 0; c < 4; ++c) out[4LL * i + c] = pixel_batch.met[i] ? batch.found[c][i] : 0.0f;
+            for (int c = 0; c < 4; ++c) out[4LL * i + c] = pixel_batch.met[i] ? batch.footprint[c][i] : 0.0f;
     }
 }
 

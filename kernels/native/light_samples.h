@@ -108,20 +108,20 @@ WARPDIFF_INLINE void scatter(
 
 // Scattering vectors of pixels from begin to end. All that meet the mesh have one, whether they are lit or not: those
 // beside them ask how (u, v) changes. `counted` is added to the coverage of those.
-template <int BATCH, class Pixels, class Vector, class Reflection, class Hidden, class Deflections, class Lights,
+template <int BATCH, class Pixels, class Vector, class Reflection, class Flags, class ScatteringVectors, class Lights,
     class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Reflection& reflection,
-    double scale, double horizon, double counted, bool begins, bool resets, const Hidden& occluded, int begin, int end,
-    Deflections& scattering_vectors_out, Lights& to_lights_out, Gains& gains_out, Colours& xyz_out, Coverage& coverage_out,
-    Hidden& illuminated_out)
+    double scale, double horizon, double counted, bool begins, bool resets, const Flags& occluded, int begin, int end,
+    ScatteringVectors& scattering_vectors_out, Lights& to_lights_out, Gains& gains_out, Colours& xyz_out,
+    Coverage& coverage_out, Flags& illuminated_out)
 {
     constexpr int N = batch_of(BATCH);
     const LightPlace light = {{place[0], place[1], place[2], place[3]}};
     const int* const hit = numbers<const int>(pixels.hit);
-    const bool* const is_hidden = is_empty(occluded) ? nullptr : numbers<const bool>(occluded);
+    const bool* const is_occluded = is_empty(occluded) ? nullptr : numbers<const bool>(occluded);
     const bool sums = !is_empty(coverage_out);
-    const SumsOfPixels sums_of = {
-        numbers<float>(xyz_out), numbers<double>(coverage_out), numbers<bool>(illuminated_out), sums && resets, sums && begins};
+    const SumsOfPixels sums_of = {numbers<float>(xyz_out), numbers<double>(coverage_out),
+        numbers<bool>(illuminated_out), sums && resets, sums && begins};
     for (int from = begin; from < end; from += N) {
         const int count = wp::min(end - from, N);
         double* const scattering_vectors = numbers<double>(scattering_vectors_out) + 3LL * from;
@@ -139,10 +139,10 @@ WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector&
         scatter(light, reflection, scale, horizon, batch);
         for (int i = 0; i < count; ++i) {
             const bool is_hit = hit[from + i] != 0;
-            const bool is_lit = is_hit && batch.gain[i] > 0.0f && !(is_hidden && is_hidden[from + i]);
+            const bool is_illuminated = is_hit && batch.gain[i] > 0.0f && !(is_occluded && is_occluded[from + i]);
             for (int c = 0; c < 3; ++c) scattering_vectors[3 * i + c] = is_hit ? -batch.uvw[c][i] : 0.0;
-            for (int c = 0; c < 3; ++c) to_lights[3 * i + c] = is_lit ? (float)batch.light[c][i] : 0.0f;
-            gains[i] = is_lit ? batch.gain[i] : 0.0f;
+            for (int c = 0; c < 3; ++c) to_lights[3 * i + c] = is_illuminated ? (float)batch.light[c][i] : 0.0f;
+            gains[i] = is_illuminated ? batch.gain[i] : 0.0f;
         }
         if (!sums) continue;
         for (int i = 0; i < count; ++i) {

@@ -1,4 +1,4 @@
-// Colours of single directions from a colour table: quadratic splines between nodes and between spokes.
+// Colours of single directions from a colour table: quadratic splines between rings and between spokes.
 
 #pragma once
 
@@ -13,11 +13,11 @@ namespace warpdiff {
 template <int N>
 struct Points {
     Batch<N> u = {}, v = {}, w = {};
-    Batch<N> turns, place; // angle and place among the nodes
+    Batch<N> turns, place; // angle and place among the rings
     AtW<N> at_w;
-    Batch<N, const float*> first_row; // of the first of three nodes, on the first of three spokes
+    Batch<N, const float*> first_row; // of the first of three rings, on the first of three spokes
     Batch<N> aside;                   // from the middle one of these [spokes]
-    Batch<N, int> first_node, octave;
+    Batch<N, int> first_ring, octave;
 };
 
 // Places of all N, which the compiler finds side by side.
@@ -25,37 +25,38 @@ template <int N, class Table>
 WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 {
     const int octaves = table.azimuths.shape[1];
-    const float nodes = (float)table.nodes, last = (float)(octaves * table.nodes - 2), least = table.least_uv;
+    const float rings = (float)table.rings_per_octave, last = (float)(octaves * table.rings_per_octave - 2),
+                least = table.least_uv;
     for (int i = 0; i < N; ++i) {
         const LogPolar at = log_polar(points.u[i], points.v[i], least);
         points.turns[i] = at.turns;
-        points.place[i] = wp::min(at.log2 * nodes + table.node_of_one, last);
+        points.place[i] = wp::min(at.log2 * rings + table.ring_of_one, last);
     }
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// The row of a node of an octave on the first of the three spokes around an angle, and how far the middle one is.
+// The row of a ring of an octave on the first of the three spokes around an angle, and how far the middle one is.
 template <int WIDTH, class Table>
-WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int node, int octave, float& aside)
+WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
     const float position = turns * (float)numbers<const int>(table.azimuths)[octave], nearest = wp::rint(position);
     aside = position - nearest;
     const long long row =
-        numbers<const int>(table.first_rows)[octave] + ((int)nearest - 1 - octave) * table.nodes + node;
+        numbers<const int>(table.first_rows)[octave] + ((int)nearest - 1 - octave) * table.rings_per_octave + ring;
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
 // Find a point's rows, and ask for them unless nothing comes of it.
 template <int WIDTH, int N, class Table>
-WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_lit)
+WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {
-    points.first_node[i] = (int)wp::rint(points.place[i]) - 1;
-    points.octave[i] = (int)((float)points.first_node[i] * table.per_octave);
+    points.first_ring[i] = (int)wp::rint(points.place[i]) - 1;
+    points.octave[i] = (int)((float)points.first_ring[i] * table.octaves_per_ring);
     points.first_row[i] =
-        row_at<WIDTH>(table, points.turns[i], points.first_node[i], points.octave[i], points.aside[i]);
-    if (ON_GPU || !is_lit) return;
+        row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i], points.aside[i]);
+    if (ON_GPU || !is_illuminated) return;
     for (int j = 0; j < 3; ++j) {
-        const float* const row = points.first_row[i] + j * (long long)table.nodes * WIDTH;
+        const float* const row = points.first_row[i] + j * (long long)table.rings_per_octave * WIDTH;
         for (int l = 0; l < 3 * WIDTH; l += 16) prefetch(row + l);
         prefetch(row + 3 * WIDTH - 1);
     }
@@ -65,50 +66,50 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
 {
-    float of_nodes[3], of_spokes[3];
-    quadratic_spline(points.place[i] - (float)(points.first_node[i] + 1), of_nodes);
-    quadratic_spline(points.aside[i], of_spokes);
+    float ring_weights[3], azimuth_weights[3];
+    quadratic_spline(points.place[i] - (float)(points.first_ring[i] + 1), ring_weights);
+    quadratic_spline(points.aside[i], azimuth_weights);
     Row<WIDTH> sum;
     sum.clear();
-    const long long stride = (long long)table.nodes * WIDTH;
-    const int left = (points.octave[i] + 1) * table.nodes - points.first_node[i];
+    const long long stride = (long long)table.rings_per_octave * WIDTH;
+    const int left = (points.octave[i] + 1) * table.rings_per_octave - points.first_ring[i];
     const float* first = points.first_row[i];
 #pragma unroll
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
             // The next octave has spokes of its own.
             float aside;
-            first = row_at<WIDTH>(table, points.turns[i], points.first_node[i], points.octave[i] + 1, aside);
-            quadratic_spline(aside, of_spokes);
+            first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
+            quadratic_spline(aside, azimuth_weights);
         }
         const float* row = first + m * WIDTH;
 #pragma unroll
         for (int j = 0; j < 3; ++j) {
-            sum.add(of_nodes[m] * of_spokes[j], row);
+            sum.add(ring_weights[m] * azimuth_weights[j], row);
             row += stride;
         }
     }
     return sum;
 }
 
-// Add the XYZ of deflections from begin to end, at most RUN, times their gains.
+// Add the XYZ of deflections from begin to end, at most BATCH, times their gains.
 //
 // What the next ones read is asked for AHEAD of their turn: of too many, rows that lie a page apart drive each other
 // out of the first cache.
-template <int W_BASIS_STEP, int RUN, int AHEAD, class Table, class Deflections, class Gains, class Colours>
-WARPDIFF_INLINE void look_up_points(
-    const Table& table, const Deflections& scattering_vectors, const Gains& gains, int begin, int end, Colours& xyz_out)
+template <int W_BASIS_SIZE, int BATCH, int AHEAD, class Table, class ScatteringVectors, class Gains, class Colours>
+WARPDIFF_INLINE void look_up_points(const Table& table, const ScatteringVectors& scattering_vectors, const Gains& gains,
+    int begin, int end, Colours& xyz_out)
 {
-    constexpr int N = batch_of(RUN), WIDTH = 3 * W_BASIS_STEP;
+    constexpr int N = batch_of(BATCH), WIDTH = 3 * W_BASIS_SIZE;
     const int count = end - begin;
-    const double* const given = numbers<const double>(scattering_vectors) + 3LL * begin;
+    const double* const uvw = numbers<const double>(scattering_vectors) + 3LL * begin;
     const float* const factors = numbers<const float>(gains) + begin;
     float* const xyz = numbers<float>(xyz_out) + 3LL * begin;
     Points<N> points;
     for (int i = 0; i < count; ++i) {
-        points.u[i] = (float)given[3 * i];
-        points.v[i] = (float)given[3 * i + 1];
-        points.w[i] = (float)-given[3 * i + 2];
+        points.u[i] = (float)uvw[3 * i];
+        points.v[i] = (float)uvw[3 * i + 1];
+        points.w[i] = (float)-uvw[3 * i + 2];
     }
     place_points(table, points);
     for (int i = 0; i < count && i < AHEAD; ++i) locate_rows<WIDTH>(table, points, i, factors[i] > 0.0f);

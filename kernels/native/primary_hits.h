@@ -22,21 +22,21 @@ struct Intersections {
 };
 
 template <int N, class Surface>
-WARPDIFF_INLINE void load_corners(const Surface& surface, const KnownHits<N>& hits, Intersections<N>& found)
+WARPDIFF_INLINE void load_corners(const Surface& surface, const KnownHits<N>& hits, Intersections<N>& intersections)
 {
     const int* const faces = numbers<const int>(surface.faces);
     const float* const positions = numbers<const float>(surface.positions);
     for (int i = 0; i < N; ++i) {
         const int* const corners = faces + 3LL * (i < hits.count ? hits.face[i] : 0);
         for (int which = 0; which < 3; ++which)
-            for (int c = 0; c < 3; ++c) found.corner[which][c][i] = positions[3LL * corners[which] + c];
+            for (int c = 0; c < 3; ++c) intersections.corner[which][c][i] = positions[3LL * corners[which] + c];
     }
 }
 
 // Moeller and Trumbore's shares of the first two corners, within the face, and directions to the viewer; in float64, as
 // the eye may be thousands of radii away.
 template <int N, class Camera>
-WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, Intersections<N>& found)
+WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, Intersections<N>& intersections)
 {
     const double* const axes = numbers<const double>(camera.axes);
     const bool orthographic = camera.orthographic;
@@ -47,23 +47,24 @@ WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, I
         for (int c = 0; c < 3; ++c) {
             const double across = x * axes[3 + c] + y * axes[6 + c];
             along[c] = (orthographic ? 0.0 : across) - axes[9 + c];
-            away[c] = axes[c] + (orthographic ? across : 0.0) - found.corner[0][c][i];
-            edge1[c] = (double)found.corner[1][c][i] - found.corner[0][c][i];
-            edge2[c] = (double)found.corner[2][c][i] - found.corner[0][c][i];
+            away[c] = axes[c] + (orthographic ? across : 0.0) - intersections.corner[0][c][i];
+            edge1[c] = (double)intersections.corner[1][c][i] - intersections.corner[0][c][i];
+            edge2[c] = (double)intersections.corner[2][c][i] - intersections.corner[0][c][i];
         }
         const double per_length = 1.0 / wp::sqrt(dot(along, along));
         for (int c = 0; c < 3; ++c) {
             along[c] *= per_length;
-            found.to_view[c][i] = -(float)along[c];
+            intersections.to_view[c][i] = -(float)along[c];
         }
         cross(along, edge2, across2);
         cross(away, edge1, across1);
         const double determinant = dot(edge1, across2);
         const double inverse = determinant == 0.0 ? 0.0 : 1.0 / determinant;
         const double share1 = inverse * dot(away, across2), share2 = inverse * dot(along, across1);
-        const double kept1 = wp::min(wp::max(share1, 0.0), 1.0), kept2 = wp::min(wp::max(share2, 0.0), 1.0 - kept1);
-        found.share[0][i] = (float)(1.0 - kept1 - kept2);
-        found.share[1][i] = (float)kept1;
+        const double clamped1 = wp::min(wp::max(share1, 0.0), 1.0),
+                     clamped2 = wp::min(wp::max(share2, 0.0), 1.0 - clamped1);
+        intersections.share[0][i] = (float)(1.0 - clamped1 - clamped2);
+        intersections.share[1][i] = (float)clamped1;
     }
 }
 
@@ -71,15 +72,15 @@ WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, I
 template <int N, class Camera, class Surface, class Pixels>
 WARPDIFF_INLINE void put_hits(const Camera& camera, const Surface& surface, const Pixels& pixels, KnownHits<N>& hits)
 {
-    Intersections<N> found;
-    load_corners(surface, hits, found);
-    intersect(camera, hits, found);
+    Intersections<N> intersections;
+    load_corners(surface, hits, intersections);
+    intersect(camera, hits, intersections);
     for (int i = 0; i < hits.count; ++i) {
         const long long at = hits.ray[i];
         numbers<int>(pixels.hit)[at] = 1;
         numbers<int>(pixels.face)[at] = hits.face[i];
-        for (int c = 0; c < 2; ++c) numbers<float>(pixels.place)[2 * at + c] = found.share[c][i];
-        for (int c = 0; c < 3; ++c) numbers<float>(pixels.to_view)[3 * at + c] = found.to_view[c][i];
+        for (int c = 0; c < 2; ++c) numbers<float>(pixels.place)[2 * at + c] = intersections.share[c][i];
+        for (int c = 0; c < 3; ++c) numbers<float>(pixels.to_view)[3 * at + c] = intersections.to_view[c][i];
     }
     hits.count = 0;
 }

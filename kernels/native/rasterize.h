@@ -20,7 +20,7 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 // Products of corners on such a grid are exact in a picture, so that faces leave no gap where they meet.
 constexpr double PER_PIXEL = 1 << 14;
-// Before the eye, in units of the surface: what is nearer is not seen.
+// Before the eye, in units of the surface: what is nearer is not visible.
 constexpr double NEAR_PLANE = 1.0e-9;
 // Faces, and cells of a pixel, side by side.
 constexpr int FACES = 16, CELLS = 8;
@@ -50,12 +50,12 @@ struct Raster {
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    double reach_of_cells, neighbour_extent; // how far cells, or any rays, lie from the centre along an axis
+    double max_cell_offset, max_offset; // how far cells, or any rays, lie from the centre along an axis
     unsigned long long* nearest;
 
     template <class Camera, class Sampling, class Cells, class Nearest>
     WARPDIFF_INLINE Raster(
-        const Camera& camera, const Sampling& sampling, const Cells& split, double reach_of_rays, Nearest& nearest_out)
+        const Camera& camera, const Sampling& sampling, const Cells& split, double max_ray_offset, Nearest& nearest_out)
     {
         axes = numbers<const double>(camera.axes);
         orthographic = camera.orthographic;
@@ -70,13 +70,13 @@ struct Raster {
         nearest = numbers<unsigned long long>(nearest_out);
         const int across = split.across;
         cells = across * across;
-        reach_of_cells = 0.5 - 0.5 / across;
+        max_cell_offset = 0.5 - 0.5 / across;
         for (int cell = 0; marks && cell < cells; ++cell) {
             aside[cell] = (float)((cell % across + 0.5) / across - 0.5);
             below[cell] = (float)((cell / across + 0.5) / across - 0.5);
         }
         for (int cell = marks ? cells : 0; cell < MOST_CELLS; ++cell) aside[cell] = below[cell] = 0.0f;
-        neighbour_extent = marks ? greater(reach_of_rays, reach_of_cells) : reach_of_rays;
+        max_offset = marks ? greater(max_ray_offset, max_cell_offset) : max_ray_offset;
     }
 };
 
@@ -110,7 +110,7 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         }
         const double x0 = triangles.column[0][i], x1 = triangles.column[1][i], x2 = triangles.column[2][i];
         const double y0 = triangles.row[0][i], y1 = triangles.row[1][i], y2 = triangles.row[2][i];
-        const double slack = picture.neighbour_extent;
+        const double slack = picture.max_offset;
         sides[i] = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0) < 0.0 ? -1.0 : 1.0;
         triangles.low_column[i] = greater(wp::ceil(lesser(x0, lesser(x1, x2)) - slack - 0.5), 0.0);
         triangles.high_column[i] = lesser(wp::floor(greater(x0, greater(x1, x2)) + slack - 0.5), picture.width - 1.0);
@@ -181,7 +181,7 @@ WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triang
         along[k] = Batch{} + (float)(sign * right);
         athwart[k] = Batch{} + (float)(sign * down);
         at_centre[k] = Batch{} + (float)inside[k];
-        is_beside |= inside[k] < -picture.reach_of_cells * (wp::abs(right) + wp::abs(down));
+        is_beside |= inside[k] < -picture.max_cell_offset * (wp::abs(right) + wp::abs(down));
     }
     if (is_beside) return;
     const int first = picture.ranks[row * picture.width + column] * picture.cells;
@@ -189,9 +189,9 @@ WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triang
         const Batch x = *(const Batch*)(picture.aside + cell), y = *(const Batch*)(picture.below + cell);
         Batch at[3];
         for (int k = 0; k < 3; ++k) at[k] = at_centre[k] + (along[k] * y - athwart[k] * x);
-        const Flags each = (at[0] >= 0.0f) & (at[1] >= 0.0f) & (at[2] >= 0.0f) & BITS;
+        const Flags inside_bits = (at[0] >= 0.0f) & (at[1] >= 0.0f) & (at[2] >= 0.0f) & BITS;
         int covered = 0;
-        for (int j = 0; j < CELLS; ++j) covered |= each[j];
+        for (int j = 0; j < CELLS; ++j) covered |= inside_bits[j];
         if (cell + CELLS > picture.cells) covered &= (1 << (picture.cells - cell)) - 1;
         for (; covered != 0; covered &= covered - 1) {
             const int j = __builtin_ctz(covered);
@@ -228,7 +228,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
             double least = triangles.low_column[i], largest = triangles.high_column[i];
             for (int k = 0; k < 3; ++k) {
                 const double slope = triangles.slope[k][i], rise = triangles.sign[k][i] * triangles.down[k][i];
-                const double beyond = picture.neighbour_extent * (1.0 + wp::abs(slope));
+                const double beyond = picture.max_offset * (1.0 + wp::abs(slope));
                 const double crossing = triangles.from_x[k][i] + slope * (row + 0.5 - triangles.from_y[k][i]) - 0.5;
                 if (rise < 0.0) least = greater(least, wp::floor(crossing - beyond));
                 if (rise > 0.0) largest = lesser(largest, wp::ceil(crossing + beyond));
@@ -265,47 +265,48 @@ template <class Picture>
 WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* positions, const int* vertices)
 {
     const double* const axes = picture.axes;
-    double seen[3][3];
+    double in_view[3][3];
     for (int k = 0; k < 3; ++k) {
         const float* const place = positions + 3LL * vertices[k];
         const double x = place[0] - axes[0], y = place[1] - axes[1], z = place[2] - axes[2];
-        seen[k][0] = x * axes[3] + y * axes[4] + z * axes[5];
-        seen[k][1] = x * axes[6] + y * axes[7] + z * axes[8];
-        seen[k][2] = -(x * axes[9] + y * axes[10] + z * axes[11]);
+        in_view[k][0] = x * axes[3] + y * axes[4] + z * axes[5];
+        in_view[k][1] = x * axes[6] + y * axes[7] + z * axes[8];
+        in_view[k][2] = -(x * axes[9] + y * axes[10] + z * axes[11]);
     }
-    ClippedFace left;
+    ClippedFace clipped;
     for (int k = 0; k < 3; ++k) {
         const int next = (k + 1) % 3;
         const bool rises = vertices[k] < vertices[next];
-        if (seen[k][2] >= NEAR_PLANE) {
-            for (int c = 0; c < 3; ++c) left.corner[left.count][c] = seen[k][c];
-            left.rises[left.count++] = rises;
+        if (in_view[k][2] >= NEAR_PLANE) {
+            for (int c = 0; c < 3; ++c) clipped.corner[clipped.count][c] = in_view[k][c];
+            clipped.rises[clipped.count++] = rises;
         }
-        if ((seen[k][2] >= NEAR_PLANE) == (seen[next][2] >= NEAR_PLANE)) continue;
+        if ((in_view[k][2] >= NEAR_PLANE) == (in_view[next][2] >= NEAR_PLANE)) continue;
         // From the vertex of the smaller number on, for both faces.
         const int a = rises ? k : next, b = rises ? next : k;
-        const double t = (NEAR_PLANE - seen[a][2]) / (seen[b][2] - seen[a][2]);
-        for (int c = 0; c < 2; ++c) left.corner[left.count][c] = seen[a][c] + t * (seen[b][c] - seen[a][c]);
-        left.corner[left.count][2] = NEAR_PLANE;
-        left.rises[left.count++] = rises;
+        const double t = (NEAR_PLANE - in_view[a][2]) / (in_view[b][2] - in_view[a][2]);
+        for (int c = 0; c < 2; ++c)
+            clipped.corner[clipped.count][c] = in_view[a][c] + t * (in_view[b][c] - in_view[a][c]);
+        clipped.corner[clipped.count][2] = NEAR_PLANE;
+        clipped.rises[clipped.count++] = rises;
     }
-    return left;
+    return clipped;
 }
 
 // A triangle or two of what is left of a face; their edges, but for the cut and where the two meet, are the face's.
 template <class Picture>
-WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& left, int face, Triangles& triangles)
+WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clipped, int face, Triangles& triangles)
 {
-    for (int k = 2; k < left.count; ++k) {
+    for (int k = 2; k < clipped.count; ++k) {
         const int which[3] = {0, k - 1, k}, i = triangles.count++;
         for (int c = 0; c < 3; ++c) {
-            const double* const corner = left.corner[which[c]];
+            const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
         // Across from each of these: the edge between the other two, that to the first one, that from it.
-        triangles.rises[0][i] = left.rises[k - 1];
-        triangles.rises[1][i] = k == left.count - 1 ? left.rises[k] : false;
-        triangles.rises[2][i] = k == 2 ? left.rises[0] : true;
+        triangles.rises[0][i] = clipped.rises[k - 1];
+        triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
+        triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;
         triangles.face[i] = face;
         if (triangles.count == FACES) {
             visit_rays(picture, triangles);
@@ -349,9 +350,9 @@ WARPDIFF_INLINE bool project_faces(
 // Rasterize faces from begin to end into the nearest face of each ray.
 template <int MOST_CELLS, class Camera, class Surface, class Sampling, class Cells, class Nearest>
 WARPDIFF_INLINE void rasterize_faces(const Camera& camera, const Surface& surface, const Sampling& sampling,
-    const Cells& cells, double neighbour_extent, int begin, int end, Nearest& nearest_out)
+    const Cells& cells, double max_offset, int begin, int end, Nearest& nearest_out)
 {
-    const Raster<MOST_CELLS> picture(camera, sampling, cells, neighbour_extent, nearest_out);
+    const Raster<MOST_CELLS> picture(camera, sampling, cells, max_offset, nearest_out);
     const int* const faces = numbers<const int>(surface.faces);
     const float* const positions = numbers<const float>(surface.positions);
     Triangles triangles;

@@ -1,7 +1,7 @@
 // Mean colours over footprints that are wide beside their distance from the mirror direction, or reach around it.
 //
 // Such a footprint is no range of angles and ratios. Its rows are weighed by the Gaussian of (u, v) itself, at the
-// nodes and spokes that it covers: the spokes of a node lie on a ring. Rows of a mip level are means over arcs of the
+// rings and azimuth samples that it covers. Rows of a mip level are means over arcs of the
 // ring, so that the Gaussian along the ring is made narrower by as much.
 
 #pragma once
@@ -22,7 +22,7 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // deviation in those of that lobe.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // What of the variance along a ring a level has at most, and how far its spokes are apart, in deviations.
-constexpr float MOST_BLUR2 = 0.7f, SPOKES_APART = 1.0f;
+constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian of (u, v): its middle, and the inverse of its covariance.
 struct Gaussian2 {
@@ -38,19 +38,19 @@ struct RingLevel {
 };
 
 // The weight of a Gaussian at a place (x, y) of the unit circle times the radius, once it is narrower by a variance
-// along the ring, if it is within so many deviations. There it is one whose exponent has the same slope and bend.
+// along the ring, if it is within so many deviations. There it is one whose exponent has the same slope and curvature.
 WARPDIFF_INLINE float weight_on_ring(
-    const Gaussian2& gaussian, float x, float y, float radius, float blur2, float neighbour_extent)
+    const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {
     const float u = radius * x - gaussian.u, v = radius * y - gaussian.v;
     const float pu = gaussian.uu * u + gaussian.uv * v, pv = gaussian.uv * u + gaussian.vv * v;
     const float slope = radius * (x * pv - y * pu);
     const float across = gaussian.uu * y * y - 2.0f * gaussian.uv * x * y + gaussian.vv * x * x;
-    const float bend = radius * (radius * across - (x * pu + y * pv));
-    const float left = larger(1.0f - blur2 * bend, 1.0f - 1.2f * MOST_BLUR2);
+    const float curvature = radius * (radius * across - (x * pu + y * pv));
+    const float left = larger(1.0f - blur2 * curvature, 1.0f - 1.2f * MOST_BLUR2);
     const float exponent = u * pu + v * pv;
     const float weight = exp_of_negative(-0.5f * (exponent + slope * slope * blur2 / left)) / wp::sqrt(left);
-    return exponent < neighbour_extent * neighbour_extent ? weight : 0.0f;
+    return exponent < cutoff * cutoff ? weight : 0.0f;
 }
 
 template <class Table>
@@ -65,35 +65,35 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 // The widest level of an octave that serves a variance along the ring. In the next octave inwards levels may be twice
 // as wide, and the one before serves.
 template <class Table>
-inline void widen(const Table& table, RingLevel& found, int octave, float variance)
+inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
-    if (octave != found.octave) found = ring_level(table, wp::max(found.level - 1, 0), octave);
-    for (found.until = 1.0e30f; found.level + 1 < table.azimuths.shape[0];) {
-        const RingLevel wider = ring_level(table, found.level + 1, octave);
-        const float least = larger(
-            wider.blur2 * (1.0f / MOST_BLUR2), wider.spacing * wider.spacing * (1.0f / (SPOKES_APART * SPOKES_APART)));
+    if (octave != widest.octave) widest = ring_level(table, wp::max(widest.level - 1, 0), octave);
+    for (widest.until = 1.0e30f; widest.level + 1 < table.azimuths.shape[0];) {
+        const RingLevel wider = ring_level(table, widest.level + 1, octave);
+        const float least = larger(wider.blur2 * (1.0f / MOST_BLUR2),
+            wider.spacing * wider.spacing * (1.0f / (AZIMUTHS_APART * AZIMUTHS_APART)));
         if (least > variance) {
-            found.until = least;
+            widest.until = least;
             return;
         }
-        found = wider;
+        widest = wider;
     }
 }
 
 // Add the rows of a ring from one spoke up to another, which is left out: arcs may touch.
 template <int WIDTH>
-WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2, float neighbour_extent,
-    float size, float first, float end, int count, const float* rows, long long stride)
+WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
+    float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
 {
-    const int taken = wp::min((int)(wp::ceil(end) - wp::ceil(first)), count);
+    const int arc_count = wp::min((int)(wp::ceil(end) - wp::ceil(first)), count);
     int azimuth = cyclic((int)wp::ceil(first), count);
-    for (int from = 0; from < taken; from += ARC) {
+    for (int from = 0; from < arc_count; from += ARC) {
         Batch<ARC> weights;
         for (int j = 0; j < ARC; ++j) {
             float x, y;
             on_circle((float)(azimuth + j) / (float)count, x, y);
-            const float weight = size * weight_on_ring(gaussian, x, y, radius, blur2, neighbour_extent);
-            weights[j] = from + j < taken ? weight : 0.0f;
+            const float weight = size * weight_on_ring(gaussian, x, y, radius, blur2, cutoff);
+            weights[j] = from + j < arc_count ? weight : 0.0f;
         }
         for (int j = 0; j < ARC; ++j, ++azimuth) {
             if (azimuth == count) azimuth = 0;
@@ -109,7 +109,7 @@ template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
     // Coefficients of the spline between rings have a quarter of their distance, squared, less of variance than values.
-    const float apart2 = 0.25f / (table.per_log * table.per_log);
+    const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
     const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
     const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
     const float narrow2 = larger((a * d - b * b) / widest2, least * least);
@@ -122,31 +122,32 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // Rings lie on the nodes of the table, closer than the Gaussian is wide along (u, v).
+    // Rings lie on the rings of the table, closer than the Gaussian is wide along (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
-    const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.per_log), 1);
+    const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
     const float outermost = log_polar(middle + OUTWARDS * widest, 0.0f, table.least_uv).log2;
     const float nearest = smaller(INNERMOST * narrow, INNERMOST_OF_LOBE * table.lobe_uv);
     const float innermost = larger(larger(middle - INWARDS * widest, nearest), table.least_uv);
-    int node = wp::min((int)(outermost * (float)table.nodes + table.node_of_one), octaves * table.nodes - 1);
-    float radius = wp::exp(((float)node - table.node_of_one) / table.per_log);
-    const float nearer = wp::exp(-(float)apart / table.per_log);
+    int ring = wp::min(
+        (int)(outermost * (float)table.rings_per_octave + table.ring_of_one), octaves * table.rings_per_octave - 1);
+    float radius = wp::exp(((float)ring - table.ring_of_one) / table.rings_per_log);
+    const float nearer = wp::exp(-(float)apart / table.rings_per_log);
     WeighedRows<WIDTH> sum;
     sum.clear();
     // Of no octave yet.
     RingLevel level = {-1};
-    while (node >= 0 && radius > innermost) {
+    while (ring >= 0 && radius > innermost) {
         // Further in the Gaussian takes up more of a ring.
-        const int octave = (int)((float)node * table.per_octave);
+        const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
         const float blur2 = smaller(level.blur2, MOST_BLUR2 * variance);
-        const float* const rows =
-            numbers<const float>(table.rows) + (long long)(level.first_row + node - octave * table.nodes) * WIDTH;
-        const long long stride = (long long)table.nodes * WIDTH;
+        const float* const rows = numbers<const float>(table.rows)
+            + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
+        const long long stride = (long long)table.rings_per_octave * WIDTH;
         // The arc within reach around (u, v), or for a streak those within reach of its axis, if they are shorter.
-        const float neighbour_extent = radius < middle ? INWARDS : OUTWARDS, furthest = neighbour_extent * widest, beside = neighbour_extent * narrow;
+        const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
         float from = 0.0f, to = 1.0f;
@@ -161,10 +162,10 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;
             const float end = !is_streak ? around : side == 0 ? to : -from;
-            add_arc(sum, gaussian, radius, blur2, neighbour_extent, size, place + first * all, place + end * all, level.azimuths,
+            add_arc(sum, gaussian, radius, blur2, cutoff, size, place + first * all, place + end * all, level.azimuths,
                 rows, stride);
         }
-        node -= is_coarse ? 2 * apart : apart;
+        ring -= is_coarse ? 2 * apart : apart;
         radius *= is_coarse ? nearer * nearer : nearer;
     }
     return sum;

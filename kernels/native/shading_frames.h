@@ -108,10 +108,10 @@ WARPDIFF_INLINE void find_frames(
 
 // Vectors of pixels; zeros between those that meet the mesh, as to skip these takes longer.
 template <int N>
-WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&found)[3], const Batch<N, bool>& met, int count)
+WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const Batch<N, bool>& met, int count)
 {
     for (int i = 0; i < count; ++i)
-        for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? found[c][i] : 0.0f;
+        for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? vectors[c][i] : 0.0f;
 }
 
 // Frames of pixels from begin to end. Returns how many of them are left to be made one by one, whose `hit` is then

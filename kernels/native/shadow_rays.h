@@ -1,6 +1,6 @@
 // Whether faces hide a light, by lists of those in each cell of a grid across it.
 //
-// Places across the light are whole numbers of steps, and sides of edges exact, as kernels/shadow_grid.py has them: by
+// Places across the light are whole numbers of steps, and sides of edges exact, as kernels/shadow_rays.py has them: by
 // these the lists are made.
 
 #pragma once
@@ -84,9 +84,9 @@ WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, Shado
 }
 
 // Whether the light is hidden from what pixels from begin to end see; those in one cell meet its list together.
-template <int BATCH, class Grid, class Vector, class Pixels, class Hidden>
+template <int BATCH, class Grid, class Vector, class Pixels, class Flags>
 WARPDIFF_INLINE void look_up_shadows(const Grid& grid, const Vector& towards, const Pixels& pixels, float facing_away,
-    double steps, int begin, int end, Hidden& occluded_out)
+    double steps, int begin, int end, Flags& occluded_out)
 {
     constexpr int N = batch_of(BATCH);
     for (int from = begin; from < end; from += N) {

@@ -1,5 +1,5 @@
 // The power spectrum along spokes of the frequency plane, each value the integral under a quadratic B-spline in ln t
-// around a node.
+// around a ring.
 
 #pragma once
 
@@ -17,13 +17,13 @@ constexpr int TAPS = 16, KNOWN_ROWS = 64;
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
     // The coefficient that is left out, or a place that none has.
-    int left_y, left_x;
+    int excluded_y, excluded_x;
 
     template <class Table>
-    WARPDIFF_INLINE Neighbours(const Table& table, int unserved_gain)
+    WARPDIFF_INLINE Neighbours(const Table& table, int excluded)
     {
-        left_y = unserved_gain < 0 ? -1 : unserved_gain / table.count_x;
-        left_x = unserved_gain - left_y * table.count_x;
+        excluded_y = excluded < 0 ? -1 : excluded / table.count_x;
+        excluded_x = excluded - excluded_y * table.count_x;
         reach_y = (int)(wp::sqrt(table.exponent / table.across) + 0.5f);
         reach_x = (int)(wp::sqrt(table.exponent / table.along) + 0.5f);
         for (int j = 0; j < KNOWN_ROWS; ++j) {
@@ -54,14 +54,14 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     const float* const row = numbers<const float>(table.rows) + (long long)y * count_x * WIDTH;
     Row<WIDTH> sum;
     sum.clear();
-    if (inside && y != around.left_y) {
+    if (inside && y != around.excluded_y) {
         const float* const from = row + (long long)column * WIDTH;
         for (int i = begin; i < end; ++i) sum.add(taps[i], from + i * WIDTH);
         return sum;
     }
     for (int i = begin; i < end; ++i) {
         const int x = inside ? column + i : cyclic(column + i, count_x);
-        if (y == around.left_y && x == around.left_x) continue;
+        if (y == around.excluded_y && x == around.excluded_x) continue;
         sum.add(taps[i], row + (long long)x * WIDTH);
     }
     return sum;
@@ -87,7 +87,8 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
             for (int j = 0; j < TAPS && from_y + j <= reach_y; ++j) {
                 const int aside = from_y + j < 0 ? -from_y - j : from_y + j;
                 const int neighbour_extent = aside < KNOWN_ROWS ? around.on_row[aside] : reach_x;
-                const int begin = wp::max(-neighbour_extent - from_x, 0), end = wp::min(neighbour_extent - from_x + 1, TAPS);
+                const int begin = wp::max(-neighbour_extent - from_x, 0),
+                          end = wp::min(neighbour_extent - from_x + 1, TAPS);
                 int y = nearest_y + table.origin_y + from_y + j;
                 if (y < 0 || y >= table.count_y) y = cyclic(y, table.count_y);
                 total.add(of_rows[j], sum_of_neighbours<WIDTH>(table, around, y, column, of_columns, begin, end));
@@ -97,26 +98,26 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
     return total;
 }
 
-// Powers, from sums of amplitudes, whose real parts come before the imaginary ones: at NODES values of κ, by a basis
+// Powers, from sums of amplitudes, whose real parts come before the imaginary ones: at WIDTH values of κ, by a basis
 // for each term.
-template <int TERMS, int NODES>
-WARPDIFF_INLINE Row<NODES> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
+template <int TERMS, int WIDTH>
+WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
 {
-    Row<NODES> re, im;
+    Row<WIDTH> re, im;
     re.clear();
     im.clear();
-    for (int n = 0; n < TERMS; ++n, basis += NODES) {
+    for (int n = 0; n < TERMS; ++n, basis += WIDTH) {
         re.add(((const float*)amplitudes.at)[n], basis);
         im.add(((const float*)amplitudes.at)[TERMS + n], basis);
     }
-    for (int l = 0; l < Row<NODES>::VECTORS; ++l) re.at[l] = re.at[l] * re.at[l] + im.at[l] * im.at[l];
+    for (int l = 0; l < Row<WIDTH>::VECTORS; ++l) re.at[l] = re.at[l] * re.at[l] + im.at[l] * im.at[l];
     return re;
 }
 
-// What samples add to the splines of three nodes in a row; it stays in registers from node to node.
-template <int NODES>
+// What samples add to the splines of three rings in a row; it stays in registers from ring to ring.
+template <int WIDTH>
 struct SplineSums {
-    Row<NODES> before, here, behind;
+    Row<WIDTH> before, here, behind;
 
     WARPDIFF_INLINE SplineSums()
     {
@@ -125,8 +126,8 @@ struct SplineSums {
         behind.clear();
     }
 
-    // A sample `f` of a node's distance from the middle one.
-    WARPDIFF_INLINE void add(const Row<NODES>& value, float f, float scale)
+    // A sample `f` of a ring's distance from the middle one.
+    WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
         quadratic_spline(f, weights);
@@ -143,44 +144,44 @@ struct SplineSums {
     }
 };
 
-template <int NODES>
-WARPDIFF_INLINE void put_node(float* rows, int node, int count, const Row<NODES>& value)
+template <int WIDTH>
+WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>& value)
 {
-    if (node < 0 || node >= count) return;
-    for (int l = 0; l < Row<NODES>::VECTORS; ++l)
-        ((typename Row<NODES>::Vector*)rows)[(long long)node * Row<NODES>::VECTORS + l] = value.at[l];
+    if (ring < 0 || ring >= count) return;
+    for (int l = 0; l < Row<WIDTH>::VECTORS; ++l)
+        ((typename Row<WIDTH>::Vector*)rows)[(long long)ring * Row<WIDTH>::VECTORS + l] = value.at[l];
 }
 
-// The integrals along a spoke in this direction, whose sine and cosine count coefficients, at `nodes` nodes from the
-// row `begin` on: `divisions` samples from node to node, the first one at t, each `ratio` times as far out as the one
+// The integrals along a spoke in this direction, whose sine and cosine count coefficients, at `rings` rings from the
+// row `begin` on: `divisions` samples from ring to ring, the first one at t, each `ratio` times as far out as the one
 // before, up to the `highest`.
 //
-// Rows are of TERMS powers; or of amplitudes (PARTS = 2), whose powers at NODES values of κ are what is integrated.
-template <int TERMS, int PARTS, int NODES, class Table, class Bases, class Values>
-WARPDIFF_INLINE void sample_spoke(const Table& table, const Bases& bases, double sine, double cosine, int nodes,
-    double t, double ratio, int divisions, double highest, float scale, int unserved_gain, int begin, Values& values_out)
+// Rows are of TERMS powers; or of amplitudes (PARTS = 2), whose powers at WIDTH values of κ are what is integrated.
+template <int TERMS, int PARTS, int WIDTH, class Table, class Bases, class Values>
+WARPDIFF_INLINE void sample_azimuth(const Table& table, const Bases& bases, double sine, double cosine, int rings,
+    double t, double ratio, int divisions, double highest, float scale, int excluded, int begin, Values& values_out)
 {
-    const Neighbours around(table, unserved_gain);
-    float* const out = numbers<float>(values_out) + (long long)begin * NODES;
-    Row<NODES> nothing;
+    const Neighbours around(table, excluded);
+    float* const out = numbers<float>(values_out) + (long long)begin * WIDTH;
+    Row<WIDTH> nothing;
     nothing.clear();
-    for (int node = 0; node < nodes; ++node) put_node(out, node, nodes, nothing);
-    SplineSums<NODES> sums;
-    int node = -1;
-    for (; node <= nodes && t <= highest; ++node) {
+    for (int ring = 0; ring < rings; ++ring) put_ring(out, ring, rings, nothing);
+    SplineSums<WIDTH> sums;
+    int ring = -1;
+    for (; ring <= rings && t <= highest; ++ring) {
         for (int k = 0; k < divisions && t <= highest; ++k, t *= ratio) {
             const Row<TERMS * PARTS> total = sample_spectrum<TERMS * PARTS>(table, around, t * sine, t * cosine);
             const float f = ((float)k + 0.5f) / (float)divisions - 0.5f;
             if constexpr (PARTS == 1)
                 sums.add(total, f, scale);
             else
-                sums.add(powers_of<TERMS, NODES>(total, numbers<const float>(bases)), f, scale);
+                sums.add(powers_of<TERMS, WIDTH>(total, numbers<const float>(bases)), f, scale);
         }
-        put_node(out, node - 1, nodes, sums.before);
+        put_ring(out, ring - 1, rings, sums.before);
         sums.move_on();
     }
-    put_node(out, node - 1, nodes, sums.before);
-    put_node(out, node, nodes, sums.here);
+    put_ring(out, ring - 1, rings, sums.before);
+    put_ring(out, ring, rings, sums.here);
 }
 
 } // namespace warpdiff

@@ -58,8 +58,8 @@ def test_native_look_ups_are_those_of_the_specification(coherence, footprints_ar
         )
         look_up = lookup.steps(*given, IlluminatedMaterial("D65"), xyz, seen, unserved_gain)[0]
         if kind == "plain":
-            functions = len(look_up.inputs[0].functions.dtype())
-            kernel = lookup_specification.lookup(functions, coherence.kind == "source")
+            w_basis_size = len(look_up.inputs[0].w_basis.dtype())
+            kernel = lookup_specification.lookup(w_basis_size, coherence.kind == "source")
             look_up = dataclasses.replace(look_up, kernel=kernel)
         launch_pipeline([look_up], COUNT, device=wp.get_device("cpu"), threads=2)
         found[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()

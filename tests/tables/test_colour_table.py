@@ -113,18 +113,18 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
     table.exponent = 20.0
     table.across, table.along = (falloff / length**2 for length in lengths)
     at_kappas = rng.normal(size=(lanes, width)).astype(np.float32)
-    unserved_gain = (counts[0] // 2) * counts[1] + counts[1] // 2 if powers else -1
+    excluded = (counts[0] // 2) * counts[1] + counts[1] // 2 if powers else -1
     log_low, highest = np.log(rng.uniform(1.2, 1.3)), 1.8
     found = wp.empty(rays * nodes, dtype=sampler.row, device="cpu")
     inputs = [
-        table, wp.array(at_kappas, dtype=sampler.row, device="cpu"), rays, nodes, log_low, divisions, highest, unserved_gain,
+        table, wp.array(at_kappas, dtype=sampler.row, device="cpu"), rays, nodes, log_low, divisions, highest, excluded,
         0, 0,
     ]  # fmt: skip
     wp.launch(sampler.resample, dim=rays, inputs=inputs, outputs=[found], device="cpu")
 
     kept = rows.reshape(-1, parts, lanes).astype(float)
     if powers:
-        kept[unserved_gain] = 0.0
+        kept[excluded] = 0.0
     kept = kept.reshape(*counts, parts, lanes)
     offsets = (np.arange(-divisions - divisions // 2, (nodes + 1) * divisions - divisions // 2) + 0.5) / divisions
     t = np.exp(log_low + offsets * np.log(2.0) / nodes)
@@ -169,7 +169,7 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, 
     inputs = [
         wp.array(rows, dtype=row_t, device="cpu"), wp.array(starts[:octaves], dtype=wp.int32, device="cpu"),
         wp.array(rays[:octaves], dtype=wp.int32, device="cpu"),
-        wp.array(matrices.reshape(-1, functions), dtype=projector.functions, device="cpu"),
+        wp.array(matrices.reshape(-1, functions), dtype=projector.w_basis, device="cpu"),
         wp.array(weights, dtype=wp.vec3f, device="cpu"), terms, nodes, 0, length,
         wp.empty(rays[1] * length, dtype=row_t, device="cpu"), 0, groups,
     ]  # fmt: skip
@@ -201,13 +201,13 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options)[1]
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
     # A node's number is a multiple of an octave's nodes where an octave begins.
-    last = len(rays) * table.nodes - table.node_of_one
-    seams = last - table.nodes * np.arange(1, 3)
+    last = len(rays) * table.rings_per_octave - table.ring_of_one
+    seams = last - table.rings_per_octave * np.arange(1, 3)
     logs = np.concatenate(
         [rng.uniform(seams[1] - 3.0, last - 3.0, 300), np.repeat(seams, 50) + rng.uniform(-2, 2, 100)]
     )
     angles = np.where(rng.random(400) < 0.8, rng.uniform(0.0, 1.0, 400), rng.uniform(-1e-3, 1e-3, 400)) * 2.0 * np.pi
-    uv = np.exp2(logs / table.nodes)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    uv = np.exp2(logs / table.rings_per_octave)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     scattering_vectors = np.column_stack([uv, rng.uniform(-1.9, -1.0, 400)])
     found = wp.zeros(400, dtype=wp.vec3f, device="cpu")
     arrays = [
@@ -218,18 +218,18 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     ColourLookup(fingers, plan, plan.direction_range, **options).add(*arrays, IlluminatedMaterial("D65"), found)
 
     turns = (angles / (2.0 * np.pi)) % 1.0
-    places = logs + table.node_of_one
+    places = logs + table.ring_of_one
     summed = 0.0
     for m, j in itertools.product((-1, 0, 1), repeat=2):
         node = np.rint(places).astype(int) + m
-        octave = node // table.nodes
+        octave = node // table.rings_per_octave
         ray = np.rint(turns * rays[octave]).astype(int) + j
-        row = table.rows.numpy()[firsts[octave] + ray * table.nodes + node - octave * table.nodes]
+        row = table.rows.numpy()[firsts[octave] + ray * table.rings_per_octave + node - octave * table.rings_per_octave]
         weight = colour_curves.spline(places - node) * colour_curves.spline(turns * rays[octave] - ray)
         summed += weight[:, None, None] * row.reshape(len(row), 3, -1)
     steps = (-scattering_vectors[:, 2] - table.least_w) * table.per_w
-    entries = np.arange(table.functions.shape[0])
-    at_w = np.stack([np.interp(steps, entries, each) for each in table.functions.numpy().T], axis=1)
+    entries = np.arange(table.w_basis.shape[0])
+    at_w = np.stack([np.interp(steps, entries, each) for each in table.w_basis.numpy().T], axis=1)
     expected = np.maximum(np.einsum("nck,nk->nc", summed, at_w), 0.0)
     assert np.max(picture_errors(found.numpy(), expected)) < 5e-4
 

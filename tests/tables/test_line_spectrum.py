@@ -158,8 +158,8 @@ def test_what_no_truth_resolves_does_not_judge():
     group.weigh(np.ones((1, 10, 3)), np.array([[1e-3]]))
     errors = np.zeros((1, 10))
     errors[0, 3] = 2.0
-    assert trial.worst(errors, group) == 2.0
-    assert trial.worst(errors, group, np.arange(10) != 3) == 0.0
+    assert trial.worst_percentile(errors, group) == 2.0
+    assert trial.worst_percentile(errors, group, np.arange(10) != 3) == 0.0
 
 
 def test_a_table_that_is_too_large_is_refused(rng):

@@ -260,7 +260,7 @@ def table_for(
     table.origin_y, table.origin_x = block.origin
     table.length_y, table.length_x = grid.lengths_um
     if coherence.periods is not None:
-        table.copies_y, table.copies_x = coherence.periods
+        table.periods_y, table.periods_x = coherence.periods
         table.patch_y, table.patch_x = heightfield.size_um
         _set_taps(table, kernels, heightfield, device)
         return Table(kernels.integrate, kernels.sample, table, found)

@@ -75,7 +75,7 @@ class _Source:
     coherence: Coherence
 
     @property
-    def unserved_gain(self) -> int:
+    def excluded(self) -> int:
         """Where the mean plane's coefficient lies among the rows of ``base``; −1 where it stays in."""
         found = self.base.arguments
         return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
@@ -269,8 +269,8 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
     for octave, (azimuths, divisions) in enumerate(zip(layout.spectrum_azimuths, layout.divisions, strict=True)):
         log_low, start = layout.log_low + octave * math.log(2.0), int(layout.starts[octave])
         inputs = [
-            source.base.arguments, bases, azimuths, layout.nodes, log_low, divisions, layout.highest, source.unserved_gain,
-            start,
+            source.base.arguments, bases, azimuths, layout.rings_per_octave, log_low, divisions, layout.highest,
+            source.excluded, start,
         ]  # fmt: skip
         launch(sampler.resample, azimuths, inputs, [values], device=device, threads=threads, slice_size=_ROWS_OF_SLICE)
     return values
@@ -289,12 +289,14 @@ def _coloured(
     layout, count = source.layout, how.functions.shape[1]
     target = colour_lookup.lookup(count, source.is_line_spectrum)
     table = target.Colours()
-    table.functions = wp.array(how.functions, dtype=target.functions, device=device)
+    table.w_basis = wp.array(how.functions, dtype=target.w_basis, device=device)
     table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
-    table.nodes, table.per_octave = layout.nodes, (1.0 + 1e-6) / layout.nodes
-    table.per_log = per_log = layout.nodes / math.log(2.0)
-    table.node_of_one = (LOG_RED - layout.log_low) * per_log
-    table.detail = source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION
+    table.rings_per_octave, table.octaves_per_ring = layout.rings_per_octave, (1.0 + 1e-6) / layout.rings_per_octave
+    table.rings_per_log = per_log = layout.rings_per_octave / math.log(2.0)
+    table.ring_of_one = (LOG_RED - layout.log_low) * per_log
+    table.decimation_scale = (
+        source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION
+    )
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
     table.lobe_uv = math.sqrt(source.lobe2) * MIDDLE_UM
@@ -313,7 +315,7 @@ def _coloured(
     if source.is_line_spectrum:
         table.line_blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
         table.spread2 = source.coherence.spread**2
-        table.near2 = near(source.coherence) ** 2
+        table.inner_radius2 = near(source.coherence) ** 2
     # Levels come behind, if any: until then theirs is no memory on the CPU.
     table.rows = wp.empty(layout.with_mip_levels().rows, dtype=target.row, device=device)
     fill = _filler(source, how, spectrum_rows, device=device, threads=threads)
@@ -337,45 +339,58 @@ def _filler(
         key = id(product.matrices)
         if key not in held:
             flat = product.matrices.reshape(-1, count)
-            held[key] = wp.array(flat, dtype=projector.functions, device=device)
+            held[key] = wp.array(flat, dtype=projector.w_basis, device=device)
         return held[key]
 
-    def project_lines(octave: int, matrices: wp.array, on_spokes: wp.array) -> None:
-        begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.nodes) * math.log(2.0)
-        given = layout.nodes + before + 2 * colour_lookup.FILTER_REACH
+    def project_lines(octave: int, matrices: wp.array, azimuth_rows: wp.array) -> None:
+        begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.rings_per_octave) * math.log(2.0)
+        given = layout.rings_per_octave + before + 2 * colour_lookup.FILTER_REACH
         values = line_spectrum.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin,
-            per_log=layout.nodes / math.log(2.0),
+            per_log=layout.rings_per_octave / math.log(2.0),
             nodes=given, azimuths=layout.azimuths[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
-        inputs = [values, matrices, curves, terms, layout.nodes, given]
-        launch(projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [on_spokes], **options)
+        inputs = [values, matrices, curves, terms, layout.rings_per_octave, given]
+        launch(
+            projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [azimuth_rows], **options
+        )
 
     # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
-    length = layout.nodes + before + colour_lookup.FILTER_REACH
+    length = layout.rings_per_octave + before + colour_lookup.FILTER_REACH
     sequence, starts, azimuths = None, None, None
     if not source.is_line_spectrum:
         sequence = wp.empty(layout.azimuths[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
         starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
         azimuths = wp.array(layout.spectrum_azimuths, dtype=wp.int32, device=device)
 
-    def project(octave: int, matrices: wp.array, on_spokes: wp.array) -> None:
-        inputs = [spectrum_rows, starts, azimuths, matrices, curves, terms, layout.nodes, octave, length, sequence]
+    def project(octave: int, matrices: wp.array, azimuth_rows: wp.array) -> None:
+        inputs = [
+            spectrum_rows,
+            starts,
+            azimuths,
+            matrices,
+            curves,
+            terms,
+            layout.rings_per_octave,
+            octave,
+            length,
+            sequence,
+        ]
         groups = layout.azimuths[0][octave] // projector.abreast
-        launch(projector.project, groups, inputs, [on_spokes], in_runs=True, **options)
+        launch(projector.project, groups, inputs, [azimuth_rows], in_runs=True, **options)
 
-    def fill(_level: int, octave: int, on_spokes: wp.array) -> None:
+    def fill(_level: int, octave: int, azimuth_rows: wp.array) -> None:
         products = how.octaves[octave]
         of_octave = project_lines if source.is_line_spectrum else project
         if products[0].factors is None:
-            of_octave(octave, matrices_of(products[0]), on_spokes)
+            of_octave(octave, matrices_of(products[0]), azimuth_rows)
             return
-        values = wp.empty(layout.azimuths[0][octave] * layout.nodes, dtype=projector.row, device=device)
+        values = wp.empty(layout.azimuths[0][octave] * layout.rings_per_octave, dtype=projector.row, device=device)
         for index, product in enumerate(products):
             of_octave(octave, matrices_of(product), values)
             factors = wp.array(product.factors, dtype=wp.float32, device=device)
             inputs = [values, factors, index == 0]
-            launch(spectrum_sampling.adder(count), layout.azimuths[0][octave], inputs, [on_spokes], **options)
+            launch(spectrum_sampling.adder(count), layout.azimuths[0][octave], inputs, [azimuth_rows], **options)
 
     return fill
 
@@ -389,14 +404,14 @@ def _blurred(
     layout: MipLayout, sharp: Any, *, is_line_spectrum: bool, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
     """A table with mip levels, from one without, whose rows have room for them."""
-    count = len(sharp.functions.dtype())
+    count = len(sharp.w_basis.dtype())
     target = colour_lookup.lookup(count, is_line_spectrum)
-    table = _copied(sharp, target, leaving="first_rows spokes blurs")
+    table = _copied(sharp, target, leaving="first_rows azimuths blurs")
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
-    def fill(level: int, octave: int, on_spokes: Any) -> None:
+    def fill(level: int, octave: int, azimuth_rows: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
-        launch(target.blur, layout.azimuths[level][octave], inputs, [on_spokes], in_runs=True, **options)
+        launch(target.blur, layout.azimuths[level][octave], inputs, [azimuth_rows], in_runs=True, **options)
 
     _fill(table, target, layout, 1, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -412,7 +427,7 @@ def _copied(table: Any, target: Any, *, leaving: str) -> Any:
 
 def without_zeroth_order(table: Any, coherence: Coherence) -> Any:
     """The same table of colours, whose look-ups leave out what the mean plane reflects."""
-    target = colour_lookup.lookup(len(table.functions.dtype()), coherence.kind == "source")
+    target = colour_lookup.lookup(len(table.w_basis.dtype()), coherence.kind == "source")
     return _copied(table, target, leaving="zeroth_order")
 
 
@@ -433,12 +448,12 @@ def _fill(
         layout.first_rows[:-1].reshape(np.shape(layout.azimuths)), dtype=wp.int32, device=device
     )
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
-    on_spokes = wp.empty(max(layout.azimuths[0]) * layout.nodes, dtype=target.row, device=device)
+    azimuth_rows = wp.empty(max(layout.azimuths[0]) * layout.rings_per_octave, dtype=target.row, device=device)
     for level in range(first_level, len(layout.azimuths)):
         for octave, azimuths in enumerate(layout.azimuths[level]):
-            fill(level, octave, on_spokes)
-            inputs = [on_spokes, table, level, octave]
-            repeated = azimuths + 2 * colour_lookup.REACH
+            fill(level, octave, azimuth_rows)
+            inputs = [azimuth_rows, table, level, octave]
+            repeated = azimuths + 2 * colour_lookup.HALF_TAPS
             launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
 
 

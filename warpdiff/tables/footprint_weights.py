@@ -36,7 +36,7 @@ def footprint_taps(device: str, *, is_line_spectrum: bool) -> Any:
     """The struct ``FootprintTaps`` of the kernels for a source's lines or a spectrum, on the device of a name."""
     result = colour_lookup.FootprintTaps()
     reached, weigh = (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_line_spectrum else (_TAP_RADIUS_SIGMAS, _closest)
-    weights, lengths = _tap_weights(2 * colour_lookup.REACH, reached, weigh)
+    weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, reached, weigh)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
     result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
     result.per_variance = (_REMAINING_BLURS - 1) / _MOST_REMAINING_VARIANCE

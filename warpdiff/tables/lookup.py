@@ -152,7 +152,7 @@ class ColourLookup:
             )
         kernel, table = self._colours[illuminated]
         seen = self._no_footprints if footprints is None else footprints
-        run = colour_lookup.RUN if self._device.is_cpu else 1
+        run = colour_lookup.BATCH if self._device.is_cpu else 1
         inputs = [table, scattering_vectors, to_lights, gains, seen, self._taps, run]
         return KernelCall(kernel, inputs, [unserved_gain, xyz], block=run)
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.kernels.colour_lookup import REACH
+from warpdiff.kernels.colour_lookup import HALF_TAPS
 from warpdiff.optics import colorimetry
 from warpdiff.tables import coefficient_table
 
@@ -77,7 +77,7 @@ class MipLayout:
         highest: Largest frequency that is looked up [1/µm].
     """
 
-    nodes: int
+    rings_per_octave: int
     log_low: float
     spectrum_azimuths: tuple[int, ...]
     divisions: tuple[int, ...]
@@ -152,13 +152,13 @@ class MipLayout:
     @property
     def starts(self) -> NDArray[np.int64]:
         """The row of each octave's spoke 0 among the spectrum's samples, and at the end the number of all."""
-        return np.cumsum([0, *(azimuths * self.nodes for azimuths in self.spectrum_azimuths)])
+        return np.cumsum([0, *(azimuths * self.rings_per_octave for azimuths in self.spectrum_azimuths)])
 
     @property
     def first_rows(self) -> NDArray[np.int64]:
         """The row of each level's and octave's spoke 0, and at the end the number of all rows."""
-        counts = (np.asarray(self.azimuths).ravel() + 2 * REACH) * self.nodes
-        first = np.append(np.full(len(counts), REACH * self.nodes), 0)
+        counts = (np.asarray(self.azimuths).ravel() + 2 * HALF_TAPS) * self.rings_per_octave
+        first = np.append(np.full(len(counts), HALF_TAPS * self.rings_per_octave), 0)
         return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
 
     def source(self, level: int, octave: int) -> int:
@@ -171,17 +171,19 @@ class MipLayout:
     @property
     def rows(self) -> int:
         """Rows of the table, of any number."""
-        return sum((azimuths + 2 * REACH) * self.nodes for level in self.azimuths for azimuths in level)
+        return sum((azimuths + 2 * HALF_TAPS) * self.rings_per_octave for level in self.azimuths for azimuths in level)
 
     @property
     def sharp_rows(self) -> int:
         """Rows that are projected, from which levels are made."""
-        return sum(self.azimuths[0]) * self.nodes
+        return sum(self.azimuths[0]) * self.rings_per_octave
 
     @property
     def samples(self) -> int:
         """Samples of the spectrum that fill it."""
-        return sum(n * d * (self.nodes + 2) for n, d in zip(self.spectrum_azimuths, self.divisions, strict=True))
+        return sum(
+            n * d * (self.rings_per_octave + 2) for n, d in zip(self.spectrum_azimuths, self.divisions, strict=True)
+        )
 
 
 def has_mip_levels(plan: Plan) -> bool:
