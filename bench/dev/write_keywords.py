@@ -17,7 +17,7 @@ HEAD = '''"""Keyword arguments of public functions, for type checkers: made by `
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from numpy.typing import ArrayLike
 

@@ -54,7 +54,11 @@ def finite_array(
 def range_text(above: float | None, least: float | None, most: float | None) -> str:
     """Return the range of a number in words, such as ``"more than 0 and at most 0.5"``; empty if it has no bounds."""
     words = (("more than", above), ("at least", least), ("at most", most))
-    numbers = ((word, bound if isinstance(bound, int) else f"{bound:g}") for word, bound in words if bound is not None)
+    numbers = (
+        (word, bound if isinstance(bound, int) else f"{bound:g}")
+        for word, bound in words
+        if bound not in (None, math.inf)
+    )
     return " and ".join(f"{word} {bound}" for word, bound in numbers)
 
 
@@ -67,12 +71,13 @@ def number(value: Any, name: str, *, above: float = -math.inf, least: float = -m
     except OverflowError:
         result = math.inf
     if not (-MOST <= result <= most and above < result and least <= result):
+        kind = "a number" if most == math.inf else "a finite number"
         bounds = range_text(
             above if above > -math.inf else None,
             least if least > -math.inf else None,
             most if most < MOST or MOST < abs(result) < math.inf else None,
         )
-        raise ArgumentValueError(f"{ref(name)} must be a finite number{f', {bounds}' if bounds else ''}, got {value!r}")
+        raise ArgumentValueError(f"{ref(name)} must be {kind}{f', {bounds}' if bounds else ''}, got {value!r}")
     return result
 
 

@@ -11,13 +11,14 @@ from warpdiff.core.wording import WarpdiffWarning
 if TYPE_CHECKING:
     from types import FrameType
 
-_PACKAGE = __name__.partition(".")[0]
+# Modules whose frames lie between the warning and the caller: decorated functions are called from contextlib.
+_INNER = (__name__.partition(".")[0], "contextlib")
 
 
 def warn(message: str) -> None:
     """Warn at the first line outside the package, with a message that marks arguments by ``wording.ref``."""
     level = 1
     frame: FrameType | None = sys._getframe(1)
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == _PACKAGE:
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INNER:
         level, frame = level + 1, frame.f_back
     warnings.warn(WarpdiffWarning(message), stacklevel=level + 1)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Interval
 
 from warpdiff.core import memory, validation
 from warpdiff.core.threads import single_threaded_blas
@@ -70,7 +70,7 @@ def order_efficiencies(
     to_light: ArrayLike,
     wavelengths_nm: ArrayLike,
     *,
-    ior: Annotated[float, Gt(1.0)] | None = None,
+    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None,
     material: Material | None = None,
     energy: Energy | None = None,
 ) -> OrderEfficiencies:

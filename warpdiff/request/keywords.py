@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from numpy.typing import ArrayLike
 
@@ -23,7 +23,7 @@ class CommonKeywords(TypedDict, total=False):
     ior: float | None
     material: Material | Mapping[str, Material] | None
     strict: bool
-    device: Any
+    device: str | None
     threads: int | None
 
 

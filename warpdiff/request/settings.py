@@ -7,10 +7,12 @@ tests follow from these fields, so that a new option is one field.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection  # noqa: TC003 (fields are described at run time)
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Interval
 
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -18,7 +20,7 @@ from warpdiff.optics.coherence import Coherence
 from warpdiff.request.plan import Plan, check_method
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import ArrayLike
 
@@ -59,7 +61,7 @@ class CommonSettings(Checked):
     method: Method = "auto"
     integration: Integration = "auto"
     coherence: Coherence | None = None
-    ior: Annotated[float, Gt(1.0)] | None = None
+    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None
     material: Material | Mapping[str, Material] | None = None
     strict: bool = True
     device: str | None = None
