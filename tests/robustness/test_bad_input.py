@@ -63,7 +63,12 @@ SHARED = [
     ("method", "jacobi", ValueError, "method must be one of 'auto', 'low-rank', .*got 'jacobi'"),
     ("method", None, ValueError, "method must be one of 'auto'.* got None"),
     ("method", ["taylor"], ValueError, r"method must be one of 'auto'.* got \['taylor'\]"),
-    ("integration", "order-wise", ValueError, "integration must be one of 'auto', 'sampled', 'table', got 'order-wise'"),
+    (
+        "integration",
+        "order-wise",
+        ValueError,
+        "integration must be one of 'auto', 'sampled', 'table', got 'order-wise'",
+    ),
     ("coherence", "averaged", TypeError, r"coherence must be a warpdiff\.Coherence, got str"),
     ("coherence", 16.25, TypeError, r"coherence must be a warpdiff\.Coherence, got float"),
     ("ior", 1.0, ValueError, "ior must be a number, more than 1, got 1.0"),
@@ -291,7 +296,11 @@ SINGLE = [
         ValueError,
         "mesh must have a face with an area, got 1 without",
     ),
-    (lambda _: shade(light=[]), TypeError, r"lights must be a DirectionalLight, .* or a non-empty sequence .* got \[\]"),
+    (
+        lambda _: shade(light=[]),
+        TypeError,
+        r"lights must be a DirectionalLight, .* or a non-empty sequence .* got \[\]",
+    ),
     (
         lambda _: shade(light=None),
         TypeError,
@@ -378,7 +387,11 @@ SINGLE = [
         ValueError,
         "coherence differs from the coherence of plan",
     ),
-    (lambda _: shade(plan=PLAN, coherence=wd.Coherence("centred")), ValueError, "coherence differs from the coherence of"),
+    (
+        lambda _: shade(plan=PLAN, coherence=wd.Coherence("centred")),
+        ValueError,
+        "coherence differs from the coherence of",
+    ),
     (
         lambda _: wd.reflectance(HF, UP, UP, plan=dataclasses.replace(PLAN, wavelengths=0)),
         ValueError,
@@ -423,7 +436,11 @@ SINGLE += [
     ),
     (lambda _: wd.gratings.blazed(1e15, 0.1), MemoryError, "a field of 1 × 25.* take .* of period_um, or of samples"),
     (lambda _: wd.gratings.disc(tracks=2**40), MemoryError, "a field of 640 × .* take .* of tracks, of length_um"),
-    (lambda _: wd.gratings.disc(tracks=2**63), ValueError, "tracks must be an integer, at least 1 and at most 9223372036854775807"),
+    (
+        lambda _: wd.gratings.disc(tracks=2**63),
+        ValueError,
+        "tracks must be an integer, at least 1 and at most 9223372036854775807",
+    ),
     (
         lambda _: wd.gratings.bumps(pitch_um=1e-12),
         MemoryError,
