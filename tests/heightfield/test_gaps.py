@@ -110,7 +110,7 @@ def test_large_gaps_are_filled_in_as_few_steps_as_small_ones(name: str, pitch, m
     filled = wd.HeightField(heights, pitch).filled().heights_um
     padded = np.pad(filled, 1, mode="edge")
     beside = [padded[2:, 1:-1] + padded[:-2, 1:-1], padded[1:-1, 2:] + padded[1:-1, :-2]]
-    weights = [(min(pitch) / each) ** 2 for each in pitch]
+    weights = [(min(pitch) / distance) ** 2 for distance in pitch]
     balance = sum(weight * (pair - 2.0 * filled) for weight, pair in zip(weights, beside, strict=True))
     assert np.abs(balance[GAPS[name]]).max() < 1e-7
 
@@ -150,7 +150,7 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
     at_edge = gappy(waves(), X > 4.3).periodic()
     np.testing.assert_array_equal(at_edge.missing, X > 4.3)
     np.testing.assert_array_equal(gappy(waves()).cropped((2.0, 2.4)).missing, GAP[15:35, 15:45])
-    assert gappy(waves()).dominant_periods_um(1)
+    assert gappy(waves()).periods(1)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
 def test_gaps_are_refused_where_light_falls(use) -> None:
     with pytest.raises(
         ValueError,
-        match=rf"heightfield must have all samples, got {GAP.sum()} of 3000 missing.*heightfield\.filled\(\)",
+        match=rf"heightfield must have all samples, got {GAP.sum()} of 3000 missing.*fill them with filled\(\)",
     ):
         use(gappy(waves()))
 
@@ -182,12 +182,12 @@ def test_files_may_hold_nan(tmp_path: Path) -> None:
     np.testing.assert_array_equal(wd.HeightField.load(tmp_path / "scan.npy", pitch_um=PITCH).missing, GAP)
 
 
-def test_the_command_line_tells_of_gaps_and_fills_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_reports_gaps_and_fills_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "scan.npy", np.where(GAP, np.nan, waves()))
-    options = ["info", str(tmp_path / "scan.npy"), "--pixel-um", "0.1", "--tolerance", "0.3"]
+    options = ["info", "--heightfield", str(tmp_path / "scan.npy"), "--pitch-um", "0.1", "--tolerance", "0.3"]
     assert cli.main(options) == 0
-    told = capsys.readouterr().out
-    assert f"missing           {GAP.sum()} samples" in told
-    assert "--fill" in told
+    output = capsys.readouterr().out
+    assert f"missing           {GAP.sum()} samples" in output
+    assert "--fill" in output
     assert cli.main([*options, "--fill"]) == 0
     assert "missing" not in capsys.readouterr().out

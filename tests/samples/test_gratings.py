@@ -55,7 +55,8 @@ def test_disc_tracks_depths_and_runs(kind: str) -> None:
     assert field.size_um == pytest.approx((20.0, 8 * track_pitch))
     assert field.height_range_um == pytest.approx(depth)
     assert field.heights_um.max() == 0.0
-    assert field.dominant_periods_um(count=1)[0] == pytest.approx((track_pitch, 0.0))
+    (period,) = field.periods(count=1)
+    assert (period.period_um, period.direction_deg) == pytest.approx((track_pitch, 0.0), abs=1e-4)
     across = field.shape[1] // 8
     runs = []
     for centre in field.heights_um[:, across // 2 :: across].T:
@@ -87,8 +88,8 @@ def test_fingers_have_the_size_height_and_period_asked_for() -> None:
     assert (field.shape, field.size_um) == ((512, 512), pytest.approx((25.6, 25.6)))
     assert field.height_range_um == pytest.approx(0.3, abs=1e-15)
     assert field.heights_um.max() == pytest.approx(0.15)
-    period, direction = field.dominant_periods_um(count=1)[0]
-    assert (period, direction) == pytest.approx((1.1, 0.0), abs=0.05)
+    (period,) = field.periods(count=1)
+    assert (period.period_um, period.direction_deg) == pytest.approx((1.1, 0.0), abs=0.05)
     other = gratings.fingers(size_um=(12.0, 20.0), pitch_um=(0.06, 0.04), period_um=0.8, length_um=2.0, height_um=1.0)
     assert (other.shape, other.height_range_um) == ((200, 500), pytest.approx(1.0))
     # Elongated along y: neighbours along y resemble each other far longer than along x.

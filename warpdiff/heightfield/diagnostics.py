@@ -135,11 +135,11 @@ def warn_of_scale(heightfield: HeightField) -> None:
         return
     size = max(extents)
     if height < LEAST_RANGE_UM:
-        symptom = f"have a range of {height:.2g} µm, less than an atom"
+        symptom = f"has a range of {height:.2g} µm, less than an atom"
     elif height > size:
-        symptom = f"have a range of {height:.4g} µm, more than the size of {size:.4g} µm"
+        symptom = f"has a range of {height:.4g} µm, more than the size of {size:.4g} µm"
     elif height > MOST_SLOPE * min(heightfield.pitch_um) and heightfield.mean_slope > MOST_SLOPE:
-        symptom = f"have a mean slope of {heightfield.mean_slope:.3g}"
+        symptom = f"has a mean slope of {heightfield.mean_slope:.3g}"
     else:
         return
     warn(

@@ -81,8 +81,7 @@ def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | 
         return np.asarray(np.multiply(samples, scale, dtype=np.float64))
     if samples.dtype.kind != "f":
         raise ArgumentValueError(
-            f"{ref('path')}: {str(file)!r} has samples of type {samples.dtype}; save them as uint8, uint16 or "
-            "floating-point µm"
+            f"{ref('path')}: {str(file)!r} has samples of type {samples.dtype}; save uint8, uint16 or floating-point µm"
         )
     if height_range_um is not None:
         raise ArgumentValueError(

@@ -1,9 +1,10 @@
-"""Where scalar diffraction fails: the rule, what summaries and plans say, and rigorous efficiencies to hold it to."""
+"""Diagnostics: the summary, wrong units, and the error bound of scalar diffraction against rigorous solutions."""
 
 from __future__ import annotations
 
 import json
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +12,35 @@ import pytest
 from conftest import at_angle
 
 import warpdiff as wd
-from warpdiff.heightfield.scalar_validity import UNTRUSTED, error_bound, told
+from warpdiff.apps.cli import GRATINGS
+from warpdiff.heightfield.diagnostics import SCALAR_INVALID, scalar_error_bound, scalar_error_text
 
 RIGOROUS = Path(__file__).resolve().parents[2] / "bench" / "suite" / "rigorous.json"
+# 0.3 µm high, at 50 nm.
+SCAN = wd.gratings.fingers(size_um=12.8, pitch_um=0.05, seed=3)
+
+
+def test_summary_reads_well() -> None:
+    summary = wd.gratings.sinusoidal(1.6, 0.2, samples=8).summary()
+    assert summary.max_uv == pytest.approx(0.38 / 0.4)
+    text = str(summary)
+    for part in (
+        "1.6 ×",
+        "200 × 200 nm",
+        "0.2 µm",
+        "no feature repeats at least three times (field is one period)",
+        "up to 0.95 at 380 nm",
+    ):
+        assert part in text
+    assert "whole hemisphere" in str(wd.gratings.sinusoidal(1.6, 0.2).summary())
+    assert "no feature repeats" in str(wd.HeightField([[0.0]], 1.0).summary())
 
 
 @pytest.mark.parametrize("period", [2.0, 7.0])
 def test_a_sine_has_its_own_period(period):
     """(4πs/λ)² λ/P: s² = depth²/8."""
     heightfield = wd.gratings.sinusoidal(period, 0.2, samples=400)
-    bound = error_bound(heightfield.rms_um, heightfield.mean_slope, 500.0)
+    bound = scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 500.0)
     assert heightfield.mean_slope == pytest.approx(2.0 * 0.2 / period)
     assert bound == pytest.approx(16.0 * math.pi**2 * 0.2**2 / 8.0 / (0.5 * period))
 
@@ -31,7 +51,7 @@ def test_short_periods_are_all_wrong():
     heightfield = wd.gratings.sinusoidal(0.3, depth)
     found = wd.order_efficiencies(heightfield, (0, 0, 1), wavelength, ior=math.inf, energy="stam")
     assert found.orders.tolist() == [[0, 0]]
-    bound = error_bound(heightfield.rms_um, heightfield.mean_slope, wavelength)
+    bound = scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, wavelength)
     assert bound == pytest.approx(1.0 - found[0, 0][0], rel=0.01)
 
 
@@ -47,22 +67,25 @@ def test_the_mean_slope_does_not_depend_on_the_samples():
 def test_a_flat_surface_is_right():
     flat = wd.HeightField([[0.2, 0.2]], 1.0)
     assert flat.summary().scalar_error == 0.0
-    assert "right within some 0 of" in str(flat.summary())
+    assert "reliable at 550 nm: order efficiencies may be off by up to 0 %" in str(flat.summary())
 
 
 def test_summary_and_plan_say_it():
     heightfield = wd.gratings.sinusoidal(2.0, 0.2)
     for text in (str(heightfield.summary()), str(wd.plan(heightfield)), str(wd.plan(heightfield, method="direct"))):
-        assert "right within some 0.72 of the reflected power at 550 nm" in text
-    assert "how bright they are may be all wrong at 550 nm (1.5)" in told(1.5)
+        assert (
+            "qualitative at 550 nm: order efficiencies may be off by up to 72 % of the reflected power: do not" in text
+        )
+    assert "qualitative at 550 nm: order efficiencies may be off by up to 100 % of the" in scalar_error_text(1.5)
+    assert "reliable at 550 nm: order efficiencies may be off by up to 9.9 % of the" in scalar_error_text(0.0994)
 
 
 def test_a_plan_warns_where_nothing_is_right():
     heightfield = wd.gratings.lamellar(1.0, 0.5)
-    with pytest.warns(wd.WarpdiffWarning, match=r"scalar diffraction is not to be trusted at 550 nm.*mean slope of 1:"):
+    with pytest.warns(wd.WarpdiffWarning, match=r"scalar diffraction is invalid at 550 nm: .*mean slope of 1:"):
         plan = wd.plan(heightfield, (0, 0, 1), (0, 0, 1))
-    assert plan.scalar_error >= UNTRUSTED
-    assert "not to be trusted" in str(heightfield.summary())
+    assert plan.scalar_error >= SCALAR_INVALID
+    assert "invalid at 550 nm: the surface is too deep and too steep" in str(heightfield.summary())
 
 
 @pytest.mark.parametrize(
@@ -79,7 +102,7 @@ def test_a_plan_warns_where_nothing_is_right():
     ids=["sine", "lamellar", "blazed", "fingers", "bumps", "CD", "Blu-ray"],
 )
 def test_usual_surfaces_are_not_warned_of(heightfield):
-    assert 0.1 < heightfield.summary().scalar_error < UNTRUSTED
+    assert 0.1 < heightfield.summary().scalar_error < SCALAR_INVALID
 
 
 def test_the_rule_holds_against_rigorous_solutions():
@@ -97,7 +120,7 @@ def test_the_rule_holds_against_rigorous_solutions():
                 ours = [found[0, first + n][0] for n in range(len(efficiencies))]
                 worst = max(worst, float(np.max(np.abs(np.array(efficiencies) * stored["unit"] - ours))))
             errors.append(worst)
-            bounds.append(error_bound(heightfield.rms_um, heightfield.mean_slope, 1000.0))
+            bounds.append(scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 1000.0))
     error, bound = np.array(errors), np.array(bounds)
     assert np.mean(error[bound <= 0.1] <= 0.1) > 0.98
     assert error[bound <= 0.1].max() < 0.13
@@ -105,7 +128,7 @@ def test_the_rule_holds_against_rigorous_solutions():
     assert error[bound <= 1e-3].max() < 2e-3
     # It is no rule that warns of everything.
     assert np.mean(bound[error <= 0.1] <= 0.1) > 0.6
-    assert np.mean(error[bound >= UNTRUSTED] > 0.1) > 0.9
+    assert np.mean(error[bound >= SCALAR_INVALID] > 0.1) > 0.9
 
 
 @pytest.mark.parametrize(("case", "make"), [
@@ -133,8 +156,51 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
                 right = np.array(efficiencies) * stored["unit"]
                 ours = [[each[0, first + n][0] for n in range(len(right))] for each in found]
                 errors.append(np.max(np.abs(np.array(ours) - right), axis=1))
-                bounds.append(error_bound(heightfield.rms_um, heightfield.mean_slope, 1000.0, normalised=True))
+                bounds.append(scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 1000.0, normalised=True))
     stam, normalised = np.array(errors).T
     assert np.quantile(normalised, 0.9) < np.quantile(stam, 0.9)
     assert normalised.mean() < 0.75 * stam.mean()
     assert np.mean(normalised <= 1.5 * np.array(bounds)) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("height_factor", "pitch_factor", "message"),
+    [
+        (1e-6, 1.0, r"less than an atom; are heights in metres\? Multiply them by 1e\+06"),
+        (1e-6, 1e-6, r"less than an atom; are heights in metres, and the pitch as well\?"),
+        (1e-3 * 0.3, 1.0, r"less than an atom; are heights in millimetres\? Multiply them by 1000"),
+        (1e3, 1.0, r"more than the size of 12\.8 µm; are heights in nanometres\? Multiply them by 0\.001"),
+        (1.0, 1e-6, r"more than the size of 1\.28e-05 µm; is the pitch in metres\?"),
+        (25.0, 1.0, r"a mean slope of \d\.\d+; are heights in nanometres\?"),
+    ],
+)
+def test_implausible_scales_are_warned_of(height_factor: float, pitch_factor: float, message: str) -> None:
+    dy, dx = SCAN.pitch_um
+    with pytest.warns(wd.WarpdiffWarning, match=message):
+        wd.HeightField(SCAN.heights_um * height_factor, (dy * pitch_factor, dx * pitch_factor))
+
+
+def test_files_are_warned_of_and_what_is_made_of_them_is_not(tmp_path: Path) -> None:
+    np.save(tmp_path / "scan.npy", 1e-6 * SCAN.heights_um)
+    with pytest.warns(wd.WarpdiffWarning, match="metres.*HeightField.of_known_scale") as told:
+        field = wd.HeightField.load(tmp_path / "scan.npy", extent_um=12.8)
+    assert len(told) == 1
+    for made in (field.levelled(), field.cropped(5.0), field.periodic(), field.despiked(), field.resampled(0.1)):
+        assert made.height_range_um < 1e-4
+
+
+def test_surfaces_that_are_meant_are_not_warned_of() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for flat in (0.0, 0.37, -1e-7):
+            field = wd.HeightField(np.full((8, 8), flat), 0.05)
+            wd.HeightField(field.levelled(2).heights_um, 0.05)
+        # Rounding of a tilt that was subtracted.
+        wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
+        wd.HeightField([[0.2]], 0.05)
+        for function, arguments in GRATINGS.values():
+            made = getattr(wd.gratings, function)(**arguments)
+            wd.HeightField(made.heights_um, made.pitch_um)
+        wd.gratings.sinusoidal(1.0, 0.0)
+        wd.gratings.lamellar(0.5, 3.0)
+        wd.HeightField.of_known_scale(1e-6 * SCAN.heights_um, SCAN.pitch_um)
