@@ -43,6 +43,7 @@ def scans():
     waves = np.add.outer(np.sin(np.arange(9.0)), np.cos(np.arange(12.0)))
     for dtype in ("float64", "float32", "uint8", ">i4"):
         np.save(Path(f"scan-{dtype.strip('>')}.npy"), (waves * 50.0 + 100.0).astype(dtype))
+    wd.HeightField.of_known_scale(waves, 0.1).save("scan.npz")
     for suffix, kind in (("png", "uint8"), ("png", "uint16"), ("tif", "uint16"), ("tif", "float"), ("exr", "float")):
         output = oiio.ImageOutput.create(name := f"scan-{kind}.{suffix}")
         output.open(name, oiio.ImageSpec(12, 9, 1, kind))
@@ -72,7 +73,9 @@ def meshes():
 def read_scan(path):
     """Whatever of the two it takes."""
     integers = re.search("uint|i4", path.name)
-    heightfield = wd.HeightField.load(path, pitch_um=0.1, height_range_um=0.3 if integers else None)
+    heightfield = wd.HeightField.load(
+        path, pitch_um=None if path.suffix == ".npz" else 0.1, height_range_um=0.3 if integers else None
+    )
     assert np.isfinite(heightfield.heights_um[~heightfield.missing]).all()
 
 

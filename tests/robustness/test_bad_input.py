@@ -113,7 +113,7 @@ SHARED = [
     ("smooth", 2, TypeError, "smooth must be True or False, got 2"),
     ("footprint", "on", TypeError, "footprint must be True or False, got 'on'"),
     ("refine", 1, TypeError, "refine must be True or False, got 1"),
-    ("samples_per_pixel", 0, ValueError, "samples_per_pixel must be an integer, at least 1 and at most 65536, got 0"),
+    ("samples_per_pixel", 0, ValueError, "samples_per_pixel must be an integer, at least 1.*, got 0"),
     ("samples_per_pixel", 4.0, TypeError, "samples_per_pixel must be an integer, got float"),
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),
     ("tangents", "radial", TypeError, "tangents must be an array of real numbers, got str"),
@@ -144,7 +144,7 @@ SINGLE = [
     (lambda d: wd.HeightField.load(d / "no.png", extent_um=1), FileNotFoundError, "path: there is no file .*no.png"),
     (lambda d: wd.HeightField.load(text(d / "a.png"), extent_um=1), ValueError, "path: .* cannot be read as an image"),
     (lambda d: wd.HeightField.load(text(d / "a.npy"), extent_um=1), ValueError, "path: .* cannot be read as .npy"),
-    (lambda d: wd.HeightField.load(d / "a.png"), ValueError, "exactly one of extent_um .* and pitch_um .* neither"),
+    (lambda d: wd.HeightField.load(saved(d / "a.npy")), ValueError, "exactly one of extent_um .* pitch_um .* neither"),
     # Windows, lights, views
     (lambda _: wd.Coherence(kind="laser"), ValueError, "kind must be one of 'averaged', .* got 'laser'"),
     (lambda _: wd.Coherence(kind=None), ValueError, "kind must be one of 'averaged', .* got None"),
@@ -532,6 +532,12 @@ def shade(mesh=MESH, light=LIGHT, view=VIEW, **options):
 def text(path):
     """A file that is not what its name says."""
     path.write_text("this is a line of prose\n")
+    return path
+
+
+def saved(path):
+    """A file of two heights."""
+    np.save(path, [[0.0, 0.1]])
     return path
 
 

@@ -54,6 +54,7 @@ LEGAL = {
 LEGAL_BY_CALL = {"renderer": OWNERS["Renderer"], "lobes": lobes}
 PATHS = {
     "Image.save": "a.png", "export_html": "a.html", "BakedLobes.save": "a.npz", "BakedSpectrum.save": "a.npz",
+    "HeightField.save": "a.npz",
 }  # fmt: skip
 # What takes seconds by its nature.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
