@@ -1,4 +1,4 @@
-"""``warpdiff`` and ``python -m warpdiff``."""
+"""Entry point of the command line: ``warpdiff`` and ``python -m warpdiff``."""
 
 import os
 import signal
@@ -9,28 +9,27 @@ _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if
 
 
 def main() -> int:
-    """Run the command line as a process of its own; returns the exit code."""
-    # What was started to ignore one, as nohup does, goes on.
-    signals = [each for each in _SIGNALS if signal.getsignal(each) is not signal.SIG_IGN]
-    for each in signals:
-        # There is nothing to tidy up yet.
-        signal.signal(each, lambda number, _frame: os._exit(128 + number))
+    """Run the command line as a process; returns the exit code."""
+    # A signal that the process was started to ignore, as by nohup, stays ignored.
+    signals = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    for handled in signals:
+        # No files exist yet that would have to be deleted.
+        signal.signal(handled, lambda number, _frame: os._exit(128 + number))
     # Few modules are imported before signals are handled, because imports take time.
-    from warpdiff.apps import standard_streams
-    from warpdiff.apps.signals import Interruption
+    from warpdiff.apps.process import Interruption, prepare_streams
 
-    standard_streams.prepare()
+    prepare_streams()
     interruption = Interruption(signals)
     try:
         from warpdiff.apps import cli
 
         code = cli.main()
     except SystemExit as stop:
-        # Of help, or of options that are wrong.
+        # argparse ends so after help and after wrong options.
         code = int(stop.code or 0)
     except BaseException:
         # Imports may turn an interruption into an error of their own.
-        if not interruption.is_met:
+        if not interruption.is_interrupted:
             raise
         code = 1
     return interruption.finish(code)

@@ -62,7 +62,7 @@ if IS_SOAK:
 @pytest.mark.parametrize(("delay", "name"), GRID)
 def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
     number = getattr(signal, name)
-    with begun(["-m", "warpdiff", "brdf", "blazed", "-o", "map.png"], tmp_path) as process:
+    with begun(["-m", "warpdiff", "brdf", "--heightfield", "blazed", "-o", "map.png"], tmp_path) as process:
         time.sleep(delay)
         process.send_signal(number)
         begin = time.monotonic()

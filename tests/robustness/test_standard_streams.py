@@ -33,9 +33,9 @@ def in_shell(command, folder, **environment):
 @pytest.mark.parametrize(
     ("command", "code", "said"),
     [
-        ("$W info nothing.png 2>&-", 2, ""),
-        ("$W info nothing.png 2>/dev/full", 2, ""),
-        ("$W info nothing.png >&- 2>&-", 2, ""),
+        ("$W info --heightfield nothing.png 2>&-", 2, ""),
+        ("$W info --heightfield nothing.png 2>/dev/full", 2, ""),
+        ("$W info --heightfield nothing.png >&- 2>&-", 2, ""),
         ("$W cache >&-", 0, ""),
         # The shell's exit code is the last command's.
         ("(sleep 0.05; $W cache; echo $? >&2) | true", 0, "1\n"),
@@ -52,7 +52,7 @@ def test_streams_that_take_nothing(command, code, said, tmp_path):
 
 def test_no_picture_takes_the_place_of_a_closed_stream(tmp_path):
     # Its messages go to number 2, whatever that is.
-    look = "import os; from warpdiff.apps import standard_streams; standard_streams.prepare(); "
+    look = "import os; from warpdiff.apps.process import prepare_streams; prepare_streams(); "
     look += "print(os.open('a', os.O_CREAT | os.O_WRONLY))"
     assert in_shell(f'"$PYTHON" -c "{look}" 2>&- <&-', tmp_path)[1] == "3\n"
 
@@ -60,4 +60,4 @@ def test_no_picture_takes_the_place_of_a_closed_stream(tmp_path):
 def test_output_in_ascii_has_question_marks(tmp_path):
     code, out, _ = in_shell("$W render --help", tmp_path, PYTHONIOENCODING="ascii")
     assert code == 0
-    assert "? of a window" in out
+    assert "Standard deviation ? of" in out
