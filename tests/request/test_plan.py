@@ -380,7 +380,7 @@ def test_few_tables_are_kept(rough, builds):
     scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
     for each in scopes:
         wd.reflectance(heightfield, UP, UP, plan=each)
-    assert len(coefficient_table._cache[heightfield].coefficients) == coefficient_table._MOST_KEPT
+    assert len(coefficient_table._cache[heightfield].coefficients) == coefficient_table._MOST_CACHED
     assert len(builds) == 1 + len(scopes)
     # The oldest went.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
@@ -465,7 +465,7 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     )
     wd.plan(heightfield, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
-    assert len(coefficient_table.kept(heightfield).fitted_to) == 0
+    assert len(coefficient_table.table_cache(heightfield).fitted_to) == 0
 
 
 def test_views_of_a_plan_are_all_of_its_fields(rough):

@@ -183,7 +183,7 @@ def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
     )
     monkeypatch.setattr(memory, "available", lambda: 1e9)
     many = dataclasses.replace(plan, wavelengths=10**8)
-    with pytest.raises(MemoryError, match=r"a quadrature of \d+ wavelengths requires .* copies"):
+    with pytest.raises(MemoryError, match=r"a quadrature of \d+ wavelengths requires .* periods"):
         wd.reflectance(heightfield, (0, 0, 1), (0.3, 0, 1), plan=many)
 
 

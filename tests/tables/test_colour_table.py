@@ -153,7 +153,7 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, 
     """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends."""
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
-    taps = colour_curves.node_count(nodes)
+    taps = colour_curves.ring_count(nodes)
     rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
     starts = nodes * (np.cumsum(rays) - rays)
     if octaves == 2:
@@ -271,8 +271,8 @@ def test_functions_of_w_serve_all_terms():
     plan = dataclasses.replace(
         wd.plan(wd.HeightField(np.zeros((8, 8)), 0.08), method="low-rank"), rings_per_octave=16, azimuths_per_width=1.1
     )
-    terms, layout = colour_curves.SpectrumBasis(basis_at, kappas, np.ones(6), 0.2), MipLayout.of(plan, 4.0)
-    found = colour_curves.projection(plan, terms, IlluminatedMaterial("D65"), layout)
+    terms, layout = colour_curves.SpectrumBasis(basis_at, kappas, np.ones(6), 0.2), MipLayout.for_plan(plan, 4.0)
+    found = colour_curves.make_projection(plan, terms, IlluminatedMaterial("D65"), layout)
     weights = colour_curves.colour_weights(16, IlluminatedMaterial("D65"))
     node = 12
     per_um = 1e3 / 780.0 * 2.0 ** ((node - 1) / 16)
@@ -280,7 +280,7 @@ def test_functions_of_w_serve_all_terms():
     for term in range(6):
         for c in range(3):
             given = weights[node, c] * basis_at(found.ws * per_um)[:, term]
-            back = found.weights[node, c] * (found.functions @ found.octaves[0][0].matrices[node, term])
+            back = found.weights[node, c] * (found.w_basis @ found.octaves[0][0].matrices[node, term])
             assert np.max(np.abs(given - back)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 

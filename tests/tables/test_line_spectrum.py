@@ -138,7 +138,7 @@ def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
     """Near the mirror direction, and where a grazing source is narrower than the lines: no worse than sampling."""
     to_light = np.array([0.6, 0.0, 0.8])
     angles = rng.uniform(0.0, 2.0 * np.pi, 60)
-    uv = rng.uniform(0.1, 0.99, 60) * polar_grid.near(SOURCE)
+    uv = rng.uniform(0.1, 0.99, 60) * polar_grid.inner_radius(SOURCE)
     near = np.stack([uv * np.cos(angles) - 0.6, uv * np.sin(angles), np.zeros(60)], axis=1)
     grazing = np.tile([np.sqrt(1.0 - 0.02**2), 0.0, 0.02], (60, 1))
     aside = np.stack([-grazing[:, 0], np.linspace(0.2, 0.9, 60) * 0.02, np.zeros(60)], axis=1)

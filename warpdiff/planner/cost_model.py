@@ -27,7 +27,7 @@ SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
 _COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_COPIES_FACTOR = 340.0, 16.0, 20.0, 280.0
 # Spokes and nodes that a line shows on.
-_SPOKES_OF_LINE, _NODES_OF_LINE = 7.0, 3.0
+_AZIMUTHS_OF_LINE, _RINGS_OF_LINE = 7.0, 3.0
 # What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
 # part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
 _COST_OF_SAMPLE, _COST_OF_SAMPLES_NEIGHBOUR, _COST_OF_LINE, _COST_OF_NUMBER = 150.0, 4.0, 20.0, 35.0
@@ -89,7 +89,7 @@ def making_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     lanes = coefficient_table.lanes_of(plan.terms)
     if plan.coherence.kind == "source":
         lines = 2.0 * math.pi * layout.highest**2 * math.prod(heightfield.size_um)
-        sampling = lines * _SPOKES_OF_LINE * (_COST_OF_LINE + 2.0 * _NODES_OF_LINE * lanes)
+        sampling = lines * _AZIMUTHS_OF_LINE * (_COST_OF_LINE + 2.0 * _RINGS_OF_LINE * lanes)
     else:
         neighbours = (
             math.pi
@@ -102,5 +102,5 @@ def making_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
         )
     # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
     powers = parts * plan.terms
-    projection = layout.sharp_rows * polar_grid.node_count(plan.rings_per_octave) * powers * (powers + 3.0)
+    projection = layout.level0_rows * polar_grid.ring_count(plan.rings_per_octave) * powers * (powers + 3.0)
     return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_NUMBER * layout.rows * 3.0 * powers

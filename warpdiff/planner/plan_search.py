@@ -141,7 +141,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
     likely = [
         table_size
         for table_size in sizes
-        if polar_grid.table_error(table_size[0], few=few) <= _LIKELY_SHARE * target
+        if polar_grid.table_error(table_size[0], few_orders=few) <= _LIKELY_SHARE * target
         or table_size[0] >= _ALWAYS_MEASURED_FROM_NODES
     ]
     functions = 0
@@ -191,7 +191,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         else:
             hoped = _PROMISING_FACTOR * target
             promising = [
-                table_size for table_size in likely if error * (nodes / table_size[0]) ** polar_grid.ORDER <= hoped
+                table_size for table_size in likely if error * (nodes / table_size[0]) ** polar_grid.ERROR_ORDER <= hoped
             ]
             likely = promising or (_finest(likely, tried) if needed else [])
     return best if needed or footprint or least <= target else None
@@ -400,7 +400,7 @@ def _bandwidths(
         values = trial.run(dataclasses.replace(plan, wavelengths=size, subdivisions=divisions, adaptive=False))
         sizes.append(size)
         errors.append(trial.errors(values, exact))
-        size = coefficient_table.wavelength_set_size(size * 2.0 ** (-1.0 / coefficient_table.SETS_AN_OCTAVE))
+        size = coefficient_table.wavelength_set_size(size * 2.0 ** (-1.0 / coefficient_table.SETS_PER_OCTAVE))
 
     # Of a source, grazing light is foreshortened beyond what bright pilots tell of.
     seen = float(np.max(trial.order_rate, initial=0.0, where=trial.training_set.above.all(axis=0)))
@@ -419,7 +419,7 @@ def _bandwidths(
     fit = trial.passes(np.moveaxis(by_size[which, :, np.arange(counts.shape[1])], 2, 1), share)
     if fit.any():
         a, b, c = parts[fit][np.argmin(counts[fit] @ trial.training_set.weights)].tolist()
-        for factor in 2.0 ** (np.arange(_TRIES) / coefficient_table.SETS_AN_OCTAVE):
+        for factor in 2.0 ** (np.arange(_TRIES) / coefficient_table.SETS_PER_OCTAVE):
             yield float(factor) * a, float(factor) * b, float(factor) * c
 
 

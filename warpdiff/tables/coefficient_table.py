@@ -14,6 +14,7 @@ import warp as wp
 from warpdiff.core import disk_cache, memory
 from warpdiff.core.caching import LruCache
 from warpdiff.core.threads import single_threaded_blas
+from warpdiff.core.wording import ref
 from warpdiff.diffraction import coefficient_basis, fourier_coefficients, gridding_kernel
 from warpdiff.diffraction.coefficient_basis import Coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
@@ -34,43 +35,43 @@ if TYPE_CHECKING:
 # Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
 LANES = 8
 _FEWEST_WAVELENGTHS = 16
-_REACHED_WEIGHT = 1e-14
+_LEAST_EXTENT_WEIGHT = 1e-14
 # The cubics of a patch's power take four samples.
 _FEWEST_INTERVALS = 4
 # Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
-SETS_AN_OCTAVE = 4
+SETS_PER_OCTAVE = 4
 # As measured, while a quadrature is made.
-_BYTES_A_WAVELENGTH = 370.0
+_BYTES_PER_WAVELENGTH = 370.0
 # Of a material's reflectance, by cos θd: linear between them it errs by 1e-4 at most, near the horizon.
 _ANGLES = 513
 # The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
 # itself and for each thread.
-_BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_A_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
+_BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 # What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths; of
 # tables of colours, some for other lights and views, or a search's last attempts.
-_MOST_KEPT, _MOST_TABLE_BYTES = 4, 1e9
-_cache: weakref.WeakKeyDictionary[HeightField, _Kept] = weakref.WeakKeyDictionary()
+_MOST_CACHED, _MOST_TABLE_BYTES = 4, 1e9
+_cache: weakref.WeakKeyDictionary[HeightField, _TableCache] = weakref.WeakKeyDictionary()
 
 
-class _Kept:
+class _TableCache:
     """Coefficients of one height field, and their copies on devices, the last ones asked for."""
 
     def __init__(self) -> None:
-        self.coefficients: LruCache[Coefficients] = LruCache(_MOST_KEPT)
+        self.coefficients: LruCache[Coefficients] = LruCache(_MOST_CACHED)
         # The series that the last basis was fitted to, until the next series is asked for, which may be the same.
         self.fitted_to: LruCache[Coefficients] = LruCache(1)
-        self.rows: LruCache[tuple[Any, Any, Coefficients]] = LruCache(_MOST_KEPT)
-        self.prepared: LruCache[tuple[Any, dict[Any, Any]]] = LruCache(_MOST_KEPT)
+        self.rows: LruCache[tuple[Any, Any, Coefficients]] = LruCache(_MOST_CACHED)
+        self.prepared: LruCache[tuple[Any, dict[Any, Any]]] = LruCache(_MOST_CACHED)
         self.spectra: LruCache[Any] = LruCache(1)
         # With their sizes [MB].
         self.colours: LruCache[tuple[Any, Any, float]] = LruCache(
-            most_bytes=_MOST_TABLE_BYTES, bytes_of=lambda each: 1e6 * each[2]
+            most_bytes=_MOST_TABLE_BYTES, bytes_of=lambda entry: 1e6 * entry[2]
         )
 
 
-def kept(heightfield: HeightField) -> _Kept:
+def table_cache(heightfield: HeightField) -> _TableCache:
     """Everything kept for a height field while it lives."""
-    return _cache.setdefault(heightfield, _Kept())
+    return _cache.setdefault(heightfield, _TableCache())
 
 
 @dataclass(frozen=True)
@@ -146,11 +147,11 @@ def coefficients_for(
         threads: Transforms to run side by side.
         to_fit: Whether they are a series that a basis is to be fitted to, and then of use to the truth at most.
     """
-    reached = CoefficientRange.by(direction_range)
-    low, high = reached.kappa_low, reached.kappa_high
+    coefficient_range = CoefficientRange.by(direction_range)
+    low, high = coefficient_range.kappa_low, coefficient_range.kappa_high
     check_cycles(heightfield, high)
     grid = grid_for(heightfield, coherence)
-    block = fourier_coefficients.Block.covering(grid, reached.frequency, neighbour_extent)
+    block = fourier_coefficients.Block.covering(grid, coefficient_range.frequency, neighbour_extent)
     if method in EXPANSIONS:
         low = 0.0
     else:
@@ -160,13 +161,13 @@ def coefficients_for(
     @single_threaded_blas()
     def arrays() -> dict[str, Any]:
         ny, nx = heightfield.shape
-        kept_terms = float(math.prod(block.count) * terms)
-        per_sample = _BYTES_A_SAMPLE + _BYTES_OF_THREAD * min(threads, terms)
+        stored_terms = float(math.prod(block.count) * terms)
+        per_sample = _BYTES_PER_SAMPLE + _BYTES_OF_THREAD * min(threads, terms)
         memory.require_memory(
-            max(_BYTES_OF_SERIES * kept_terms + per_sample * math.prod(block.shape),
-                0.0 if method in EXPANSIONS else _BYTES_OF_FIT * kept_terms),
-            f"coefficients of heightfield, {ny} × {nx} samples, at {block.count[0]} × {block.count[1]} frequencies",
-            "take {share} of its area, by cropped()",
+            max(_BYTES_OF_SERIES * stored_terms + per_sample * math.prod(block.shape),
+                0.0 if method in EXPANSIONS else _BYTES_OF_FIT * stored_terms),
+            f"{ref('heightfield')} of {ny} × {nx} samples at {block.count[0]} × {block.count[1]} frequencies",
+            f"take {{share}} of its area, by {ref('cropped()')}",
         )  # fmt: skip
         if method in EXPANSIONS:
             made = coefficient_basis.of_series(
@@ -189,16 +190,16 @@ def coefficients_for(
     def make() -> Coefficients:
         return Coefficients(**disk_cache.cached_on_disk((key, heightfield.pitch_um), heightfield.heights_um, arrays))
 
-    held, fitted_to = kept(heightfield).coefficients, kept(heightfield).fitted_to
-    if to_fit and key not in held:
+    cache, fitted_to = table_cache(heightfield).coefficients, table_cache(heightfield).fitted_to
+    if to_fit and key not in cache:
         return fitted_to.get_or_make(key, make), block, grid
-    if method in EXPANSIONS and key not in held:
+    if method in EXPANSIONS and key not in cache:
         series = fitted_to.get(key)
         if series is not None:
-            held.put(key, series)
+            cache.put(key, series)
         # Memory of it would be on top of that of all tables.
         fitted_to.clear()
-    return held.get_or_make(key, make), block, grid
+    return cache.get_or_make(key, make), block, grid
 
 
 def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
@@ -223,7 +224,7 @@ def table_for(
     coherence = plan.coherence
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
     direction_range = plan.direction_range.joined(direction_range)
-    found, block, grid = coefficients_for(
+    coefficients, block, grid = coefficients_for(
         heightfield,
         plan.method,
         coherence,
@@ -232,30 +233,30 @@ def table_for(
         terms=plan.terms,
         threads=threads,
     )
-    terms = min(plan.terms, found.terms)
+    terms = min(plan.terms, coefficients.terms)
     lanes = lanes_of(terms)
     kernels = kernels_for(plan.method, coherence, terms)
     table = kernels.Table()
-    moved = coherence if coherence.kind == "centred" else None
-    key = (device.alias, id(found), terms, moved and moved.centre_um, moved is None)
+    centred = coherence if coherence.kind == "centred" else None
+    key = (device.alias, id(coefficients), terms, centred and centred.centre_um, centred is None)
 
     def make() -> tuple[Any, Any, Coefficients]:
-        rows = found.rows[..., :terms]
-        if moved is not None:
-            rows = _turned(rows, _centre_phase(heightfield, coherence, block))
+        rows = coefficients.rows[..., :terms]
+        if centred is not None:
+            rows = _rotated(rows, _centre_phase(heightfield, coherence, block))
         padded = np.zeros((*rows.shape[:3], lanes), dtype=np.float32)
         padded[..., :terms] = rows
-        basis = np.zeros((len(found.basis), lanes), dtype=np.float32)
-        basis[:, :terms] = found.basis[:, :terms]
+        basis = np.zeros((len(coefficients.basis), lanes), dtype=np.float32)
+        basis[:, :terms] = coefficients.basis[:, :terms]
         return (
             wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
             wp.array(basis, dtype=kernels.row, device=device),
-            found,
+            coefficients,
         )
 
     # With the rows those that they are of are kept, so that no others get their number.
-    table.rows, table.basis, _ = kept(heightfield).rows.get_or_make(key, make)
-    table.kappa_low, table.steps = found.kappa_low, 1.0 / found.step
+    table.rows, table.basis, _ = table_cache(heightfield).rows.get_or_make(key, make)
+    table.kappa_low, table.steps = coefficients.kappa_low, 1.0 / coefficients.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin
     table.length_y, table.length_x = grid.lengths_um
@@ -263,19 +264,19 @@ def table_for(
         table.periods_y, table.periods_x = coherence.periods
         table.patch_y, table.patch_x = heightfield.size_um
         _set_taps(table, kernels, heightfield, device)
-        return Table(kernels.integrate, kernels.sample, table, found)
+        return Table(kernels.integrate, kernels.sample, table, coefficients)
     table.exponent = -math.log(plan.least_weight)
     falloff = falloff_um2(coherence)
     table.across, table.along = (falloff / length**2 for length in grid.lengths_um)
-    return Table(kernels.integrate, kernels.sample, table, found)
+    return Table(kernels.integrate, kernels.sample, table, coefficients)
 
 
 def without_zeroth_order(table: Table) -> Table:
     """A table, as just made, whose rows are copies of what they were but for the mean plane's, which are 0."""
-    found = table.arguments
-    rows = found.rows.numpy().copy()
-    rows[found.origin_y * found.count_x + found.origin_x] = 0.0
-    found.rows = wp.array(rows, dtype=found.rows.dtype, device=found.rows.device)
+    arguments = table.arguments
+    rows = arguments.rows.numpy().copy()
+    rows[arguments.origin_y * arguments.count_x + arguments.origin_x] = 0.0
+    arguments.rows = wp.array(rows, dtype=arguments.rows.dtype, device=arguments.rows.device)
     return table
 
 
@@ -292,7 +293,7 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 def radius(plan: Plan) -> float:
     """Distance in frequency [1/µm] of the coefficients to keep at hand, of all but the least weights."""
     falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
-    return math.sqrt(-math.log(min(plan.least_weight, _REACHED_WEIGHT)) / falloff)
+    return math.sqrt(-math.log(min(plan.least_weight, _LEAST_EXTENT_WEIGHT)) / falloff)
 
 
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
@@ -314,23 +315,24 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
     # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
-    levels = math.floor(SETS_AN_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
+    levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
-        fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_AN_OCTAVE))
+        fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
         if fewer >= counts[-1]:
             break
         counts.append(fewer)
     if plan.coherence.kind == "replicas":
         counts = [max(count - 1, _FEWEST_INTERVALS) * plan.subdivisions + 1 for count in counts]
     memory.require_memory(
-        _BYTES_A_WAVELENGTH * sum(counts), f"a quadrature of {sum(counts)} wavelengths",
-        "take {share} of plan's wavelengths, of coherence's copies, or a smaller heightfield",
+        _BYTES_PER_WAVELENGTH * sum(counts), f"a quadrature of {sum(counts)} wavelengths",
+        f"take {{share}} of the wavelengths of {ref('plan')} or of the periods of {ref('coherence')}, or a smaller "
+        f"{ref('heightfield')}",
     )  # fmt: skip
     geometric = plan.coherence.kind == "source"
     sets = [colorimetry.uniform_quadrature(count, illuminated.illuminant, geometric=geometric) for count in counts]
     result = coefficient_sum.Quadrature()
     result.wavenumbers = wp.array(np.concatenate([nodes for nodes, _ in sets]), dtype=wp.float64, device=device)
-    weights = np.concatenate([each for _, each in sets]).astype(np.float32)
+    weights = np.concatenate([set_weights for _, set_weights in sets]).astype(np.float32)
     result.weights = wp.array(weights, dtype=wp.vec3f, device=device)
     reflectances = (
         np.zeros((0, 0)) if illuminated.material is None else reflectance_table(illuminated.material, _ANGLES)
@@ -345,10 +347,10 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     return result
 
 
-def wavelength_set_size(wanted: float) -> int:
+def wavelength_set_size(count: float) -> int:
     """The size of the smallest set of wavelengths that has as many as wanted, or one that falls short by a rounding."""
-    steps = math.ceil(SETS_AN_OCTAVE * math.log2(max(wanted, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
-    return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_AN_OCTAVE) + 0.5)
+    steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
+    return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
 
 @functools.cache
@@ -367,7 +369,7 @@ def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Dev
     table.taps_y = wp.array(along_y, dtype=wp.float32, device=device)
 
 
-def _turned(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
+def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
     """Amplitudes (my, mx, 2, terms) times a phase (my, mx)."""
     cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
     re, im = rows[:, :, 0], rows[:, :, 1]

@@ -14,7 +14,7 @@ from warpdiff.diffraction import chebyshev
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import VISIBLE_NM, IlluminatedMaterial, reflectance_at
 from warpdiff.request.plan import MOST_W_BASIS, W_BASIS_STEP
-from warpdiff.tables.polar_grid import LOG_RED, node_count
+from warpdiff.tables.polar_grid import LOG_RED, ring_count
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,13 +86,15 @@ class Projection:
     """
 
     ws: NDArray[np.float64]
-    functions: NDArray[np.float32]
+    w_basis: NDArray[np.float32]
     weights: NDArray[np.float32]
     octaves: tuple[tuple[SeparableTerm, ...], ...]
 
 
 @single_threaded_blas()
-def projection(plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout) -> Projection:
+def make_projection(
+    plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout
+) -> Projection:
     """The projection for a plan's nodes and its functions of w, or as many of these as its tolerance asks for.
 
     As cos θd = |(u, v, w)|/2, a material's R(θd, λ) is a function of λ, of w and of a node's |(u, v)|: it is within the
@@ -109,10 +111,10 @@ def projection(plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMateria
         illuminated.material, plan.rings_per_octave, _PRODUCTS_SHARE * plan.tolerance, layout, low, high
     )
     # Octaves that share a product, as those of small |(u, v)| do, count once.
-    each = {id(over_w): (over_w, size) for octave in parts for over_w, _, size in octave}
+    distinct = {id(over_w): (over_w, size) for octave in parts for over_w, _, size in octave}
     sized = basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]
     matrix = np.concatenate(
-        [(sized * (size * over_w)[:, :, None]).reshape(len(ws), -1) for over_w, size in each.values()], axis=1
+        [(sized * (size * over_w)[:, :, None]).reshape(len(ws), -1) for over_w, size in distinct.values()], axis=1
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
@@ -125,54 +127,54 @@ def projection(plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMateria
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
-    functions = left[:, :m] / relative
+    w_basis = left[:, :m] / relative
     projected = {
         key: np.einsum("wm,wi,wil->ilm", left[:, :m] * relative, over_w, basis, optimize=True).astype(np.float32)
-        for key, (over_w, _) in each.items()
+        for key, (over_w, _) in distinct.items()
     }
     octaves = tuple(
         tuple(SeparableTerm(projected[id(over_w)], factors) for over_w, factors, _ in octave) for octave in parts
     )
-    return Projection(ws, functions.astype(np.float32), weights.astype(np.float32), octaves)
+    return Projection(ws, w_basis.astype(np.float32), weights.astype(np.float32), octaves)
 
 
-def _held(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _curve_part(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     """The part of a material's reflectance that colour curves hold, a function of the wavelength alone."""
     # What reflects nothing, as air does, is black by its ratio to any colour.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
-    found = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
-    return np.asarray(np.maximum(found, _LEAST_SHARE * most))
+    reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
+    return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-TileGroup = tuple["NDArray[np.float64]", "NDArray[np.float32] | None", float]
+_MaterialTerm = tuple["NDArray[np.float64]", "NDArray[np.float32] | None", float]
 
 
 # Those of the last plan serve all of its illuminants, and any number of functions.
 @functools.lru_cache(maxsize=1)
 def _material_products(
-    material: Material | None, nodes: int, share: float, layout: MipLayout, low: float, high: float
-) -> tuple[tuple[TileGroup, ...], ...]:
+    material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
+) -> tuple[tuple[_MaterialTerm, ...], ...]:
     """For each octave, functions of (w, λ), numbers for its nodes, and how large these are at most.
 
     Their products add up to R relative to what colour curves hold of it, but for a share, over a range of |w|.
     """
-    ws, per_um = _places(nodes, low, high)
+    ws, per_um = _places(rings_per_octave, low, high)
     count = len(layout.azimuths[0])
     if material is None:
-        whole = np.ones((len(ws), len(per_um)))
-        return (((whole, None, 1.0),),) * count
+        ones = np.ones((len(ws), len(per_um)))
+        return (((ones, None, 1.0),),) * count
     wavelengths = np.clip(1e3 / per_um, colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
-    at_roots = _at_roots(material, wavelengths)
+    at_roots = _ratios_at_roots(material, wavelengths)
 
     def ratio(uv: NDArray[np.float64]) -> NDArray[np.float64]:
         cosines = 0.5 * np.sqrt(uv[:, None] ** 2 + ws**2)
-        found = chebyshev.cardinals(cosines.ravel(), 0.0, 1.0, len(at_roots)) @ at_roots
-        return np.asarray(found.reshape(*cosines.shape, -1))
+        ratios = chebyshev.cardinals(cosines.ravel(), 0.0, 1.0, len(at_roots)) @ at_roots
+        return np.asarray(ratios.reshape(*cosines.shape, -1))
 
     centre: NDArray[np.float64] = ratio(np.zeros(1))[0]
-    result: list[tuple[TileGroup, ...]] = []
+    result: list[tuple[_MaterialTerm, ...]] = []
     for octave in range(count):
-        logs = layout.log_low - LOG_RED + (octave + np.arange(nodes) / nodes) * math.log(2.0)
+        logs = layout.log_low - LOG_RED + (octave + np.arange(rings_per_octave) / rings_per_octave) * math.log(2.0)
         # Beyond 2 there is no |(u, v)|.
         uv = np.minimum(np.exp(logs), 2.0)
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
@@ -182,30 +184,30 @@ def _material_products(
         # A singular value decomposition by the smaller side.
         left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
         right = left.T @ values
-        taken = 1
-        while taken < len(uv) and np.abs(values - left[:, :taken] @ right[:taken]).max() > share:
-            taken += 1
+        rank = 1
+        while rank < len(uv) and np.abs(values - left[:, :rank] @ right[:rank]).max() > share:
+            rank += 1
         result.append(
             tuple(
                 (right[j].reshape(centre.shape).copy(), left[:, j].astype(np.float32), float(np.abs(left[:, j]).max()))
-                for j in range(taken)
+                for j in range(rank)
             )
         )
     return tuple(result)
 
 
-def _places(nodes: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Entries of |w| of a range, and 1/λ at the nodes that a colour takes of so many an octave."""
-    per_um = np.exp(LOG_RED + (np.arange(node_count(nodes)) - 1.0) * math.log(2.0) / nodes)
+    per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
 
-def _at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     """A reflectance relative to what colour curves hold of it, at as many Chebyshev roots of cos θd as tell it all."""
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
-        return np.asarray(reflectance_at(material, wavelengths_nm, roots) / _held(material, wavelengths_nm))
+        return np.asarray(reflectance_at(material, wavelengths_nm, roots) / _curve_part(material, wavelengths_nm))
 
     count = _FEWEST_ROOTS
     result = at_roots(count)
@@ -218,30 +220,34 @@ def _at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArra
 
 
 @functools.lru_cache(maxsize=64)
-def colour_weights(nodes: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
+def colour_weights(
+    rings_per_octave: int, illuminated: IlluminatedMaterial, *, lines: bool = False
+) -> NDArray[np.float64]:
     """Projections of colour curves on the splines of so many nodes an octave.
 
     Args:
-        nodes: Nodes an octave.
+        rings_per_octave: Rings per octave.
         illuminated: The illuminant, and the material whose reflectance at a middle angle the curves hold.
         lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
 
     Returns:
-        Shape (node_count(nodes), 3); times the spectrum's values from the node before the red end on they add up to
-        XYZ.
+        Shape (ring_count(rings_per_octave), 3); times the spectrum's values from the ring before the red end on they
+        add up to XYZ.
     """
     products = colour_products(illuminated)
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
-    result = _projected(products, nodes)
+    result = _projected(products, rings_per_octave)
     # A spectrum without features keeps its colour to rounding.
-    return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / nodes * result.sum(axis=0)))
+    return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings_per_octave * result.sum(axis=0)))
 
 
 def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
     """S·x̄ȳz̄ at 1 nm, times what colour curves hold of a material's reflectance, shape (401, 3)."""
     products = colorimetry.colour_products(illuminated.illuminant)
-    return products if illuminated.material is None else products * _held(illuminated.material, VISIBLE_NM)[:, None]
+    return (
+        products if illuminated.material is None else products * _curve_part(illuminated.material, VISIBLE_NM)[:, None]
+    )
 
 
 def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -249,16 +255,16 @@ def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: fl
     at = 1e3 * np.exp(-(LOG_RED + places * step))
     lambdas = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
     # dλ = λ d ln λ.
-    found = np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
-    return np.asarray(at[:, None] * found)
+    curves = np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
+    return np.asarray(at[:, None] * curves)
 
 
-def _projected(products: NDArray[np.float64], nodes: int) -> NDArray[np.float64]:
-    """The splines' coefficients that come closest to the colour curves, shape (node_count(nodes), 3)."""
-    count = node_count(nodes)
+def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
+    """The splines' coefficients that come closest to the colour curves, shape (ring_count(rings_per_octave), 3)."""
+    count = ring_count(rings_per_octave)
     # Nodes beyond the band see darkness there, and their splines' share of it.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
-    curves = _curves(products, places - 1.0, math.log(2.0) / nodes)
+    curves = _curves(products, places - 1.0, math.log(2.0) / rings_per_octave)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]
     splines = spline(places[:, None] - np.arange(count)) * weights

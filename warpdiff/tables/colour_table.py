@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core import memory
+from warpdiff.core.wording import ref
 from warpdiff.device.devices import load
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import chebyshev
@@ -17,8 +18,8 @@ from warpdiff.kernels import colour_lookup, spectrum_sampling
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_at
 from warpdiff.tables import coefficient_table, line_spectrum
-from warpdiff.tables.colour_curves import Projection, SeparableTerm, SpectrumBasis, colour_products, projection
-from warpdiff.tables.polar_grid import LOG_RED, MIDDLE_UM, MipLayout, has_mip_levels, megabytes, near
+from warpdiff.tables.colour_curves import Projection, SeparableTerm, SpectrumBasis, colour_products, make_projection
+from warpdiff.tables.polar_grid import LOG_RED, MIDDLE_UM, MipLayout, has_mip_levels, inner_radius, megabytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,9 +43,9 @@ _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # Of the coefficients, those that tell how much each term matters, and what is too little of it to leave out.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # The mean plane's lobe: entries over |κ|, linear between them, and wavelengths.
-_MIRROR_ENTRIES, _MIRROR_WAVELENGTHS = 2048, 40
+_ZEROTH_ENTRIES, _ZEROTH_WAVELENGTHS = 2048, 40
 # Of a material's reflectance, by cos θd.
-_MIRROR_ANGLES = 512
+_ZEROTH_ANGLES = 512
 _ROWS_OF_SLICE = 32
 
 
@@ -58,7 +59,7 @@ class _Source:
         base: The table of coefficients.
         terms: What rows consist of.
         at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes).
-        mirror: Of powers, the mean plane's, which rows leave out, at ``_MIRROR_ENTRIES`` equally spaced |κ|.
+        zeroth_order: Of powers, the mean plane's, which rows leave out, at ``_ZEROTH_ENTRIES`` equally spaced |κ|.
         lobe2: Variance of a coefficient's lobe in frequency [1/µm²]; 0 for a source, whose is one of (u, v).
         phase: How fast powers turn with ln λ at most [rad].
         coherence: What the table is for.
@@ -69,7 +70,7 @@ class _Source:
     base: coefficient_table.Table
     terms: SpectrumBasis
     at_kappas: NDArray[np.float32]
-    mirror: NDArray[np.float32]
+    zeroth_order: NDArray[np.float32]
     lobe2: float
     phase: float
     coherence: Coherence
@@ -77,8 +78,8 @@ class _Source:
     @property
     def excluded(self) -> int:
         """Where the mean plane's coefficient lies among the rows of ``base``; −1 where it stays in."""
-        found = self.base.arguments
-        return int(found.origin_y * found.count_x + found.origin_x) if len(self.mirror) else -1
+        arguments = self.base.arguments
+        return int(arguments.origin_y * arguments.count_x + arguments.origin_x) if len(self.zeroth_order) else -1
 
     @property
     def sampled_bytes(self) -> float:
@@ -109,43 +110,43 @@ def table_for(
     threads: int,
 ) -> tuple[Any, Any]:
     """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
-    kept = coefficient_table.kept(heightfield)
-    held, spectra = kept.colours, kept.spectra
-    source, how = _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)
-    wanted, sharp = (*source.key, illuminated, has_mip_levels(plan)), (*source.key, illuminated, False)
+    cache = coefficient_table.table_cache(heightfield)
+    colours, spectra = cache.colours, cache.spectra
+    source, projection = _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)
+    key, level0_key = (*source.key, illuminated, has_mip_levels(plan)), (*source.key, illuminated, False)
     options: dict[str, Any] = {"device": device, "threads": threads}
     # Other threads may make the same meanwhile, or let it go.
-    found = held.get(wanted)
-    if found is None:
-        found = held.get(sharp)
-        if found is None:
+    entry = colours.get(key)
+    if entry is None:
+        entry = colours.get(level0_key)
+        if entry is None:
             rows = spectra.get(source.key)
             memory.require_memory(
                 1e6 * megabytes(plan) + (source.sampled_bytes if rows is None else 0.0),
                 f"a table of rings_per_octave={plan.rings_per_octave} and azimuths_per_width={plan.azimuths_per_width}",
-                "take a larger tolerance, or a plan with {share} of the nodes",
+                f"take a larger {ref('tolerance')}, or a {ref('plan')} with {{share}} of the rings",
             )  # fmt: skip
-            _load_kernels(source, how, plan, device)
+            _load_kernels(source, projection, plan, device)
             if rows is None:
                 # The last one serves other illuminants and materials.
                 spectra.clear()
                 rows = (
-                    line_spectrum.of_table(source.base.arguments, source.layout.highest)
+                    line_spectrum.lines_of(source.base.arguments, source.layout.highest)
                     if source.is_line_spectrum
                     else _sampled(source, **options)
                 )
                 spectra.put(source.key, rows)
-            found = _coloured(source, how, rows, illuminated, **options)
-            held.put(sharp, found)
-        if wanted != sharp:
+            entry = _coloured(source, projection, rows, illuminated, **options)
+            colours.put(level0_key, entry)
+        if key != level0_key:
             # Levels are added to colours that have none, whose rows both then have.
-            kernel, table, _ = found
-            held.put(sharp, (kernel, table, 0.0))
-            found = _blurred(
+            kernel, table, _ = entry
+            colours.put(level0_key, (kernel, table, 0.0))
+            entry = _blurred(
                 source.layout.with_mip_levels(), table, is_line_spectrum=source.is_line_spectrum, **options
             )
-        held.put(wanted, found)
-    return found[:2]
+        colours.put(key, entry)
+    return entry[:2]
 
 
 def function_count(
@@ -159,19 +160,19 @@ def function_count(
 ) -> int:
     """Functions of w that colours of a plan's table share."""
     return int(
-        _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)[1].functions.shape[1]
+        _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)[1].w_basis.shape[1]
     )
 
 
-def _load_kernels(source: _Source, how: Projection, plan: Plan, device: wp.Device) -> None:
-    count = how.functions.shape[1]
+def _load_kernels(source: _Source, projection: Projection, plan: Plan, device: wp.Device) -> None:
+    count = projection.w_basis.shape[1]
     target = colour_lookup.lookup(count, source.is_line_spectrum)
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
     if source.is_line_spectrum:
         needed = [source.sampler.gather, projector.project_lines]
     else:
         needed = [source.sampler.resample, projector.project]
-    if any(len(products) > 1 for products in how.octaves):
+    if any(len(terms) > 1 for terms in projection.octaves):
         needed.append(spectrum_sampling.adder(count))
     needed += [target.interpolate, target.integrate]
     load([*needed, target.blur] if has_mip_levels(plan) else needed, device)
@@ -187,7 +188,7 @@ def _prepared(
     threads: int,
 ) -> tuple[_Source, Projection]:
     """Prepare layout, terms and projection, before any rows are made."""
-    reached = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))
+    coefficient_range = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))
     numbers = (
         plan.terms,
         plan.least_weight,
@@ -196,14 +197,14 @@ def _prepared(
         plan.w_basis_size,
         plan.tolerance,
     )
-    key = device.alias, plan.method, plan.coherence, numbers, reached
+    key = device.alias, plan.method, plan.coherence, numbers, coefficient_range
 
     def make() -> tuple[_Source, dict[IlluminatedMaterial, Projection]]:
-        return _source(heightfield, plan, direction_range, key, reached, device=device, threads=threads), {}
+        return _source(heightfield, plan, direction_range, key, coefficient_range, device=device, threads=threads), {}
 
-    source, projections = coefficient_table.kept(heightfield).prepared.get_or_make(key, make)
+    source, projections = coefficient_table.table_cache(heightfield).prepared.get_or_make(key, make)
     if illuminated not in projections:
-        projections[illuminated] = projection(plan, source.terms, illuminated, source.layout)
+        projections[illuminated] = make_projection(plan, source.terms, illuminated, source.layout)
     return source, projections[illuminated]
 
 
@@ -212,29 +213,29 @@ def _source(
     plan: Plan,
     direction_range: DirectionRange,
     key: Any,
-    reached: coefficient_table.CoefficientRange,
+    coefficient_range: coefficient_table.CoefficientRange,
     *,
     device: wp.Device,
     threads: int,
 ) -> _Source:
     """The source of a plan's table."""
     base = coefficient_table.table_for(heightfield, plan, direction_range, device=device, threads=threads)
-    found = base.coefficients
-    count = min(plan.terms, found.terms)
+    coefficients = base.coefficients
+    count = min(plan.terms, coefficients.terms)
     lanes = coefficient_table.lanes_of(count)
-    kappas = _kappas(reached)
+    kappas = _kappas(coefficient_range)
     if plan.coherence.adds_powers:
 
         def basis_at(at: NDArray[np.float64]) -> NDArray[np.float64]:
-            return found.basis_at(at)[:, :count]
+            return coefficients.basis_at(at)[:, :count]
 
-        terms = SpectrumBasis(basis_at, kappas, _sizes(found.rows[:, :, 0, :count]), _FUNCTIONS_SHARE)
-        own = found.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
-        mirror = np.maximum(basis_at(np.linspace(*kappas, _MIRROR_ENTRIES)) @ own, 0.0).astype(np.float32)
+        terms = SpectrumBasis(basis_at, kappas, _sizes(coefficients.rows[:, :, 0, :count]), _FUNCTIONS_SHARE)
+        own = coefficients.rows[base.arguments.origin_y, base.arguments.origin_x, 0, :count].astype(np.float64)
+        zeroth_order = np.maximum(basis_at(np.linspace(*kappas, _ZEROTH_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
         # Amplitudes of the mean plane and of others do not come apart.
-        mirror = np.zeros(0, dtype=np.float32)
+        zeroth_order = np.zeros(0, dtype=np.float32)
         # As many nodes as a power's oscillations take.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         count_of_nodes = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
@@ -245,11 +246,11 @@ def _source(
 
         terms = SpectrumBasis(cardinals_at, kappas, np.ones(count_of_nodes), _CARDINALS_SHARE)
         at_kappas = np.zeros((coefficient_table.lanes_of(len(nodes)), lanes), dtype=np.float32)
-        at_kappas[: len(nodes), :count] = found.basis_at(nodes)[:, :count]
-    layout = MipLayout.of(plan, reached.frequency)
+        at_kappas[: len(nodes), :count] = coefficients.basis_at(nodes)[:, :count]
+    layout = MipLayout.for_plan(plan, coefficient_range.frequency)
     lobe2 = 0.0 if plan.coherence.sigma_um is None else 0.5 / coefficient_table.falloff_um2(plan.coherence)
     phase = 2.0 * math.pi * kappas[1] * heightfield.height_range_um
-    return _Source(key, layout, base, terms, at_kappas, mirror, lobe2, phase, plan.coherence)
+    return _Source(key, layout, base, terms, at_kappas, zeroth_order, lobe2, phase, plan.coherence)
 
 
 def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -278,7 +279,7 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
 
 def _coloured(
     source: _Source,
-    how: Projection,
+    projection: Projection,
     spectrum_rows: Any,
     illuminated: IlluminatedMaterial,
     *,
@@ -286,11 +287,11 @@ def _coloured(
     threads: int,
 ) -> tuple[Any, Any, float]:
     """The kernel, the table of colours without levels, and its size."""
-    layout, count = source.layout, how.functions.shape[1]
+    layout, count = source.layout, projection.w_basis.shape[1]
     target = colour_lookup.lookup(count, source.is_line_spectrum)
     table = target.Colours()
-    table.w_basis = wp.array(how.functions, dtype=target.w_basis, device=device)
-    table.least_w, table.per_w = how.ws[0], 1.0 / (how.ws[1] - how.ws[0])
+    table.w_basis = wp.array(projection.w_basis, dtype=target.w_basis, device=device)
+    table.least_w, table.per_w = projection.ws[0], 1.0 / (projection.ws[1] - projection.ws[0])
     table.rings_per_octave, table.octaves_per_ring = layout.rings_per_octave, (1.0 + 1e-6) / layout.rings_per_octave
     table.rings_per_log = per_log = layout.rings_per_octave / math.log(2.0)
     table.ring_of_one = (LOG_RED - layout.log_low) * per_log
@@ -300,57 +301,57 @@ def _coloured(
     # The spline there begins one before it.
     table.least_uv = math.exp(layout.log_low + 2.0 / per_log - LOG_RED)
     table.lobe_uv = math.sqrt(source.lobe2) * MIDDLE_UM
-    table.zeroth_order = wp.array(source.mirror, dtype=wp.float32, device=device)
+    table.zeroth_order = wp.array(source.zeroth_order, dtype=wp.float32, device=device)
     table.least_kappa, highest = source.terms.kappas
-    table.per_kappa = (_MIRROR_ENTRIES - 1) / (highest - table.least_kappa)
+    table.per_kappa = (_ZEROTH_ENTRIES - 1) / (highest - table.least_kappa)
     table.lobe2 = source.lobe2
-    wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, illuminated.illuminant)
+    wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     table.wavenumbers = wp.array(wavenumbers[::-1].copy(), dtype=wp.float32, device=device)
     table.weights = wp.array(weights[::-1].copy(), dtype=wp.vec3f, device=device)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
-        angles = np.linspace(0.0, 1.0, _MIRROR_ANGLES)
+        angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
     table.reflectances = wp.array(reflectances, dtype=wp.float32, device=device)
     if source.is_line_spectrum:
         table.line_blurs2 = wp.array(np.square(layout.blurs), dtype=wp.float32, device=device)
         table.spread2 = source.coherence.spread**2
-        table.inner_radius2 = near(source.coherence) ** 2
+        table.inner_radius2 = inner_radius(source.coherence) ** 2
     # Levels come behind, if any: until then theirs is no memory on the CPU.
     table.rows = wp.empty(layout.with_mip_levels().rows, dtype=target.row, device=device)
-    fill = _filler(source, how, spectrum_rows, device=device, threads=threads)
+    fill = _filler(source, projection, spectrum_rows, device=device, threads=threads)
     _fill(table, target, layout, 0, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
 
 
 def _filler(
-    source: _Source, how: Projection, spectrum_rows: Any, *, device: wp.Device, threads: int
+    source: _Source, projection: Projection, spectrum_rows: Any, *, device: wp.Device, threads: int
 ) -> Callable[[int, int, Any], None]:
     """What puts the sharp colours of an octave on its spokes."""
-    layout, count, terms = source.layout, how.functions.shape[1], len(source.terms.sizes)
+    layout, count, terms = source.layout, projection.w_basis.shape[1], len(source.terms.sizes)
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
-    curves = wp.array(how.weights, dtype=wp.vec3f, device=device)
+    curves = wp.array(projection.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
-    before = len(how.weights) - 1
-    held: dict[int, wp.array] = {}
+    before = len(projection.weights) - 1
+    matrices_on_device: dict[int, wp.array] = {}
 
     def matrices_of(product: SeparableTerm) -> wp.array:
         """The matrices of a product on the device: octaves share them."""
         key = id(product.matrices)
-        if key not in held:
+        if key not in matrices_on_device:
             flat = product.matrices.reshape(-1, count)
-            held[key] = wp.array(flat, dtype=projector.w_basis, device=device)
-        return held[key]
+            matrices_on_device[key] = wp.array(flat, dtype=projector.w_basis, device=device)
+        return matrices_on_device[key]
 
     def project_lines(octave: int, matrices: wp.array, azimuth_rows: wp.array) -> None:
         begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.rings_per_octave) * math.log(2.0)
-        given = layout.rings_per_octave + before + 2 * colour_lookup.FILTER_REACH
+        row_count = layout.rings_per_octave + before + 2 * colour_lookup.FILTER_REACH
         values = line_spectrum.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin,
             per_log=layout.rings_per_octave / math.log(2.0),
-            nodes=given, azimuths=layout.azimuths[0][octave], blur=layout.blurs[octave], **options,
+            rings=row_count, azimuths=layout.azimuths[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
-        inputs = [values, matrices, curves, terms, layout.rings_per_octave, given]
+        inputs = [values, matrices, curves, terms, layout.rings_per_octave, row_count]
         launch(
             projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [azimuth_rows], **options
         )
@@ -380,14 +381,14 @@ def _filler(
         launch(projector.project, groups, inputs, [azimuth_rows], in_runs=True, **options)
 
     def fill(_level: int, octave: int, azimuth_rows: wp.array) -> None:
-        products = how.octaves[octave]
-        of_octave = project_lines if source.is_line_spectrum else project
-        if products[0].factors is None:
-            of_octave(octave, matrices_of(products[0]), azimuth_rows)
+        terms_of_octave = projection.octaves[octave]
+        project_octave = project_lines if source.is_line_spectrum else project
+        if terms_of_octave[0].factors is None:
+            project_octave(octave, matrices_of(terms_of_octave[0]), azimuth_rows)
             return
         values = wp.empty(layout.azimuths[0][octave] * layout.rings_per_octave, dtype=projector.row, device=device)
-        for index, product in enumerate(products):
-            of_octave(octave, matrices_of(product), values)
+        for index, product in enumerate(terms_of_octave):
+            project_octave(octave, matrices_of(product), values)
             factors = wp.array(product.factors, dtype=wp.float32, device=device)
             inputs = [values, factors, index == 0]
             launch(spectrum_sampling.adder(count), layout.azimuths[0][octave], inputs, [azimuth_rows], **options)
@@ -401,12 +402,12 @@ def _megabytes(layout: MipLayout, functions: int) -> float:
 
 
 def _blurred(
-    layout: MipLayout, sharp: Any, *, is_line_spectrum: bool, device: wp.Device, threads: int
+    layout: MipLayout, level0: Any, *, is_line_spectrum: bool, device: wp.Device, threads: int
 ) -> tuple[Any, Any, float]:
     """A table with mip levels, from one without, whose rows have room for them."""
-    count = len(sharp.w_basis.dtype())
+    count = len(level0.w_basis.dtype())
     target = colour_lookup.lookup(count, is_line_spectrum)
-    table = _copied(sharp, target, leaving="first_rows azimuths blurs")
+    table = _copied(level0, target, excluding="first_rows azimuths blurs")
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
     def fill(level: int, octave: int, azimuth_rows: Any) -> None:
@@ -417,10 +418,10 @@ def _blurred(
     return target.integrate, table, _megabytes(layout, count)
 
 
-def _copied(table: Any, target: Any, *, leaving: str) -> Any:
+def _copied(table: Any, target: Any, *, excluding: str) -> Any:
     """A struct with the fields of another but for some."""
     result = target.Colours()
-    for name in set(target.Colours.vars).difference(leaving.split()):
+    for name in set(target.Colours.vars).difference(excluding.split()):
         setattr(result, name, getattr(table, name))
     return result
 
@@ -428,7 +429,7 @@ def _copied(table: Any, target: Any, *, leaving: str) -> Any:
 def without_zeroth_order(table: Any, coherence: Coherence) -> Any:
     """The same table of colours, whose look-ups leave out what the mean plane reflects."""
     target = colour_lookup.lookup(len(table.w_basis.dtype()), coherence.kind == "source")
-    return _copied(table, target, leaving="zeroth_order")
+    return _copied(table, target, excluding="zeroth_order")
 
 
 def _fill(
@@ -461,10 +462,10 @@ def _is_smooth(illuminated: IlluminatedMaterial, per_log: float) -> bool:
     """Whether colours under a light are so smooth in ln λ that every second node tells their mean; lines are not."""
     products = colour_products(illuminated)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
-    left = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
-    return bool(left.max() < _MOST_AT_ALIAS)
+    remainder = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)
+    return bool(remainder.max() < _MOST_AT_ALIAS)
 
 
-def _kappas(reached: coefficient_table.CoefficientRange) -> tuple[float, float]:
+def _kappas(limits: coefficient_table.CoefficientRange) -> tuple[float, float]:
     """The range of |κ| of the basis."""
-    return max(reached.kappa_low, _SMALLEST_KAPPA * reached.kappa_high), reached.kappa_high
+    return max(limits.kappa_low, _SMALLEST_KAPPA * limits.kappa_high), limits.kappa_high

@@ -35,8 +35,10 @@ _VARIANCE_WITHIN_PARTS = 1.2
 def footprint_taps(device: str, *, is_line_spectrum: bool) -> Any:
     """The struct ``FootprintTaps`` of the kernels for a source's lines or a spectrum, on the device of a name."""
     result = colour_lookup.FootprintTaps()
-    reached, weigh = (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_line_spectrum else (_TAP_RADIUS_SIGMAS, _closest)
-    weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, reached, weigh)
+    radius_sigmas, weigh = (
+        (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_line_spectrum else (_TAP_RADIUS_SIGMAS, _closest)
+    )
+    weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, radius_sigmas, weigh)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
     result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
     result.per_variance = (_REMAINING_BLURS - 1) / _MOST_REMAINING_VARIANCE
@@ -61,7 +63,7 @@ def _parts(most: int) -> NDArray[np.float64]:
 
 
 def _tap_weights(
-    most: int, reached: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+    most: int, radius_sigmas: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Weights of the spokes around a place, (variances, fractions, most), and how many of them count.
 
@@ -73,7 +75,7 @@ def _tap_weights(
     lengths = np.zeros(_REMAINING_BLURS, dtype=np.int32)
     for index in range(_REMAINING_BLURS):
         variance = index / (_REMAINING_BLURS - 1) * _MOST_REMAINING_VARIANCE
-        count = min(math.ceil(2.0 * reached * math.sqrt(variance + 0.25)), most)
+        count = min(math.ceil(2.0 * radius_sigmas * math.sqrt(variance + 0.25)), most)
         weights[index, :, :count] = weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
         lengths[index] = count
     return weights.astype(np.float32), lengths

@@ -10,13 +10,14 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core import memory
+from warpdiff.core.wording import ref
 from warpdiff.device.kernel_calls import launch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # What a line takes while they are listed, as counted.
-_BYTES_A_LINE = 80.0
+_BYTES_PER_LINE = 80.0
 # Deviations that a line's blur in angle reaches.
 _FAR_IN_BLURS = 4.5
 
@@ -31,18 +32,19 @@ class LineSpectrum:
         log_frequencies: ln |q|, |q| in 1/µm.
     """
 
-    which: NDArray[np.int32]
+    rows: NDArray[np.int32]
     angles: NDArray[np.float64]
     log_frequencies: NDArray[np.float64]
 
 
-def of_table(arguments: Any, highest: float) -> LineSpectrum:
+def lines_of(arguments: Any, highest: float) -> LineSpectrum:
     """The lines up to a frequency [1/µm], of coefficients as the kernels' struct ``Table`` has them."""
     lengths = arguments.length_y, arguments.length_x
     most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
     memory.require_memory(
-        _BYTES_A_LINE * most, f"a table of {most:.3g} lines", "take method='low-rank', or {share} of heightfield's area"
-    )
+        _BYTES_PER_LINE * most, f"a table of {most:.3g} lines",
+        f"take {ref('integration', 'sampled')}, or {{share}} of the area of {ref('heightfield')}",
+    )  # fmt: skip
     s, r = (np.arange(-math.floor(highest * length), math.floor(highest * length) + 1) for length in lengths)
     qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
     squared = qy**2 + qx**2
@@ -50,10 +52,10 @@ def of_table(arguments: Any, highest: float) -> LineSpectrum:
     # Beyond the pitch's limit they repeat.
     rows = (s + arguments.origin_y) % arguments.count_y
     columns = (r + arguments.origin_x) % arguments.count_x
-    which = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
+    coefficient_rows = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
     angles = (np.arctan2(qy, qx) % (2.0 * math.pi))[inside]
     order = np.argsort(angles, kind="stable")
-    return LineSpectrum(which[order], angles[order], 0.5 * np.log(squared[inside][order]))
+    return LineSpectrum(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
 
 def gathered(
@@ -63,7 +65,7 @@ def gathered(
     *,
     log_begin: float,
     per_log: float,
-    nodes: int,
+    rings: int,
     azimuths: int,
     blur: float,
     device: wp.Device,
@@ -77,31 +79,31 @@ def gathered(
         sampler: The namespace of :func:`warpdiff.kernels.spectrum_sampling.gatherer`.
         log_begin: ln |q| of the first node.
         per_log: Nodes per unit of ln |q|.
-        nodes: Of a spoke.
+        rings: Of a spoke.
         azimuths: Their number.
         blur: Standard deviation of a line's angle [rad].
         device: Where.
         options: Of ``launch``.
     """
     places = (lines.log_frequencies - log_begin) * per_log
-    some = np.flatnonzero((places > -0.5) & (places < nodes - 0.5))
-    angles = lines.angles[some]
+    inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
+    angles = lines.angles[inside]
     # A turn, and what of it reaches beyond its ends.
     far = _FAR_IN_BLURS * blur
     after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
     rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
-    again = some[np.concatenate([np.arange(before, len(some)), np.arange(len(some)), np.arange(after)])]
+    repeated = inside[np.concatenate([np.arange(before, len(inside)), np.arange(len(inside)), np.arange(after)])]
     at = 2.0 * math.pi * np.arange(azimuths) / azimuths
-    values = wp.empty(azimuths * nodes, dtype=sampler.row, device=device)
+    values = wp.empty(azimuths * rings, dtype=sampler.row, device=device)
     inputs = [
         coefficients,
-        wp.array(lines.which[again], dtype=wp.int32, device=device),
+        wp.array(lines.rows[repeated], dtype=wp.int32, device=device),
         wp.array(rotated, dtype=wp.float32, device=device),
-        wp.array(places[again], dtype=wp.float32, device=device),
-        wp.array(np.exp(-2.0 * lines.log_frequencies[again]), dtype=wp.float32, device=device),
+        wp.array(places[repeated], dtype=wp.float32, device=device),
+        wp.array(np.exp(-2.0 * lines.log_frequencies[repeated]), dtype=wp.float32, device=device),
         wp.array(np.searchsorted(rotated, at - far), dtype=wp.int32, device=device),
         wp.array(np.searchsorted(rotated, at + far), dtype=wp.int32, device=device),
-        nodes,
+        rings,
         blur,
     ]
     launch(sampler.gather, azimuths, inputs, [values], device=device, **options)

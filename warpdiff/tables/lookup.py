@@ -37,8 +37,8 @@ class ColourLookup:
         threads: int,
     ) -> None:
         """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
-        self._hf, self._plan, self._device, self._threads = heightfield, plan, device, threads
-        self._scope, self._zeroth_order = direction_range, zeroth_order
+        self._heightfield, self._plan, self._device, self._threads = heightfield, plan, device, threads
+        self._range, self._zeroth_order = direction_range, zeroth_order
         self._colours: dict[IlluminatedMaterial, Any] = {}
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
         self._sky_tables: dict[Any, Any] = {}
@@ -84,16 +84,16 @@ class ColourLookup:
         key = illuminated, directions
         if key not in self._sky_tables:
             # Of their own: colours of an environment's spectra are asked for here alone, and are far larger.
+            options: dict[str, Any] = {"device": self._device, "threads": self._threads}
             with_all, without = (
-                ColourLookup(
-                    self._hf, self._plan, self._scope, zeroth_order=each, device=self._device, threads=self._threads
-                )
-                for each in (True, False)
+                ColourLookup(self._heightfield, self._plan, self._range, zeroth_order=zeroth_order, **options)
+                for zeroth_order in (True, False)
             )
             lobe_uv = polar_grid.blur(self._plan.coherence) * polar_grid.MIDDLE_UM
             self._sky_tables[key] = sky_table(
-                (with_all, without), illuminated, directions, self._hf.height_range_um, lobe_uv, device=self._device
-            )
+                (with_all, without), illuminated, directions, self._heightfield.height_range_um, lobe_uv,
+                device=self._device,
+            )  # fmt: skip
         return self._sky_tables[key]
 
     @property
@@ -144,17 +144,17 @@ class ColourLookup:
         """Add what a table serves."""
         if illuminated not in self._colours:
             kernel, table = colour_table.table_for(
-                self._hf, self._plan, self._scope, illuminated, device=self._device, threads=self._threads
+                self._heightfield, self._plan, self._range, illuminated, device=self._device, threads=self._threads
             )
             self._colours[illuminated] = (
                 kernel,
                 table if self._zeroth_order else colour_table.without_zeroth_order(table, self._plan.coherence),
             )
         kernel, table = self._colours[illuminated]
-        seen = self._no_footprints if footprints is None else footprints
-        run = colour_lookup.BATCH if self._device.is_cpu else 1
-        inputs = [table, scattering_vectors, to_lights, gains, seen, self._taps, run]
-        return KernelCall(kernel, inputs, [unserved_gain, xyz], block=run)
+        spreads = self._no_footprints if footprints is None else footprints
+        batch = colour_lookup.BATCH if self._device.is_cpu else 1
+        inputs = [table, scattering_vectors, to_lights, gains, spreads, self._taps, batch]
+        return KernelCall(kernel, inputs, [unserved_gain, xyz], block=batch)
 
     def _sample(
         self,
@@ -165,15 +165,17 @@ class ColourLookup:
         xyz: wp.array,
     ) -> KernelCall:
         """Add the sums over wavelengths."""
-        given: dict[str, Any] = {"device": self._device}
+        heightfield, plan, device = self._heightfield, self._plan, self._device
         # Others may have taken its place among those that are kept.
         if self._table is None:
-            self._table = coefficient_table.table_for(self._hf, self._plan, self._scope, threads=self._threads, **given)
+            self._table = coefficient_table.table_for(
+                heightfield, plan, self._range, device=device, threads=self._threads
+            )
             if not self._zeroth_order:
                 self._table = coefficient_table.without_zeroth_order(self._table)
         if illuminated not in self._quadratures:
             self._quadratures[illuminated] = coefficient_table.quadrature_for(
-                self._hf, self._plan, illuminated, **given
+                heightfield, plan, illuminated, device=device
             )
         inputs = [self._table.arguments, scattering_vectors, to_lights, gains, self._quadratures[illuminated]]
         return KernelCall(self._table.integrate, inputs, [xyz])

@@ -36,23 +36,23 @@ _SAMPLE_SPACING_SIGMAS = 1.6
 _FEWEST_DIVISIONS = 2.0
 # The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
 _FLAT_WITHIN_SIGMAS = 0.02
-_FEWEST_SPOKES = 16
+_FEWEST_AZIMUTHS = 16
 # A wavelength in the middle [µm].
 MIDDLE_UM = 0.55
 # A source's lines are blurred by so many distances of spokes, which makes them smooth splines, ...
 _LINE_BLUR_SPACINGS = 0.8
 # ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
-_MORE_SPOKES_OF_SOURCES = 1.5
+_MORE_AZIMUTHS_OF_SOURCES = 1.5
 # In deviations of a source: within, its blur is no range of angles and ratios.
-_NEAR_IN_SPREADS = 30.0
+_INNER_RADIUS_SPREADS = 30.0
 # Spokes of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
-_BLURRED_SPOKES_PER_WIDTH = 1.2
+_BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 _WIDEST_BLUR_RAD = 0.4
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
 # Nodes an octave and spokes in a standard deviation of the blur, of which either errs as much as the other.
-RUNGS = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
+TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Errors fall with this power of the nodes.
-ORDER = 2.0
+ERROR_ORDER = 2.0
 # Orders so many standard deviations of the blur apart hardly touch.
 _ORDERS_APART_SIGMAS = 4.0
 # A table that is much larger than this takes longer to make than it saves.
@@ -87,11 +87,11 @@ class MipLayout:
     highest: float
 
     @classmethod
-    def of(cls, plan: Plan, highest: float) -> MipLayout:
+    def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
         """The layout for a plan and the largest frequency, without levels."""
         step = math.log(2.0) / plan.rings_per_octave
         if plan.coherence.kind == "source":
-            return cls._of_lines(plan, highest, step)
+            return cls._for_lines(plan, highest, step)
         width = blur(plan.coherence)
         # A colour takes up to three nodes beyond its octave, and look-ups two more.
         top = math.log(max(highest, width)) + 5.0 * step
@@ -100,9 +100,9 @@ class MipLayout:
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0))
         divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.azimuths_per_width
-        doublings = min(max(math.floor(math.log2(most / _FEWEST_SPOKES)), 0), octaves - 1)
+        doublings = min(max(math.floor(math.log2(most / _FEWEST_AZIMUTHS)), 0), octaves - 1)
         # A multiple of those that are projected side by side.
-        fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_SPOKES)
+        fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), _FEWEST_AZIMUTHS)
         of_spectrum = fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)
         return cls(
             plan.rings_per_octave, log_low, tuple(of_spectrum.tolist()), tuple(divisions.astype(int).tolist()),
@@ -110,17 +110,17 @@ class MipLayout:
         )  # fmt: skip
 
     @classmethod
-    def _of_lines(cls, plan: Plan, highest: float, step: float) -> MipLayout:
+    def _for_lines(cls, plan: Plan, highest: float, step: float) -> MipLayout:
         """A layout for a source, whose rows each octave of |(u, v)| takes from coefficients as they are."""
         spread = plan.coherence.spread
         # Look-ups take some nodes on either side.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
-        low = math.log(near(plan.coherence)) + LOG_RED - 4.0 / _NEAR_IN_SPREADS
+        low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / _INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
         log_low = top - octaves * math.log(2.0)
         tops = np.exp(log_low + math.log(2.0) * (np.arange(octaves) + 1.0) - LOG_RED)
         azimuths = np.maximum(
-            4 * np.ceil(2.0 * math.pi * tops / spread * plan.azimuths_per_width / 4.0), _FEWEST_SPOKES
+            4 * np.ceil(2.0 * math.pi * tops / spread * plan.azimuths_per_width / 4.0), _FEWEST_AZIMUTHS
         )
         # Whole numbers that are refused for their memory.
         azimuths = np.minimum(azimuths, 2.0**60)
@@ -140,13 +140,13 @@ class MipLayout:
             # An octave that is blurred enough already goes on as it is.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
-            fewer = np.ceil(2.0 * math.pi / total * _BLURRED_SPOKES_PER_WIDTH)
-            azimuths.append(np.clip(fewer, _FEWEST_SPOKES, narrow))
+            fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
+            azimuths.append(np.clip(fewer, _FEWEST_AZIMUTHS, narrow))
             level_blurs.append(blurred)
         return replace(
             self,
-            azimuths=tuple(tuple(each.astype(int).tolist()) for each in azimuths),
-            level_blurs=tuple(tuple(each.tolist()) for each in level_blurs),
+            azimuths=tuple(tuple(values.astype(int).tolist()) for values in azimuths),
+            level_blurs=tuple(tuple(values.tolist()) for values in level_blurs),
         )
 
     @property
@@ -165,7 +165,7 @@ class MipLayout:
         """The widest level that another can be made from: what it lacks of the blur spans its spokes."""
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / azimuths[octave] for azimuths in self.azimuths[:level]]
-        lacking = [width**2 - each[octave] ** 2 for each in self.level_blurs[:level]]
+        lacking = [width**2 - blurs[octave] ** 2 for blurs in self.level_blurs[:level]]
         return max((k for k in range(level) if lacking[k] >= spacings[k] ** 2), default=0)
 
     @property
@@ -174,7 +174,7 @@ class MipLayout:
         return sum((azimuths + 2 * HALF_TAPS) * self.rings_per_octave for level in self.azimuths for azimuths in level)
 
     @property
-    def sharp_rows(self) -> int:
+    def level0_rows(self) -> int:
         """Rows that are projected, from which levels are made."""
         return sum(self.azimuths[0]) * self.rings_per_octave
 
@@ -191,9 +191,9 @@ def has_mip_levels(plan: Plan) -> bool:
     return plan.uses_footprints or plan.coherence.kind == "source"
 
 
-def near(coherence: Coherence) -> float:
+def inner_radius(coherence: Coherence) -> float:
     """The |(u, v)| from which on a table serves: within, the blur of a source is no range of angles and ratios."""
-    return _NEAR_IN_SPREADS * coherence.spread
+    return _INNER_RADIUS_SPREADS * coherence.spread
 
 
 def blur(coherence: Coherence) -> float:
@@ -203,14 +203,14 @@ def blur(coherence: Coherence) -> float:
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
-def node_count(nodes: int) -> int:
+def ring_count(rings_per_octave: int) -> int:
     """Nodes that a colour takes of a table with so many an octave."""
-    return math.ceil((LOG_BLUE - LOG_RED) / math.log(2.0) * nodes) + 3
+    return math.ceil((LOG_BLUE - LOG_RED) / math.log(2.0) * rings_per_octave) + 3
 
 
-def table_error(nodes: int, *, few: bool = False) -> float:
+def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
     """Error of colours from a table of a surface with many orders in sight, or with a few that stand apart."""
-    return float((0.024 if few else 0.008) * (20.0 / nodes) ** 1.7)
+    return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
 def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
@@ -221,8 +221,8 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
     """Nodes an octave and spokes in a standard deviation of the blur that tables come in, the smallest first."""
-    factor = _MORE_SPOKES_OF_SOURCES if coherence.kind == "source" else 1.0
-    return [(nodes, factor * azimuths) for nodes, azimuths in RUNGS]
+    factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
+    return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 
 
 def smallest_sufficient_size(plan: Plan) -> tuple[int, float] | None:
@@ -239,5 +239,5 @@ def megabytes(plan: Plan) -> float:
 
 def layout_of(plan: Plan) -> MipLayout:
     """The layout of a plan's table, with its levels if it has any."""
-    sharp = MipLayout.of(plan, coefficient_table.CoefficientRange.by(plan.direction_range).frequency)
-    return sharp.with_mip_levels() if has_mip_levels(plan) else sharp
+    layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.by(plan.direction_range).frequency)
+    return layout.with_mip_levels() if has_mip_levels(plan) else layout

@@ -11,6 +11,7 @@ import warp as wp
 
 from warpdiff.core import memory
 from warpdiff.core.threads import single_threaded_blas
+from warpdiff.core.wording import ref
 from warpdiff.diffraction import chebyshev
 from warpdiff.kernels import sky_sum
 from warpdiff.kernels.structs import Footprint
@@ -34,12 +35,12 @@ _LEAST_W = 1e-3
 _MORE_LOOK_UPS = 10
 # Deviation of a footprint that holds all of the zeroth order's lobe.
 _WIDE = 0.5
-_BYTES_A_ROW = 120.0
+_BYTES_PER_ROW = 120.0
 
 
 @single_threaded_blas()
 def sky_table(
-    integrators: tuple[ColourLookup, ColourLookup],
+    lookups: tuple[ColourLookup, ColourLookup],
     illuminated: Sequence[Sequence[IlluminatedMaterial]],
     directions: int,
     height_range_um: float,
@@ -52,7 +53,7 @@ def sky_table(
     Each row is a look-up over a footprint that is the cell.
 
     Args:
-        integrators: With and without the zeroth order, which has a cell of its own, the first one: its lobe is narrower
+        lookups: With and without the zeroth order, which has a cell of its own, the first one: its lobe is narrower
             than others.
         illuminated: Spectra by material.
         directions: So many cells at most.
@@ -66,19 +67,19 @@ def sky_table(
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
     count = len(nodes) + 1
     memory.require_memory(
-        _BYTES_A_ROW * count * entries * len(illuminated), f"light: an Environment of {directions} directions",
-        "give {share} of them",
+        _BYTES_PER_ROW * count * entries * len(illuminated),
+        f"{ref('lights')} with an environment of {directions} directions", f"take {{share}} of {ref('directions')}",
     )  # fmt: skip
     half = 0.5 * phase
     count = min(math.ceil(half + 4.0 * half ** (1.0 / 3.0) + _MORE_LOOK_UPS), entries)
-    found = _looked_up(
-        integrators, places, footprints, chebyshev.nodes(_LEAST_W, 2.0, count), illuminated, device=device
+    colours = _cell_colours(
+        lookups, places, footprints, chebyshev.nodes(_LEAST_W, 2.0, count), illuminated, device=device
     )
-    rows = found[:, 1:][:, order] * places[order, 3].reshape(-1, 1, 1)
+    rows = colours[:, 1:][:, order] * places[order, 3].reshape(-1, 1, 1)
     # Of each node the mean over its cells. One more is beyond the last.
     rows = np.concatenate([rows, np.zeros_like(rows[:, :1])], axis=1)
     rows = np.add.reduceat(rows, spans.ravel(), axis=1)[:, ::2] / nodes[:, 3].reshape(-1, 1, 1)
-    rows = np.concatenate([found[:, :1], rows], axis=1)
+    rows = np.concatenate([colours[:, :1], rows], axis=1)
     between = chebyshev.cardinals(np.linspace(0.0, 2.0, entries), _LEAST_W, 2.0, count).astype(np.float32)
     rows = np.maximum(between @ rows, 0.0)
     ends = np.searchsorted(spans[:, 0], spans[:, 1])
@@ -90,8 +91,8 @@ def sky_table(
     return result
 
 
-def _looked_up(
-    integrators: tuple[ColourLookup, ColourLookup],
+def _cell_colours(
+    lookups: tuple[ColourLookup, ColourLookup],
     places: NDArray[np.float32],
     footprints: NDArray[np.float32],
     ws: NDArray[np.float64],
@@ -107,20 +108,20 @@ def _looked_up(
     scattering_vectors[:, :, :2] = places[:, None, :2]
     scattering_vectors[:, :, 2] = -ws
     count = len(places) * len(ws)
-    seen = wp.array(np.repeat(footprints, len(ws), axis=0), dtype=Footprint, device=device)
-    asked = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device=device)
+    spreads = wp.array(np.repeat(footprints, len(ws), axis=0), dtype=Footprint, device=device)
+    vectors = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device=device)
     to_lights = wp.zeros(count, dtype=wp.vec3f, device=device)
     gains = wp.full(count, 1.0, dtype=wp.float32, device=device)
     result = np.empty((len(illuminated), *scattering_vectors.shape, len(illuminated[0])), dtype=np.float32)
     for material, spectra in enumerate(illuminated):
         # Table by table, as not all of them may be kept.
         for spectrum, each in enumerate(spectra):
-            near, colours = (wp.zeros(count, dtype=wp.vec3f, device=device) for _ in integrators)
-            integrators[0].add(asked, to_lights, gains, each, near, footprints=seen, among=range(len(ws)))
-            integrators[1].add(asked, to_lights, gains, each, colours, footprints=seen)
-            found = colours.numpy().reshape(scattering_vectors.shape)
-            found[0] = 2.0 * math.pi * _WIDE**2 * (near.numpy()[: len(ws)] - found[0])
-            result[material, ..., spectrum] = found
+            total_xyz, colours = (wp.zeros(count, dtype=wp.vec3f, device=device) for _ in lookups)
+            lookups[0].add(vectors, to_lights, gains, each, total_xyz, footprints=spreads, among=range(len(ws)))
+            lookups[1].add(vectors, to_lights, gains, each, colours, footprints=spreads)
+            cell_xyz = colours.numpy().reshape(scattering_vectors.shape)
+            cell_xyz[0] = 2.0 * math.pi * _WIDE**2 * (total_xyz.numpy()[: len(ws)] - cell_xyz[0])
+            result[material, ..., spectrum] = cell_xyz
     return result.reshape(*result.shape[:3], -1)
 
 
@@ -139,18 +140,20 @@ def tree(most: int) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.
         of_level = np.stack([starts, np.append(starts[1:], count)], axis=1)
         spans.append(of_level[of_level[:, 1] - of_level[:, 0] > 1])
         for _ in range(2):
-            order, starts = _halved(places[:, :2], order, starts)
-    found = np.concatenate(spans)
-    found = found[np.lexsort((-found[:, 1], found[:, 0]))]
-    own = places[order]
-    area = own[:, 3]
-    moments = np.stack([area, area * own[:, 0], area * own[:, 1], area * (own[:, 2] ** 2 + 0.5 * _square(own))], axis=1)
+            order, starts = _halve_runs(places[:, :2], order, starts)
+    cell_spans = np.concatenate(spans)
+    cell_spans = cell_spans[np.lexsort((-cell_spans[:, 1], cell_spans[:, 0]))]
+    ordered = places[order]
+    area = ordered[:, 3]
+    moments = np.stack(
+        [area, area * ordered[:, 0], area * ordered[:, 1], area * (ordered[:, 2] ** 2 + 0.5 * _square(ordered))], axis=1
+    )
     sums = np.concatenate([np.zeros((1, 4)), moments.cumsum(axis=0)])
-    total = sums[found[:, 1]] - sums[found[:, 0]]
+    total = sums[cell_spans[:, 1]] - sums[cell_spans[:, 0]]
     middle = total[:, 1:3] / total[:, :1]
     variance = total[:, 3] / total[:, 0] - 0.5 * _square(middle)
     nodes = np.column_stack([middle, np.sqrt(variance), total[:, 0]]).astype(np.float32)
-    return nodes, found, order
+    return nodes, cell_spans, order
 
 
 def _square(places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,14 +161,14 @@ def _square(places: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(places[:, 0] ** 2 + places[:, 1] ** 2)
 
 
-def _halved(
+def _halve_runs(
     places: NDArray[np.float64], order: NDArray[np.int64], starts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Runs of places, in order, halved across their longer axes where they have several; where these start."""
     counts = np.diff(np.append(starts, len(order)))
     run = np.repeat(np.arange(len(starts)), counts)
     x, y = (places[order] - (np.add.reduceat(places[order], starts, axis=0) / counts[:, None])[run]).T
-    xx, xy, yy = (np.add.reduceat(each, starts) for each in (x * x, x * y, y * y))
+    xx, xy, yy = (np.add.reduceat(products, starts) for products in (x * x, x * y, y * y))
     angle = (0.5 * np.arctan2(2.0 * xy, xx - yy))[run]
     order = order[np.lexsort((x * np.cos(angle) + y * np.sin(angle), run))]
     return order, np.sort(np.concatenate([starts, (starts + (counts + 1) // 2)[counts > 1]]))
@@ -193,9 +196,9 @@ def cells(most: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     at = np.concatenate([np.linspace(0.0, radii[3], 60), np.geomspace(radii[3], radii[-2], 12 * len(radii))])[:, None]
     means = ive(0, at * radii / deviations**2) * np.exp(-0.5 * ((at - radii) / deviations) ** 2)
     means *= counts * nominal / (2.0 * math.pi * deviations**2)
-    held = 1e-2 * np.eye(len(radii))
-    wanted = np.concatenate([np.ones(len(at)), held.sum(axis=1)])
-    areas = nominal * np.linalg.lstsq(np.concatenate([means, held]), wanted, rcond=None)[0]
+    regularisation = 1e-2 * np.eye(len(radii))
+    targets = np.concatenate([np.ones(len(at)), regularisation.sum(axis=1)])
+    areas = nominal * np.linalg.lstsq(np.concatenate([means, regularisation]), targets, rcond=None)[0]
     places, footprints = [], []
     for ring, (radius, number, deviation) in enumerate(zip(radii, counts, deviations, strict=True)):
         angle = (np.arange(number) + 0.5 * (ring % 2)) * 2.0 * math.pi / number
