@@ -145,7 +145,7 @@ _WHILE_COMPILING = """
 import sys, threading, time
 import test_forks as t
 import warp as wp
-from warpdiff.device import device; from warpdiff.core import forks as forks as forks
+from warpdiff.device import devices
 
 loaded = threading.Event()
 
@@ -159,7 +159,7 @@ def refused():
 
 t.picture()
 wp.load_module = lambda *_, **__: loaded.wait(20.0)
-device.load([type("Kernel", (), {"module": "slow"})], wp.get_device("cpu"))
+devices.load([type("Kernel", (), {"module": "slow"})], wp.get_device("cpu"))
 began = time.monotonic()
 assert t.in_child(refused) == 0
 assert time.monotonic() - began < 3.0
