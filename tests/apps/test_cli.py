@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import os
 import subprocess
 import sys
@@ -16,14 +15,22 @@ from conftest import slow
 import warpdiff as wd
 from warpdiff import gratings
 from warpdiff.apps import cli, demo
+from warpdiff.apps.cli_options import given
 from warpdiff.core import disk_cache
+from warpdiff.core.options import describe
+from warpdiff.request.settings import SinglePictureSettings
 
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
 
 
 def test_render_writes_a_picture(tmp_path, capsys):
     target = tmp_path / "disc.exr"
-    assert cli.main(["render", "disc", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target)]) == 0
+    assert (
+        cli.main(
+            ["render", "disc", "--heightfield", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target)]
+        )
+        == 0
+    )
     spec = oiio.ImageInput.open(str(target)).spec()
     assert (spec.width, spec.height) == (24, 16)
     out = capsys.readouterr().out
@@ -38,8 +45,9 @@ def test_render_of_files(tmp_path, fuze_path):
     arguments = [
         "render",
         str(fuze_path),
+        "--heightfield",
         str(heights),
-        "--pixel-um",
+        "--pitch-um",
         "0.05",
         *SMALL,
         "--width",
@@ -47,7 +55,7 @@ def test_render_of_files(tmp_path, fuze_path):
         "--height",
         "30",
     ]
-    more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--flat"]
+    more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--no-smooth"]
     assert cli.main([*arguments, *more, "-o", str(target)]) == 0
     pixels = oiio.ImageBuf(str(target)).get_pixels(oiio.FLOAT)
     assert 0.05 < pixels[..., 3].mean() < 0.9
@@ -62,8 +70,22 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     output.close()
     size = {"width": 16, "height": 12}
     short = ["--tolerance", "0.5", "--sigma-um", "1"]
-    command = ["render", "disc", "blazed", *short, "--width", "16", "--height", "12", "--eye", "0", "1", "3"]
-    command += ["--target", "0", "0", "0", "--point-light", "1", "2", "1", "3", "--no-refine"]
+    command = [
+        "render",
+        "disc",
+        "--heightfield",
+        "blazed",
+        *short,
+        "--width",
+        "16",
+        "--height",
+        "12",
+        "--eye",
+        "0",
+        "1",
+        "3",
+    ]
+    command += ["--target", "0", "0", "0", "--light", "point:position=1x2x1,power=3", "--no-refine"]
     command += ["--environment", str(tmp_path / "sky.exr"), "--environment-rotation-deg", "40"]
     command += ["--environment-scale", "2", "--environment-directions", "16"]
     assert cli.main([*command, "-o", str(tmp_path / "under.exr")]) == 0
@@ -90,13 +112,26 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     for said, options in wrong.items():
         assert cli.main([*command, *options, "-o", str(tmp_path / "no.exr")]) == 2
         assert said in capsys.readouterr().err
-    assert cli.main(["render", "disc", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr")]) == 2
-    assert "--environment-scale is of an --environment" in capsys.readouterr().err
+    assert (
+        cli.main(
+            ["render", "disc", "--heightfield", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr")]
+        )
+        == 2
+    )
+    assert "--environment-scale requires --environment" in capsys.readouterr().err
 
 
 def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
     folder, film = tmp_path / "turn", tmp_path / "turn.webp"
-    command = ["sequence", "disc:segments=16,rings=1", "blazed:period_um=2.5,depth_um=0.2", *SMALL, "--width", "24"]
+    command = [
+        "sequence",
+        "disc:segments=16,rings=1",
+        "--heightfield",
+        "blazed:period_um=2.5,depth_um=0.2",
+        *SMALL,
+        "--width",
+        "24",
+    ]
     command += ["--height", "16", "--count", "3", "-o", str(folder)]
     assert cli.main([*command, "--animation", str(film)]) == 0
     frames = {path: path.read_bytes() for path in folder.glob("frame_*.png")}
@@ -114,16 +149,16 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("surface", "said"),
-    [("blazed:x=1", "period_um"), ("blazed:period_um", "period_um"), ("blazed:", "blazed"), ("disc:kind=LP", "kind")],
+    [("blazed:x=1", "period_um"), ("blazed:period_um", "period_um"), ("disc:kind=LP", "kind")],
 )
 def test_parameters_of_gratings_are_refused_by_name(tmp_path, capsys, surface, said):
-    assert cli.main(["render", "disc", surface, *SMALL, "-o", str(tmp_path / "a.png")]) == 2
+    assert cli.main(["render", "disc", "--heightfield", surface, *SMALL, "-o", str(tmp_path / "a.png")]) == 2
     assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--port", "70000"], ["no.obj"], ["--height", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
+    [["--port", "70000"], ["no.obj"], ["--heightfield", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
      ["--environment", "no.exr"], ["--environment", __file__]],
 )  # fmt: skip
 def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
@@ -135,7 +170,7 @@ def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
 
 def test_brdf_writes_a_map(tmp_path):
     target = tmp_path / "map.png"
-    arguments = ["brdf", "sinusoidal", "--period-um", "1.5", "--depth-um", "0.1", "--incidence-deg", "20", *SMALL]
+    arguments = ["brdf", "--heightfield", "sinusoidal:period_um=1.5,depth_um=0.1", "--incidence-deg", "20", *SMALL]
     assert cli.main([*arguments, "--size", "32", "-o", str(target)]) == 0
     assert oiio.ImageInput.open(str(target)).spec().width == 32
 
@@ -145,13 +180,13 @@ def test_brdf_writes_a_map(tmp_path):
     [
         (["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
         (["--coherence", "source"], "source of 0.53° in diameter"),
-        (["--coherence", "source", "--angular-diameter-deg", "2"], "source of 2° in diameter"),
-        (["--coherence", "replicas", "--copies", "1", "12"], "1 × 12 periods"),
+        (["--coherence", "source", "--source-diameter-deg", "2"], "source of 2° in diameter"),
+        (["--coherence", "replicas", "--periods", "1", "12"], "1 × 12 periods"),
         (["--method", "power"], "Chebyshev series of the powers"),
     ],
 )
 def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
-    arguments = ["brdf", "blazed", "--tolerance", "0.1", "--size", "6", *options]
+    arguments = ["brdf", "--heightfield", "blazed", "--tolerance", "0.1", "--size", "6", *options]
     assert cli.main([*arguments, "-o", str(tmp_path / "map.exr")]) == 0
     assert said in capsys.readouterr().out
 
@@ -162,14 +197,24 @@ def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path
 def test_info_describes_each_grating(name, monkeypatch, capsys):
     # Of a window that takes seconds less to plan for.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
-    assert cli.main(["info", name, "--tolerance", "0.1"]) == 0
+    assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out
     assert "pitch" in out
     assert "hemisphere" in out
 
 
 def test_info_of_the_scan(scan_path, capsys):
-    arguments = ["info", str(scan_path), "--extent-um", "65", "--height-range-um", "0.375", "--crop-um", "20"]
+    arguments = [
+        "info",
+        "--heightfield",
+        str(scan_path),
+        "--extent-um",
+        "65",
+        "--height-range-um",
+        "0.375",
+        "--crop-um",
+        "20",
+    ]
     assert cli.main([*arguments, "--level", "2", "--despike", "--periodic"]) == 0
     assert "410 × 410 samples" in capsys.readouterr().out
 
@@ -177,45 +222,54 @@ def test_info_of_the_scan(scan_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["info", "nothing.png"], "there is no file 'nothing.png'"),
-        (["info", "blazed", "--period-um", "-1"], "--period-um must"),
-        (["info", "blazed", "--tolerance", "7"], "tolerance"),
+        (["info", "--heightfield", "nothing.png"], "there is no file 'nothing.png'"),
+        (["info", "--heightfield", "blazed:period_um=-1"], "--heightfield 'blazed:period_um=-1': period_um must"),
+        (["info", "--heightfield", "blazed", "--tolerance", "7"], "tolerance"),
         (
-            ["brdf", "blazed", "-o", "x.png", "--coherence", "laser"],
+            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "laser"],
             "--coherence must be one of 'averaged', 'centred', 'source', 'replicas'",
         ),
         (
-            ["brdf", "blazed", "-o", "x.png", "--coherence", "replicas"],
-            "--copies must be given for --coherence='replicas'",
+            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "replicas"],
+            "--periods must be given for --coherence replicas",
         ),
         (
-            ["brdf", "blazed", "-o", "x.png", "--copies", "1", "2"],
-            "--copies is for --coherence='replicas', not 'averaged'",
-        ),
-        (["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"], "--sigma-um is for"),
-        (
-            ["brdf", "blazed", "-o", "x.png", "--coherence", "source", "--angular-diameter-deg", "0"],
-            "--angular-diameter-deg must be",
+            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--periods", "1", "2"],
+            "--periods is for --coherence replicas, not 'averaged'",
         ),
         (
-            ["brdf", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
-            "--method='power' expands powers",
+            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"],
+            "--sigma-um is for",
         ),
-        (["brdf", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
-        (["brdf", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
-        (["brdf", "blazed", "--incidence-deg", "90", "-o", "map.png"], "--incidence-deg must"),
-        (["render", "nothing.obj", "blazed", "-o", "x.png"], "MESH: there is no"),
-        (["render", "tube", "blazed", "--width", "0", "-o", "x.png"], "--width must"),
-        (["render", "tube", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "--light must"),
-        (["render", "tube", "blazed", "--device", "tpu", "-o", "x.png"], "--device must"),
-        (["info", "blazed", "--crop-um", "900"], "--crop-um along x must"),
+        (
+            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--source-diameter-deg", "0"],
+            "--source-diameter-deg must be",
+        ),
+        (
+            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
+            "--method power expands powers",
+        ),
+        (["brdf", "--heightfield", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
+        (["brdf", "--heightfield", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
+        (["brdf", "--heightfield", "blazed", "--incidence-deg", "90", "-o", "map.png"], "--incidence-deg must"),
+        (["render", "nothing.obj", "--heightfield", "blazed", "-o", "x.png"], "MESH file 'nothing.obj' does not exist"),
+        (["render", "tube", "--heightfield", "blazed", "--width", "0", "-o", "x.png"], "--width must"),
+        (["render", "tube", "--heightfield", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "--light must"),
+        (["render", "tube", "--heightfield", "blazed", "--device", "tpu", "-o", "x.png"], "--device must"),
+        (["info", "--heightfield", "blazed", "--crop-um", "900"], "--crop-um along x must"),
         (["demo", "--data", "no/such/folder"], "does not exist"),
         (["demo", "--scale", "0"], "--scale must"),
-        (["demo", "--display", "film"], "display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
-        (["brdf", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
-        (["brdf", "nothing", "-o", "x.png", "--gamut", "film"], "--gamut must be one of 'srgb', 'display-p3'"),
-        (["brdf", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
-        (["brdf", "nothing", "-o", "x.exr", "--background", "1", "1", "0"], "--background is for .png files"),
+        (["demo", "--display", "film"], "--display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
+        (["brdf", "--heightfield", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
+        (
+            ["brdf", "--heightfield", "nothing", "-o", "x.png", "--gamut", "film"],
+            "--gamut must be one of 'srgb', 'display-p3'",
+        ),
+        (["brdf", "--heightfield", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
+        (
+            ["brdf", "--heightfield", "nothing", "-o", "x.exr", "--background", "1", "1", "0"],
+            "--background is for .png files",
+        ),
     ],
 )
 def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
@@ -232,24 +286,31 @@ def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys)
     heights = np.add.outer(np.zeros(9), np.arange(40.0) ** 2) * 1e-4
     np.save("slope.npy", heights)
     np.save("gaps.npy", np.where(heights > 0.1, np.nan, heights))
-    assert cli.main(["info", "slope.npy"]) == 2
-    assert "exactly one of --extent-um (width along x) and --pixel-um" in capsys.readouterr().err
-    assert cli.main(["brdf", "gaps.npy", "--pixel-um", "0.1", "-o", "map.png"]) == 2
-    said = capsys.readouterr().err
-    assert "HEIGHTFIELD must have all samples" in said
-    assert "fill them with --fill, or cut out a part without gaps with --crop-um" in said
-    assert cli.main(["brdf", "slope.npy", "--pixel-um", "0.1", "--periodic", *SMALL, "--size", "4", "-o", "b.exr"]) == 0
+    assert cli.main(["info", "--heightfield", "slope.npy"]) == 2
+    error = capsys.readouterr().err
+    assert "--extent-um" in error
+    assert "--pitch-um" in error
+    assert cli.main(["brdf", "--heightfield", "gaps.npy", "--pitch-um", "0.1", "-o", "map.png"]) == 2
+    error = capsys.readouterr().err
+    assert "--heightfield must have all samples" in error
+    assert "--fill" in error
+    assert "--crop-um" in error
+    periodic = ["brdf", "--heightfield", "slope.npy", "--pitch-um", "0.1", "--periodic", *SMALL, "--size", "4"]
+    assert cli.main([*periodic, "-o", "b.exr"]) == 0
     assert "warning: --periodic changed heights" in capsys.readouterr().err
     # Words and file names stay what they are.
-    options = cli._parser().parse_args(["render", "tube", "a.png", "-o", "b.png"])
-    for text in ("a level of light, mesh and path", "'heightfield=1.png': 'kind=x/size_um' is a file"):
-        assert cli._in_flags(text, options) == text
+    assert cli.main(["render", "tube", "--heightfield", "kind of order=1, size_um must.png", "-o", "b.png"]) == 2
+    assert "there is no file 'kind of order=1, size_um must.png'" in capsys.readouterr().err
 
 
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 @pytest.mark.parametrize(
     "arguments",
-    [["brdf", "blazed", "-o", "map.png"], ["render", "tube", "blazed", "-o", "tube.exr"], ["demo"]],
+    [
+        ["brdf", "--heightfield", "blazed", "-o", "map.png"],
+        ["render", "tube", "--heightfield", "blazed", "-o", "tube.exr"],
+        ["demo"],
+    ],
 )
 def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -260,14 +321,16 @@ def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monk
     assert "is not writable; use another one" in capsys.readouterr().err
 
 
-def test_the_tolerance_is_that_of_the_library():
-    default = inspect.signature(wd.shade).parameters["tolerance"].default
-    for command in (["render", "tube", "fingers"], ["brdf", "fingers"]):
-        assert cli._parser().parse_args([*command, "-o", "a.png"]).tolerance == default
+def test_options_that_are_not_given_are_the_librarys():
+    for command in (["render", "tube"], ["brdf"]):
+        arguments = [*command, "--heightfield", "fingers", "-o", "a.png"]
+        options = cli._parser(arguments).parse_args(arguments)
+        assert given(options, describe(SinglePictureSettings)) == {}
+        assert given(options, describe(wd.Image.save)) == {}
 
 
 def test_unknown_options_are_2():
-    for arguments in ([], ["paint"], ["info"], ["info", "blazed", "--colour", "red"]):
+    for arguments in ([], ["paint"], ["info"], ["info", "--heightfield", "blazed", "--colour", "red"]):
         with pytest.raises(SystemExit) as stopped:
             cli.main(arguments)
         assert stopped.value.code == 2
@@ -280,7 +343,7 @@ def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
 
-    arguments = ["brdf", "blazed", "--size", "4", "-o", str(tmp_path / "map.png")]
+    arguments = ["brdf", "--heightfield", "blazed", "--size", "4", "-o", str(tmp_path / "map.png")]
     monkeypatch.setattr("warpdiff.Image.save", fail)
     assert cli.main(arguments) == 1
     assert "disk full" in capsys.readouterr().err
@@ -305,7 +368,7 @@ def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
     assert "0 files, 0.0 MiB" in shown("--clear")
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["mine.npz"]
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
-    assert "nothing is kept" in shown()
+    assert "the disk cache is disabled" in shown()
     assert cli.main(["cache", "--trim-mib", "-1"]) == 2
 
 
@@ -335,7 +398,7 @@ def test_a_user_without_a_home_is_served(tmp_path):
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
     (tmp_path / "file").touch()
-    code = "import sys; from warpdiff.apps import cli; sys.exit(cli.main(['info', 'lamellar']))"
+    code = "import sys; from warpdiff.apps import cli; sys.exit(cli.main(['info', '--heightfield', 'lamellar']))"
     done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
     assert done.returncode == 1
     assert "Warp cannot write compiled kernels" in done.stderr
@@ -354,24 +417,10 @@ def test_help_teaches(capsys):
 def test_warnings_are_one_line(tmp_path, capsys):
     heights = tmp_path / "h.npy"
     np.save(heights, np.zeros((8, 8)))
-    assert cli.main(["info", str(heights), "--pixel-um", "0.5"]) == 0
+    assert cli.main(["info", "--heightfield", str(heights), "--pitch-um", "0.5"]) == 0
     error = capsys.readouterr().err
     assert error.startswith("warpdiff: warning: a pitch of 0.5 µm")
     assert error.count("\n") == 1
-
-
-def test_progress_bar_waits_a_second(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    now = [0.0]
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
-    bar = cli.Bar("render")
-    bar(0.3)
-    assert capsys.readouterr().err == ""
-    now[0] = 1.5
-    bar(0.5)
-    assert " 50 %" in capsys.readouterr().err
-    bar(1.0)
-    assert capsys.readouterr().err.endswith("\x1b[K")
 
 
 # Pictures of 18 pixels across.
@@ -418,7 +467,7 @@ def test_demo_with_the_data(name, crop_um, fuze_path, scan_path, monkeypatch):
 
 def test_the_module_runs(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "warpdiff", "brdf", "blazed", *SMALL, "--size", "4", "-o", "map.exr"],
+        [sys.executable, "-m", "warpdiff", "brdf", "--heightfield", "blazed", *SMALL, "--size", "4", "-o", "map.exr"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

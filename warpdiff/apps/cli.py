@@ -127,7 +127,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
             name, help=known.what, description=description, epilog=f"example:\n  {known.example}",
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
         )  # fmt: skip
-        command.set_defaults(run=known.run, words={})
+        command.set_defaults(run=known.run, words={}, stored=frozenset())
         command.add_argument("--debug", action="store_true", help="show the full traceback of an error")
         if name == named:
             known.add_flags(command)
@@ -355,7 +355,7 @@ def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: 
     name, colon, parameters = text.partition(":")
     if name.lower() in functions:
         function, defaults = functions[name.lower()]
-    elif colon and name in module.__all__:
+    elif colon and inspect.isfunction(getattr(module, name, None)) and not name.startswith("_"):
         function, defaults = name, {}
     else:
         return None
@@ -520,7 +520,7 @@ def _environment(options: argparse.Namespace) -> wd.Environment | None:
     """Return the environment that flags give."""
     described = describe(wd.Environment.load)
     values = given(options, described, "environment_")
-    words = {"path": "--environment"} | {name: f"--environment-{described[name].dashed}" for name in described}
+    words = {name: f"--environment-{described[name].dashed}" for name in described} | {"path": "--environment"}
     if options.environment is None:
         if values or options.environment_behind:
             flag = words[next(iter(values))] if values else "--environment-behind"
@@ -568,8 +568,11 @@ def _check_output(options: argparse.Namespace) -> None:
     described = describe(wd.Image.save)
     for name, value in given(options, described).items():
         described[name].check(value)
-    if "background" in options and Path(options.output).suffix.lower() != ".png":
-        raise ArgumentValueError(f"--background is for .png files, got --output {options.output}")
+    if "background" in options:
+        if Path(options.output).suffix.lower() != ".png":
+            raise ArgumentValueError(f"--background is for .png files, got --output {options.output}")
+        for component in options.background:
+            validation.number(component, "background", least=0.0, most=1.0)
 
 
 def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.float32] | None = None) -> None:

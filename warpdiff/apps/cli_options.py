@@ -32,6 +32,7 @@ class Flags:
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         self._parser = parser
         self.words: dict[str, str] = {}
+        self._stored: set[str] = set()
 
     def group(self, title: str) -> Any:
         """Return a group of flags with a title in the help."""
@@ -68,6 +69,7 @@ class Flags:
             self.words[f"{stored}{option.name}"] = flag
         for option in chosen:
             default = (defaults or {}).get(option.name, option.default)
+            self._stored.add(f"{stored}{option.name}")
             how: dict[str, Any] = {"dest": f"{stored}{option.name}", "default": argparse.SUPPRESS}
             if option.kind == "flag" and option.optional:
                 how["action"] = argparse.BooleanOptionalAction
@@ -80,7 +82,7 @@ class Flags:
 
     def finish(self, **words: str) -> None:
         """Store the words with what is parsed; further words are by Python's names."""
-        self._parser.set_defaults(words=self.words | words)
+        self._parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
 
 def _shape(option: Option) -> dict[str, Any]:
@@ -123,7 +125,7 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
     result = {}
     for option in described.values():
         key = f"{prefix.replace('-', '_')}{option.name}"
-        if key in values and (option.kind != "object" or option.name in VECTORS):
+        if key in values and key in options.stored:
             value = values[key]
             if option.kind == "pair":
                 if len(value) > 2:
