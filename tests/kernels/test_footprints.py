@@ -68,7 +68,7 @@ def to_first_order(spreads):
 def test_it_is_on_where_it_is_not_said(pictures):
     blurred, points, _ = pictures
     assert blurred.plan.footprint
-    assert "range of (u, v)" in str(blurred.plan)
+    assert "mip levels for footprints" in str(blurred.plan)
     assert not points.plan.footprint
 
 
@@ -85,7 +85,7 @@ def test_a_pixel_shows_its_mean(pictures):
 @pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
 def test_rays_are_a_circle(fingers, angle_deg):
     """A full turn meets what a turn begins with, however wide the footprint."""
-    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     plan = dataclasses.replace(plan, footprint=True)
     device = wp.get_device("cpu")
     lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
@@ -108,7 +108,7 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
 
     What compilers leave over from vectors they round otherwise: one of two thousand took another row or weight then.
     """
-    plan = wd.plan(fingers, coherence=window, method="low-rank/table", tolerance=0.1, strict=False)
+    plan = wd.plan(fingers, coherence=window, method="low-rank", integration="table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
     lookup = ColourLookup(
         fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, device=device, threads=1
@@ -155,7 +155,7 @@ def colours(heightfield, plan, direction_range, uv, footprints):
 def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     """Of footprints that are lines, along and aslant, of which wide ones take fewer nodes and have a skew."""
     count = 200
-    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
     sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
     angles, sizes = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.5, 0.9, count)
     along = sizes[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -179,7 +179,7 @@ def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers,
     """Of footprints so many deviations away from it: what reaches around it is no range of angles and ratios."""
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
-    plan = wd.plan(heightfield, coherence=SHORT, method="low-rank/table", tolerance=0.02)
+    plan = wd.plan(heightfield, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
     sampled = wd.plan(heightfield, coherence=SHORT, method="low-rank", tolerance=1e-3)
     rotated, around = rng.uniform(0.0, 2.0 * np.pi, (2, count, 1))
     wide = rng.uniform(0.03, 0.1, (count, 1)) * np.concatenate([np.cos(rotated), np.sin(rotated)], axis=1)
