@@ -51,6 +51,19 @@ def test_colours_keep_the_difference_that_was_asked_for(fingers, lobes):
     assert 0.0 < lobes.error <= TOLERANCE
 
 
+def test_a_spectrum_is_within_the_colours_and_in_the_file(fingers, tmp_path):
+    incandescent = wd.Spectrum.blackbody(2856.0)
+    baked = wd.bake(fingers, coherence=WIDE, illuminant=incandescent, delta_e=4.0)
+    loaded = wd.BakedLobes.load(baked.save(tmp_path / "lobes.npz"))
+    assert (loaded.illuminant, str(loaded.illuminant)) == (incandescent, "black body of 2856 K")
+    rng = np.random.default_rng(95)
+    lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
+    exact = wd.reflectance(fingers, lights, views, coherence=WIDE, illuminant=incandescent).astype(float)
+    exposed = 0.2 / exact[:, 1:2]
+    differences = colorimetry.colour_difference(exposed * loaded.reflectance(lights, views), exposed * exact)
+    assert np.median(differences) <= 1.0
+
+
 def test_gold_is_within_the_colours_and_in_the_file(fingers, tmp_path):
     """Against the float64 reference, whose reflectances are by characteristic matrices."""
     gold = wd.Material.metal("Au")
@@ -243,7 +256,7 @@ def test_what_cannot_be_baked_is_refused():
         wd.bake(sine, coherence=wd.Coherence("centred"))
     with pytest.raises(ValueError, match="coherence must be of kind 'averaged'"):
         wd.bake_spectrum(sine, coherence=wd.Coherence("source"))
-    with pytest.raises(ValueError, match=r"tolerance must be a finite number >= 0\.2"):
+    with pytest.raises(ValueError, match=r"tolerance must be a finite number, at least 0\.2"):
         wd.bake(sine, tolerance=0.01)
     with pytest.raises(ValueError, match=r"coherence takes [0-9,]+ wavelengths a colour, .* σ = 1000 µm: take one"):
         wd.bake(sine, coherence=wd.Coherence(sigma_um=1000.0))

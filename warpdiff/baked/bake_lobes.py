@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
 
 # Rings an octave, and rays in a standard deviation of a lobe, from small to large tables.
 _RUNGS = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
@@ -66,7 +67,7 @@ _MOST_HEIGHT_UM = 12.0
 def bake(
     heightfield: HeightField,
     *,
-    illuminant: str = "D65",
+    illuminant: str | Spectrum = "D65",
     material: Material | None = None,
     delta_e: Annotated[float, Interval(ge=0.2, le=20.0)] = 2.0,
     coherence: Coherence | None = None,
@@ -81,7 +82,7 @@ def bake(
 
     Args:
         heightfield: The height field.
-        illuminant: Name in colour-science's ``SDS_ILLUMINANTS``.
+        illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
             index of refraction of the renderer.
         delta_e: Accepted ΔE2000 at the 99th percentile of the directions. Bright directions are normalised to Y = 0.2;
@@ -108,8 +109,8 @@ def bake(
     evaluation = Evaluation.of(heightfield, settings, illuminants=(illuminant,))
     if material is not None and not material.is_opaque:
         raise ArgumentValueError(
-            f"{ref('material')} must be opaque, got {material}: bake without a material, and set the index of refraction "
-            "in the renderer"
+            f"{ref('material')} must be opaque, got {material}: bake without a material, and set the index of "
+            "refraction in the renderer"
         )
     if not evaluation.coherence.adds_powers:
         raise ArgumentValueError(
@@ -128,7 +129,7 @@ def bake(
 class _Bakery:
     """What a height field's colours are sampled by, and the directions that judge a table."""
 
-    def __init__(self, request: Evaluation, illuminant: str, tolerance: float) -> None:
+    def __init__(self, request: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
         self._request, self._illuminant, self._tolerance = request, illuminant, tolerance
         direction_range, sample, _ = directions_of(request)
         plan = plan_for(request, direction_range, sample, _LOOK_UPS)

@@ -14,6 +14,7 @@ from warpdiff.core import forks, memory, validation
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import check_reflection
+from warpdiff.optics.spectra import Spectrum
 
 if TYPE_CHECKING:
     import os
@@ -47,7 +48,7 @@ class BakedLobes:
     Attributes:
         coherence: The window, averaged, or the source. Of a source lobes are those of light from above, and
             keep their power where it comes aslant, where they would be narrower.
-        illuminant: Its name.
+        illuminant: Name of an illuminant, or a ``Spectrum``.
         tolerance: Percentile 99 of ΔE2000 that was asked for.
         error: What was measured, on directions all over the hemisphere.
         grid: Where the nodes lie.
@@ -63,7 +64,7 @@ class BakedLobes:
     """
 
     coherence: Coherence
-    illuminant: str
+    illuminant: str | Spectrum
     tolerance: float
     error: float
     grid: PolarGrid
@@ -78,7 +79,6 @@ class BakedLobes:
         validation.instance(self.coherence, Coherence, "coherence")
         if self.coherence.kind not in _KINDS:
             raise ValueError(f"coherence must be of kind {' or '.join(_KINDS)}, got {self.coherence.kind!r}")
-        validation.instance(self.illuminant, str, "illuminant")
         colorimetry.check_illuminant(self.illuminant)
         validation.positive(self.tolerance, "tolerance")
         validation.number(self.error, "error", least=0.0)
@@ -229,8 +229,8 @@ class BakedLobes:
 
         The file is NumPy's ``.npz``, compressed, of the arrays ``functions``, ``exponents``, ``mantissas`` and
         ``zeroth``, of ``reflectances`` where there is a material, and of ``format``, ``coherence`` (kind), ``width`` (σ
-        in µm, or the source's diameter in degrees), ``illuminant``, ``tolerance``, ``error``, ``rings``, ``rays`` and
-        ``scale``.
+        in µm, or the source's diameter in degrees), ``illuminant`` (name), ``tolerance``, ``error``, ``rings``,
+        ``rays`` and ``scale``; for a ``Spectrum`` also of ``illuminant_nm`` and ``illuminant_values``.
 
         Args:
             path: Where to; it ends in ``.npz``.
@@ -241,13 +241,15 @@ class BakedLobes:
         coherence = self.coherence
         width = coherence.angular_diameter_deg if coherence.sigma_um is None else coherence.sigma_um
         told: dict[str, Any] = {
-            "format": FORMAT, "coherence": coherence.kind, "width": width, "illuminant": self.illuminant,
+            "format": FORMAT, "coherence": coherence.kind, "width": width, "illuminant": str(self.illuminant),
             "tolerance": self.tolerance, "error": self.error, "rings": self.grid.rings,
             "rays": np.array(self.grid.rays, dtype=np.int64), "scale": self.scale, "functions": self.functions,
             "exponents": self.exponents, "mantissas": self.mantissas, "zeroth": self.zeroth,
         }  # fmt: skip
         if self.reflectances is not None:
             told["reflectances"] = self.reflectances
+        if isinstance(self.illuminant, Spectrum):
+            told |= {"illuminant_nm": self.illuminant.wavelengths_nm, "illuminant_values": self.illuminant.values}
         return table_files.save(path, told)
 
     @classmethod
@@ -273,8 +275,11 @@ class BakedLobes:
             raise ValueError("rings and rays must be those of a grid")
         if rays.ndim != 1 or rays.min() < 4 or rays.max() > _MOST_RAYS:
             raise ValueError(f"rays must be 4 to {_MOST_RAYS}")
+        illuminant: str | Spectrum = str(found["illuminant"])
+        if "illuminant_nm" in found:
+            illuminant = Spectrum(found["illuminant_nm"], found["illuminant_values"], str(illuminant))
         return cls(
-            coherence, str(found["illuminant"]), float(found["tolerance"]), float(found["error"]),
+            coherence, illuminant, float(found["tolerance"]), float(found["error"]),
             PolarGrid(rings, tuple(rays.tolist())), found["functions"], float(found["scale"]), found["exponents"],
             found["mantissas"], found["zeroth"], found.get("reflectances"),
         )  # fmt: skip
