@@ -1,18 +1,22 @@
-"""The folder with the real inputs: named, or in ``WARPDIFF_DATA``, or ``../shared/data`` beside a checkout."""
+"""Folder of the real inputs: an argument, ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
+from warpdiff.core.wording import marked, ref
 
-def data_folder(given: str | os.PathLike[str] | None = None) -> Path | None:
-    """The folder with the real inputs, if there is one; one that is named must be there."""
-    named = given or os.environ.get("WARPDIFF_DATA")
-    if named:
-        folder = Path(named)
+
+def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
+    """Return the folder of the real inputs, or None; a folder that is named must exist."""
+    name = data or os.environ.get("WARPDIFF_DATA")
+    if name:
+        folder = Path(name)
         if not folder.is_dir():
-            raise FileNotFoundError(f"the data folder {folder} does not exist; check --data or WARPDIFF_DATA")
+            raise marked(
+                FileNotFoundError, f"the data folder {folder} does not exist; check {ref('data')} or WARPDIFF_DATA"
+            )
         return folder
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    return beside if beside.is_dir() else None
+    folder = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return folder if folder.is_dir() else None

@@ -1,4 +1,4 @@
-"""The demonstration: a snake, a disc, BRDF maps, and, where the real inputs are present, the scan."""
+"""Demonstration pictures: a snake, discs, BRDF maps, and the scan if the real inputs are available."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warpdiff.core import files, validation
 from warpdiff.evaluate.reflectance import reflectance_map
 from warpdiff.heightfield.field import HeightField
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
-from warpdiff.lights.light_types import DirectionalLight
+from warpdiff.lights.directional import DirectionalLight
 from warpdiff.optics.materials import Material
 from warpdiff.render.shade import shade
 from warpdiff.scene.camera import View
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable
 
+    from warpdiff.core.progress import Progress
+    from warpdiff.image.display_transform import Display, GamutName
     from warpdiff.image.image import Image
+    from warpdiff.samples.corn_snake import Tangent
 
 # The scan does not record its vertical range; the published preprocessing takes 0 to 255 as 0 to 0.375 µm.
 SCAN = "elaphe_65um.png"
@@ -34,32 +37,32 @@ MESH = "fuze.obj"
 
 
 @dataclass(frozen=True)
-class Picture:
+class DemoPicture:
     """One picture of the demonstration.
 
     Attributes:
-        name: Its file's name without suffix.
-        what: What it shows.
-        make: Computes it; takes a progress callback.
-        stops: Doublings of light on top of the automatic exposure.
-        background: What is behind, linear; None is transparent.
+        name: Name of the file without suffix.
+        title: Subject of the picture.
+        make: Function that computes the picture; its argument is ``progress``.
+        stops: Correction of the automatic exposure, a factor of 2 per stop.
+        background: Encoded colour of the background; None is transparent.
     """
 
     name: str
-    what: str
-    make: Callable[..., Image]
+    title: str
+    make: Callable[[Progress], Image]
     stops: float = 0.0
     background: tuple[float, float, float] | None = None
 
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
-    """The scan of a snake's skin without its waviness, its dust and its mismatched edges."""
+    """Load the scan of a snake's skin, levelled, despiked and periodic."""
     scan = HeightField.load(path, extent_um=SCAN_EXTENT_UM, height_range_um=SCAN_HEIGHT_RANGE_UM)
     return scan.levelled(order=2).despiked().periodic()
 
 
-def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
-    """The pictures that can be made with these inputs, at ``scale`` times their size."""
+def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
+    """Return the pictures that can be made from these inputs, at ``scale`` times their size."""
 
     def pixels(count: int) -> int:
         return max(2, round(count * scale))
@@ -73,7 +76,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
     discs_view = View((0.0, -3.0, 3.6), (0.0, 0.0, 0.0), fov_y_deg=24.0, width=pixels(720), height=pixels(320))
     size = pixels(400)
 
-    def snake(heightfield: HeightField, view: View, tangent: str = "around") -> Callable[..., Image]:
+    def snake(heightfield: HeightField, view: View, tangent: Tangent = "around") -> Callable[[Progress], Image]:
         # A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
         return lambda progress: shade(
             meshes.snake(tangent=tangent),
@@ -85,55 +88,59 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
             progress=progress,
         )
 
-    def discs(progress: Callable[[float], None] | None) -> Image:
-        both = trimesh.Scene()
+    def discs(progress: Progress) -> Image:
+        scene = trimesh.Scene()
         for metal, x in (("Al", -1.05), ("Au", 1.05)):
-            both.add_geometry(meshes.disc().apply_translation([x, 0.0, 0.0]), geom_name=metal)
-        lamp = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=3.0)
+            scene.add_geometry(meshes.disc().apply_translation([x, 0.0, 0.0]), geom_name=metal)
+        light = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=3.0)
         material = {metal: Material.metal(metal) for metal in ("Al", "Au")}
-        return shade(both, cd, lamp, discs_view, material=material, pigment=0.0, tolerance=3e-2, progress=progress)
+        return shade(scene, cd, light, discs_view, material=material, pigment=0.0, tolerance=3e-2, progress=progress)
 
-    def spectra(progress: Callable[[float], None] | None) -> Image:
-        lamp, blazed = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=5.0), gratings.blazed(2.5, 0.25)
+    def spectra(progress: Progress) -> Image:
+        light, blazed = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=5.0), gratings.blazed(2.5, 0.25)
         metal = Material.metal("Al")
         return shade(
-            meshes.disc(), blazed, lamp, disc_view, material=metal, pigment=0.0, tolerance=3e-2, progress=progress
+            meshes.disc(), blazed, light, disc_view, material=metal, pigment=0.0, tolerance=3e-2, progress=progress
         )
 
     def over_hemisphere(
         heightfield: HeightField, to_light: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    ) -> Callable[..., Image]:
+    ) -> Callable[[Progress], Image]:
         return lambda progress: reflectance_map(heightfield, to_light, size=size, progress=progress)
 
-    made = [
-        Picture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake)),
-        Picture("disc_cd", "compact discs of aluminium and gold under a lamp", discs, background=(0.0, 0.0, 0.0)),
-        Picture("disc_blazed", "spectra of a blazed grating of 2.5 µm on a disc", spectra, background=(1.0, 1.0, 1.0)),
-        Picture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), -5.0),
-        Picture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), -4.0),
-        Picture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), -1.3),
-        Picture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers)),
+    result = [
+        DemoPicture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake)),
+        DemoPicture("disc_cd", "compact discs of aluminium and gold", discs, background=(0.0, 0.0, 0.0)),
+        DemoPicture(
+            "disc_blazed", "spectra of a blazed grating of 2.5 µm on a disc", spectra, background=(1.0, 1.0, 1.0)
+        ),
+        DemoPicture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), -5.0),
+        DemoPicture(
+            "map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), -4.0
+        ),
+        DemoPicture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), -1.3),
+        DemoPicture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers)),
     ]
     if data is not None and (data / SCAN).is_file():
         scan = cleaned_scan(data / SCAN)
-        made += [
-            Picture(
+        result += [
+            DemoPicture(
                 "snake_elaphe",
                 "the scan of Elaphe guttata on the snake, its fingers along the body",
                 snake(scan, half_snake),
                 1.0,
             ),
-            Picture(
+            DemoPicture(
                 "snake_elaphe_across",
                 "the same with its fingers across the body",
                 snake(scan, half_snake, "along"),
                 0.4,
             ),
-            Picture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), -1.3),
+            DemoPicture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), -1.3),
         ]
         if (data / MESH).is_file():
-            made.append(
-                Picture(
+            result.append(
+                DemoPicture(
                     "fuze_elaphe",
                     "the scan on a textured bottle",
                     lambda progress: shade(
@@ -155,7 +162,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[Picture]:
                     -1.3,
                 )
             )
-    return made
+    return result
 
 
 def run(
@@ -163,24 +170,24 @@ def run(
     *,
     data: str | os.PathLike[str] | None = None,
     scale: float = 1.0,
-    display: str = "aces",
-    gamut: str = "srgb",
+    display: Display = "aces",
+    gamut: GamutName = "srgb",
     say: Callable[[str], None] = lambda _line: None,
-    progress: Callable[[str], Callable[[float], None] | None] = lambda _name: None,
+    progress: Progress = None,
 ) -> list[Path]:
-    """Render the demonstration into a folder, which is made if need be.
+    """Render the demonstration pictures into a folder.
 
     Args:
-        output: The folder.
-        data: Folder with the real inputs; None looks in ``WARPDIFF_DATA``, then ``../shared/data``.
+        output: Folder of the pictures; it is created if it does not exist.
+        data: Folder with the real inputs; None is ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout.
         scale: Factor on the pictures' sizes.
-        display: How they are shown, as :meth:`warpdiff.Image.display` has it.
-        gamut: Of which display.
-        say: Called with a line a picture.
-        progress: Called with a picture's name, returns its progress callback.
+        display: Display transform, as for :meth:`warpdiff.Image.save`.
+        gamut: Gamut of the display.
+        say: Callable that gets one line of text per picture.
+        progress: Callable that gets the share of each picture that is done, 0 to 1; True shows a bar per picture.
 
     Returns:
-        The files written.
+        The paths of the pictures.
     """
     folder = Path(output)
     validation.positive(scale, "scale")
@@ -190,15 +197,15 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     files.check_folder(folder, "output")
     if inputs is None or not (inputs / SCAN).is_file():
-        say(f"{SCAN} not found: synthetic gratings only; --data or WARPDIFF_DATA names the folder with the scan")
-    written = []
+        say(f"{SCAN} not found: synthetic gratings only; WARPDIFF_DATA names the folder with the scan")
+    paths = []
     for picture in pictures(inputs, scale=scale):
         started = time.perf_counter()
-        image = picture.make(progress(picture.name))
+        image = picture.make(progress)
         path = image.save(
             folder / f"{picture.name}.png", display=display, gamut=gamut, exposure_stops=picture.stops,
             background=picture.background,
         )  # fmt: skip
-        written.append(path)
-        say(f"{path}  {picture.what}  ({time.perf_counter() - started:.1f} s)")
-    return written
+        paths.append(path)
+        say(f"{path}  {picture.title}  ({time.perf_counter() - started:.1f} s)")
+    return paths
