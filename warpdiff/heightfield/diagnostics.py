@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,8 +44,6 @@ SCALAR_RELIABLE = 0.1
 SCALAR_INVALID = 3.0
 # Error of normalised efficiencies, relative to that of Stam's.
 _NORMALISED_SHARE = 0.5
-
-Grade = Literal["reliable", "qualitative", "invalid"]
 
 
 @dataclass(frozen=True)
@@ -237,16 +235,9 @@ def scalar_error_bound(
     return bound * (_NORMALISED_SHARE if normalised else 1.0)
 
 
-def scalar_grade(bound: float) -> Grade:
-    """Grade of scalar diffraction for a surface with this `scalar_error_bound`."""
-    if bound >= SCALAR_INVALID:
-        return "invalid"
-    return "reliable" if bound < SCALAR_RELIABLE else "qualitative"
-
-
 def scalar_error_text(bound: float) -> str:
-    """A `scalar_error_bound` as a risk, with its grade first."""
-    grade = scalar_grade(bound)
+    """Return a `scalar_error_bound` as a risk, graded as reliable, qualitative or invalid."""
+    grade = "invalid" if bound >= SCALAR_INVALID else "reliable" if bound < SCALAR_RELIABLE else "qualitative"
     text = f"{grade} at {WAVELENGTH_NM:g} nm:"
     if grade == "invalid":
         return (

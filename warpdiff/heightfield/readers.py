@@ -64,7 +64,7 @@ def read(file: Path, height_range_um: float | None) -> tuple[NDArray[np.float64]
     content = _readers.get(file.suffix.lower(), read_image)(file)
     shape = content.samples.shape
     if len(shape) != 2 or 0 in shape:
-        raise ArgumentValueError(f"{ref('path')}: {str(file)!r} has shape {shape}; save one array of shape (ny, nx)")
+        raise _refusal(file, f"has shape {shape}; save one array of shape (ny, nx)")
     return _in_micrometres(content.samples, file, height_range_um), content.pitch_um
 
 
@@ -80,9 +80,7 @@ def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | 
         scale = validation.positive(height_range_um, "height_range_um") / full
         return np.asarray(np.multiply(samples, scale, dtype=np.float64))
     if samples.dtype.kind != "f":
-        raise ArgumentValueError(
-            f"{ref('path')}: {str(file)!r} has samples of type {samples.dtype}; save uint8, uint16 or floating-point µm"
-        )
+        raise _refusal(file, f"has samples of type {samples.dtype}; save uint8, uint16 or floating-point µm")
     if height_range_um is not None:
         raise ArgumentValueError(
             f"{ref('height_range_um')} must not be given: {str(file)!r} has floating-point samples, which are in µm "
@@ -91,9 +89,7 @@ def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | 
     heights = samples.astype(np.float64)
     infinite = int(np.count_nonzero(np.isinf(heights)))
     if infinite:
-        raise ArgumentValueError(
-            f"{ref('path')}: {str(file)!r} has {infinite} infinite sample(s); save missing ones as NaN"
-        )
+        raise _refusal(file, f"has {infinite} infinite sample(s); save missing ones as NaN")
     return heights
 
 
@@ -147,9 +143,12 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
 
 def _unreadable(file: Path, error: Exception, writer: str) -> ArgumentValueError:
     """Headers are Python's text, and archives are parsed by zipfile and zlib, which raise errors of many types."""
-    return ArgumentValueError(
-        f"{ref('path')}: {str(file)!r} cannot be read as {file.suffix.lower()} ({error}); write it with {writer}"
-    )
+    return _refusal(file, f"cannot be read as {file.suffix.lower()} ({error}); write it with {writer}")
+
+
+def _refusal(file: Path, reason: str) -> ArgumentValueError:
+    """Return the error of a file that is refused."""
+    return ArgumentValueError(f"{ref('path')}: {str(file)!r} {reason}")
 
 
 def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
@@ -168,10 +167,7 @@ def read_image(file: Path) -> FileContent:
     with openimageio.in_use() as oiio:
         image = oiio.ImageInput.open(str(file))
         if image is None:
-            raise ArgumentValueError(
-                f"{ref('path')}: {str(file)!r} cannot be read as an image ({_reason(oiio)}); give a grey image, .npy "
-                "or .npz"
-            )
+            raise _refusal(file, f"cannot be read as an image ({_reason(oiio)}); give a grey image, .npy or .npz")
         try:
             return FileContent(_samples_of(image, file))
         finally:
@@ -184,17 +180,13 @@ def _samples_of(image: Any, file: Path) -> NDArray[Any]:
     channels = spec.nchannels
     if channels != 1:
         kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
-        raise ArgumentValueError(
-            f"{ref('path')}: {str(file)!r} is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float"
-        )
+        raise _refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
     _require_memory(file, (spec.height, spec.width))
     samples = image.read_image("unknown")  # the file's own type: nothing is converted
     if samples is None or image.has_error:
-        raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged ({_reason(image)}); export the image again")
+        raise _refusal(file, f"is damaged ({_reason(image)}); export the image again")
     if image.seek_subimage(1, 0):
-        raise ArgumentValueError(
-            f"{ref('path')}: {str(file)!r} contains several images; save the one with the heights alone"
-        )
+        raise _refusal(file, "contains several images; save the one with the heights alone")
     return np.asarray(samples)[..., 0]
 
 
