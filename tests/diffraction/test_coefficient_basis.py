@@ -96,7 +96,7 @@ def test_what_a_basis_leaves_out(method, adds_powers, kappas):
         error = np.abs((values - exact) * weights).max(axis=(0, 3)) / scales
         # A percentile of a sample, at nodes in κ: others lie a little above.
         assert np.percentile(error, 99.5) <= 2.0 * tolerance
-        assert found.unserved_gain[terms] <= tolerance < found.unserved_gain[terms - 1]
+        assert found.truncation_errors[terms] <= tolerance < found.truncation_errors[terms - 1]
 
 
 def test_the_fitted_basis_is_the_smallest():

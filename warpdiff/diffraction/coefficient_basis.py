@@ -64,15 +64,15 @@ class Coefficients:
         basis: Shape (entries, terms), float32, at |κ| = kappa_low − step, kappa_low, …, two steps beyond the range.
         kappa_low: Lower end of the range of |κ| [1/µm].
         step: Distance of the entries [1/µm].
-        unserved_gain: Error with the first n terms, n = 0 … terms, relative to a coefficient's largest value in the range;
-            for the fitted bases. Empty for a series, whose remainder is bounded.
+        truncation_errors: Errors with the first n terms, n = 0 … terms, relative to a coefficient's largest value in
+            the range; for the fitted bases. Empty for a series, whose remainder is bounded.
     """
 
     rows: NDArray[np.float32]
     basis: NDArray[np.float32]
     kappa_low: float
     step: float
-    unserved_gain: NDArray[np.float64]
+    truncation_errors: NDArray[np.float64]
 
     @property
     def terms(self) -> int:
@@ -107,7 +107,7 @@ class Coefficients:
 
     def terms_within(self, tolerance: float) -> int:
         """The fewest terms of a fitted basis that leave out no more than a tolerance, or all of them."""
-        enough = np.flatnonzero(self.unserved_gain <= tolerance)
+        enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
 

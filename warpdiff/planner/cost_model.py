@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
 # neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
-_COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_COPIES_FACTOR = 340.0, 16.0, 20.0, 280.0
+_COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_INTERFERENCE = 340.0, 16.0, 20.0, 280.0
 # Spokes and nodes that a line shows on.
 _AZIMUTHS_OF_LINE, _RINGS_OF_LINE = 7.0, 3.0
 # What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
@@ -35,16 +35,16 @@ _COST_OF_SAMPLE, _COST_OF_SAMPLES_NEIGHBOUR, _COST_OF_LINE, _COST_OF_NUMBER = 15
 _COST_OF_DENSE_MULTIPLY_ADD = 0.2
 
 
-def wavelength_count(plan: Plan, lateral_reach: float, w: float) -> float:
+def wavelength_count(plan: Plan, order_rate: float, w: float) -> float:
     """How many wavelengths a direction takes."""
     per_lateral, per_w, constant = plan.bandwidth_um
-    return SPAN * (per_lateral * lateral_reach + per_w * w + constant) + 1.0
+    return SPAN * (per_lateral * order_rate + per_w * w + constant) + 1.0
 
 
 def sampling_multiply_adds(
     heightfield: HeightField,
     plan: Plan,
-    lateral_reaches: NDArray[np.float64],
+    order_rates: NDArray[np.float64],
     w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
 ) -> float:
@@ -54,8 +54,8 @@ def sampling_multiply_adds(
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
         needed = [
-            wavelength_count(plan, float(neighbour_extent), float(each))
-            for neighbour_extent, each in zip(lateral_reaches, w, strict=True)
+            wavelength_count(plan, float(order_rate), float(w_size))
+            for order_rate, w_size in zip(order_rates, w, strict=True)
         ]
         samples = np.minimum(samples, np.asarray(needed) * 2.0 ** (0.5 / 4.0))
     if plan.coherence.kind == "replicas":
@@ -67,14 +67,14 @@ def sampling_multiply_adds(
             for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
         ]
         neighbours = math.prod(widths)
-    each = (
+    per_sample = (
         _COST_OF_WAVELENGTH
         + _COST_OF_TERM * lanes * min(1.0, neighbours)
         + neighbours * (_COST_OF_NEIGHBOUR + parts * lanes)
     )
     if plan.coherence.kind == "replicas":
-        each += _COST_OF_COPIES_FACTOR * plan.subdivisions
-    return float(np.average(samples, weights=weights) * each)
+        per_sample += _COST_OF_INTERFERENCE * plan.subdivisions
+    return float(np.average(samples, weights=weights) * per_sample)
 
 
 def look_up_multiply_adds(plan: Plan) -> float:
@@ -82,7 +82,7 @@ def look_up_multiply_adds(plan: Plan) -> float:
     return 9.0 * 3.0 * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
 
 
-def making_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
+def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     """The cost of making a table, in the multiply-adds of ``Plan``."""
     layout = polar_grid.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2

@@ -34,17 +34,17 @@ _NEIGHBOUR_SHARE, _TERMS_SHARE, _QUADRATURE_SHARE = 0.25, 0.3, 0.45
 # The exponent of the least weight is tried in these steps, and is at least one of them.
 _EXPONENT_STEP = 0.5
 # Factors on the parts of the bandwidth, as powers of two.
-_LATERAL_STEPS = np.arange(1.0, -4.01, -0.25)
+_RATE_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
 # Up to so many times the lateral of bright pilots these tell how little of its bound suffices; else this is the least.
-_TRUSTED_LATERAL_FACTOR, _LEAST_LATERAL_STEP = 2.0, -0.25
+_TRUSTED_RATE_FACTOR, _LEAST_RATE_STEP = 2.0, -0.25
 _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, and then of those that will do by
 # what it errs. The largest take seconds, and are not the first.
-_LIKELY_SHARE, _ALWAYS_MEASURED_FROM_NODES, _PROMISING_FACTOR = 0.85, 48, 1.25
+_LIKELY_SHARE, _ALWAYS_MEASURED_FROM_RINGS, _PROMISING_FACTOR = 0.85, 48, 1.25
 # More functions of w, which make look-ups dearer, are tried up to so many targets, taken where they leave so little.
-_MENDED_BY_FUNCTIONS, _WORTH_FUNCTIONS = 4.0, 0.9
+_MENDED_BY_W_BASIS, _WORTH_W_BASIS = 4.0, 0.9
 _WIDENINGS = 3
 # What a jury finds wanting gets so much more of the least weight's exponent, a register more of terms or half an octave
 # more of wavelengths, whichever mends most, where that leaves so little of the error.
@@ -60,7 +60,7 @@ _SUBDIVISION_SHARE = 0.3
 # whose errors fall slowly with their size, get a larger share.
 _ENOUGH_BRIGHT, _FEWEST_BRIGHT, _SHARE_BY_FEW, _TABLE_SHARE_BY_FEW = 64, 8, 0.1, 0.5
 # Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
-_PREDICTED_PER_JUDGED, _PREDICTED_PER_JUDGED_BY_FEW = 2.0, 2.5
+_PREDICTED_PER_ERROR, _PREDICTED_PER_ERROR_BY_FEW = 2.0, 2.5
 # And no less than this share of the tolerance, which no few hundred directions vouch for.
 _LEAST_PREDICTED_SHARE = 0.1
 # Error of a fitted basis in float32, measured against the direct sum.
@@ -69,7 +69,7 @@ _ROUNDING_OF_POWERS, _ROUNDING_OF_AMPLITUDES = 3e-6, 5e-6
 _HOPELESS_FACTOR = 10.0
 
 
-def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
+def search_sampled(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     """The cheapest plan found that keeps the tolerance on the pilots, its errors as measured.
 
     Args:
@@ -78,13 +78,13 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         automatic: Whether the method may change.
     """
     target = plan.tolerance / SEARCH_SAFETY
-    plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
+    plan = dataclasses.replace(plan, least_weight=trial.reference.least_weight)
     by_mirror, bright = trial.bright
     terms_share = (1.0 if by_mirror >= _ENOUGH_BRIGHT else _SHARE_BY_FEW) * _TERMS_SHARE
     fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     if rounding > target and automatic:
         # Powers of coefficients that vanish with a high power of κ cancel in float32; amplitudes do not.
-        plan = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
+        plan = dataclasses.replace(plan, method=trial.reference.method, terms=trial.reference.terms)
         fewer, truncation, rounding = _fewer_terms(plan, trial, terms_share * target)
     plan, neighbourhood, quadrature = fewer, 0.0, 0.0
     if by_mirror >= _ENOUGH_BRIGHT:
@@ -93,13 +93,13 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         # Errors fall so fast with the number of wavelengths that a wide margin takes few more.
         margin = 1.0 if bright >= _ENOUGH_BRIGHT else _SHARE_BY_FEW
         plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
-    plan, whole = _enough_of_all(plan, trial, target)
-    if whole > target and automatic and plan.method != trial.finest.method:
+    plan, error = refine(plan, trial, target)
+    if error > target and automatic and plan.method != trial.reference.method:
         # What a jury finds that cancels, and pilots have not seen.
-        amplitudes = dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms)
-        plan, whole = _enough_of_all(amplitudes, trial, target)
+        amplitudes = dataclasses.replace(plan, method=trial.reference.method, terms=trial.reference.terms)
+        plan, error = refine(amplitudes, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
-    share = _told(whole, plan, trial) / (truncation + neighbourhood + quadrature + rounding)
+    share = predicted_error(error, plan, trial) / (truncation + neighbourhood + quadrature + rounding)
     return dataclasses.replace(
         plan,
         truncation=share * truncation,
@@ -112,7 +112,7 @@ def refined(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     )
 
 
-def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_making: float) -> Plan | None:
+def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
     """The smallest polar table that the jury finds within the tolerance, or the best of those within reach.
 
     A table is made for each attempt and found again by the call that follows, which adds the levels for footprints.
@@ -123,7 +123,7 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
         trial: Some of the call's directions.
         footprint: Whether pixels show means.
         needed: Whether the finest is to be tried, however little it promises.
-        most_making: Multiply-adds that making one may take.
+        affordable: Multiply-adds that making one may take.
     """
     target = (
         plan.tolerance
@@ -132,50 +132,50 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
     )
     if plan.coherence.kind == "source":
         # What surrounds the mirror direction is sampled.
-        plan = dataclasses.replace(plan, least_weight=trial.finest.least_weight)
+        plan = dataclasses.replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target)
     # What hardly any of the jury tells, the largest error that tables make does.
-    few = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < _FEWEST_BRIGHT
+    few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < _FEWEST_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     best, least = None, math.inf
     likely = [
         table_size
         for table_size in sizes
-        if polar_grid.table_error(table_size[0], few_orders=few) <= _LIKELY_SHARE * target
-        or table_size[0] >= _ALWAYS_MEASURED_FROM_NODES
+        if polar_grid.table_error(table_size[0], few_orders=few_orders) <= _LIKELY_SHARE * target
+        or table_size[0] >= _ALWAYS_MEASURED_FROM_RINGS
     ]
-    functions = 0
+    size = 0
     by_terms: float | None = None
     while likely:
-        nodes, azimuths_per_width = likely.pop(0)
-        tried = dataclasses.replace(
-            plan, rings_per_octave=nodes, azimuths_per_width=azimuths_per_width, w_basis_size=functions
+        rings, azimuths_per_width = likely.pop(0)
+        candidate = dataclasses.replace(
+            plan, rings_per_octave=rings, azimuths_per_width=azimuths_per_width, w_basis_size=size
         )
-        tried = trial.with_functions(tried)
-        making = cost_model.making_multiply_adds(trial.heightfield, tried)
-        if polar_grid.megabytes(tried) > polar_grid.MOST_MEGABYTES or making > most_making:
+        candidate = trial.with_w_basis(candidate)
+        table_cost = cost_model.table_multiply_adds(trial.heightfield, candidate)
+        if polar_grid.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             break
         if best is None:
-            trial.update_floors(tried)
-        error = trial.validation_error(tried)
-        if target < error <= _MENDED_BY_FUNCTIONS * target and not functions:
+            trial.update_floors(candidate)
+        error = trial.validation_error(candidate)
+        if target < error <= _MENDED_BY_W_BASIS * target and not size:
             # What more nodes do not mend may be more functions of w.
-            functions = tried.w_basis_size
-            richer = trial.with_functions(tried, W_BASIS_STEP)
-            if richer.w_basis_size > functions and (left := trial.validation_error(richer)) < _WORTH_FUNCTIONS * error:
-                tried, error, functions = richer, left, richer.w_basis_size
-        told = _told(error, plan, trial)
+            size = candidate.w_basis_size
+            richer = trial.with_w_basis(candidate, W_BASIS_STEP)
+            if richer.w_basis_size > size and (richer_error := trial.validation_error(richer)) < _WORTH_W_BASIS * error:
+                candidate, error, size = richer, richer_error, richer.w_basis_size
+        predicted = predicted_error(error, plan, trial)
         if error < least:
             least = error
             best = dataclasses.replace(
-                tried,
+                candidate,
                 footprint=footprint,
-                truncation=min(truncation, told),
+                truncation=min(truncation, predicted),
                 neighbourhood=0.0,
-                quadrature=max(0.0, told - truncation),
+                quadrature=max(0.0, predicted - truncation),
                 rounding=0.0,
-                multiply_adds=cost_model.look_up_multiply_adds(tried),
-                table_multiply_adds=making,
+                multiply_adds=cost_model.look_up_multiply_adds(candidate),
+                table_multiply_adds=table_cost,
                 is_measured=True,
                 validation_size=len(trial.validation_set),
             )
@@ -187,17 +187,19 @@ def tabled(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, most_maki
             by_terms = trial.validation_error(plan)
         if longer is not None and by_terms is not None and by_terms > _TERMS_SHARE * target:
             plan, truncation, by_terms = longer, by_terms, None
-            likely.insert(0, (nodes, azimuths_per_width))
+            likely.insert(0, (rings, azimuths_per_width))
         else:
             hoped = _PROMISING_FACTOR * target
             promising = [
-                table_size for table_size in likely if error * (nodes / table_size[0]) ** polar_grid.ERROR_ORDER <= hoped
+                table_size
+                for table_size in likely
+                if error * (rings / table_size[0]) ** polar_grid.ERROR_ORDER <= hoped
             ]
-            likely = promising or (_finest(likely, tried) if needed else [])
+            likely = promising or (_largest_sizes(likely, candidate) if needed else [])
     return best if needed or footprint or least <= target else None
 
 
-def _finest(table_sizes: list[tuple[int, float]], plan: Plan) -> list[tuple[int, float]]:
+def _largest_sizes(table_sizes: list[tuple[int, float]], plan: Plan) -> list[tuple[int, float]]:
     """The finest of some sizes that a table may have, if there is one."""
     sizes = [
         (table_size, dataclasses.replace(plan, rings_per_octave=table_size[0], azimuths_per_width=table_size[1]))
@@ -206,12 +208,12 @@ def _finest(table_sizes: list[tuple[int, float]], plan: Plan) -> list[tuple[int,
     return [table_size for table_size, sized in sizes if polar_grid.megabytes(sized) <= polar_grid.MOST_MEGABYTES][-1:]
 
 
-def _told(error: float, plan: Plan, trial: Trial) -> float:
+def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
     """The error to predict by the jury's, the larger the less it stands for the call; no reason to refuse a plan."""
-    upper_bound_plan = _PREDICTED_PER_JUDGED if trial.bright[1] >= _ENOUGH_BRIGHT else _PREDICTED_PER_JUDGED_BY_FEW
-    factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else upper_bound_plan
-    told = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
-    return max(told, _LEAST_PREDICTED_SHARE * plan.tolerance)
+    per_error = _PREDICTED_PER_ERROR if trial.bright[1] >= _ENOUGH_BRIGHT else _PREDICTED_PER_ERROR_BY_FEW
+    factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else per_error
+    predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
+    return max(predicted, _LEAST_PREDICTED_SHARE * plan.tolerance)
 
 
 def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
@@ -220,33 +222,33 @@ def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
     More terms are another kernel, which a table does not need.
     """
 
-    def left_by(terms: int) -> float:
-        tried = dataclasses.replace(plan, terms=terms, wavelengths=trial.finest.wavelengths)
-        return trial.validation_error(dataclasses.replace(tried, least_weight=trial.finest.least_weight))
+    def truncation_error(terms: int) -> float:
+        candidate = dataclasses.replace(plan, terms=terms, wavelengths=trial.reference.wavelengths)
+        return trial.validation_error(dataclasses.replace(candidate, least_weight=trial.reference.least_weight))
 
     if plan.method in EXPANSIONS:
-        return _fewest_terms(plan, plan.terms, share, left_by)
-    unserved_gain = trial.fitted(plan).unserved_gain
-    most = len(unserved_gain) - 1
+        return _fewest_terms(plan, plan.terms, share, truncation_error)
+    errors = trial.fitted(plan).truncation_errors
+    most = len(errors) - 1
     if most <= coefficient_table.LANES:
         return dataclasses.replace(plan, terms=most), 0.0
-    error = left_by(coefficient_table.LANES)
+    error = truncation_error(coefficient_table.LANES)
     for terms in range(coefficient_table.LANES, most):
-        expected = error * float(unserved_gain[terms] / unserved_gain[coefficient_table.LANES])
+        expected = error * float(errors[terms] / errors[coefficient_table.LANES])
         if expected <= share:
             return dataclasses.replace(plan, terms=terms), expected
     return dataclasses.replace(plan, terms=most), 0.0
 
 
-def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
+def refine(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
     """The plan with so much more of what it lacks that the jury finds it within the target, and its error there."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for _ in range(_REPAIRS):
         if error <= target:
             break
-        tried = [(trial.validation_error(each), each) for each in _repairs(plan, trial)]
-        least, best = min(tried, key=lambda each: each[0])
+        candidates = [(trial.validation_error(candidate), candidate) for candidate in _repairs(plan, trial)]
+        least, best = min(candidates, key=lambda candidate: candidate[0])
         if least >= _WORTH_A_REPAIR * error:
             # What none of them mends alone may be two of them.
             best = _repairs(_repairs(plan, trial)[0], trial)[-1]
@@ -259,16 +261,16 @@ def _enough_of_all(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float
 
 def _repairs(plan: Plan, trial: Trial) -> list[Plan]:
     """The plan with more neighbours, with more terms if there are any, and with more wavelengths if it takes some."""
-    deeper = min(plan.least_weight * math.exp(-_MORE_EXPONENT), trial.finest.least_weight)
-    found = [dataclasses.replace(plan, least_weight=deeper)]
+    deeper = min(plan.least_weight * math.exp(-_MORE_EXPONENT), trial.reference.least_weight)
+    repairs = [dataclasses.replace(plan, least_weight=deeper)]
     longer = more_terms(plan, trial)
     if longer is not None:
-        found.append(longer)
+        repairs.append(longer)
     if plan.wavelengths:
         a, b, c = (math.sqrt(2.0) * part for part in plan.bandwidth_um)
         more = coefficient_table.wavelength_set_size(math.sqrt(2.0) * plan.wavelengths)
-        found.append(dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more))
-    return found
+        repairs.append(dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more))
+    return repairs
 
 
 def more_terms(plan: Plan, trial: Trial) -> Plan | None:
@@ -282,20 +284,20 @@ def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, flo
     """The least exponent whose neighbourhood is within its share, by bisection, and the error that it leaves."""
     if plan.coherence.kind == "replicas":
         return plan, 0.0
-    whole = trial.run(plan)
+    reference_values = trial.run(plan)
 
     def attempt(steps: int) -> tuple[Plan, float]:
-        tried = dataclasses.replace(plan, least_weight=math.exp(-steps * _EXPONENT_STEP))
-        return tried, trial.error(trial.run(tried), whole)
+        candidate = dataclasses.replace(plan, least_weight=math.exp(-steps * _EXPONENT_STEP))
+        return candidate, trial.error(trial.run(candidate), reference_values)
 
     most = math.floor(-math.log(plan.least_weight) / _EXPONENT_STEP)
     best, error = plan, 0.0
     low, high = min(math.ceil(-math.log(_LEAST_WEIGHT_SHARE * plan.tolerance) / _EXPONENT_STEP), most) - 1, most
     while high - low > 1:
         middle = (low + high) // 2
-        tried, unserved_gain = attempt(middle)
-        if unserved_gain <= share:
-            high, best, error = middle, tried, unserved_gain
+        candidate, candidate_error = attempt(middle)
+        if candidate_error <= share:
+            high, best, error = middle, candidate, candidate_error
         else:
             low = middle
     return best, error
@@ -303,18 +305,18 @@ def _fewer_neighbours(plan: Plan, trial: Trial, share: float) -> tuple[Plan, flo
 
 def _fewer_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float, float]:
     """The fewest terms within their share, in whole SIMD registers; what they leave out, and float32's error."""
-    exact = trial.run(dataclasses.replace(plan, method=trial.finest.method, terms=trial.finest.terms))
+    exact = trial.run(dataclasses.replace(plan, method=trial.reference.method, terms=trial.reference.terms))
 
-    def left_by(terms: int) -> float:
+    def truncation_error(terms: int) -> float:
         return trial.error(trial.run(dataclasses.replace(plan, terms=terms)), exact)
 
     most = plan.terms if plan.method in EXPANSIONS else trial.fitted(plan).terms
-    found, truncation = _fewest_terms(plan, most, share, left_by)
+    fewer, truncation = _fewest_terms(plan, most, share, truncation_error)
     rounding = _rounding(plan)
     if not truncation:
         # As many terms as there are leave out nothing that shows: the rest is float32's.
-        rounding = max(rounding, left_by(found.terms))
-    return found, truncation, rounding
+        rounding = max(rounding, truncation_error(fewer.terms))
+    return fewer, truncation, rounding
 
 
 def _rounding(plan: Plan) -> float:
@@ -322,10 +324,10 @@ def _rounding(plan: Plan) -> float:
     return _ROUNDING_OF_POWERS if plan.coherence.adds_powers else _ROUNDING_OF_AMPLITUDES
 
 
-def _fewest_terms(plan: Plan, most: int, share: float, left_by: Callable[[int], float]) -> tuple[Plan, float]:
+def _fewest_terms(plan: Plan, most: int, share: float, truncation_error: Callable[[int], float]) -> tuple[Plan, float]:
     """The fewest terms within their share, in whole SIMD registers, and what they leave out: all that there are, 0."""
     for terms in range(coefficient_table.LANES, most, coefficient_table.LANES):
-        error = left_by(terms)
+        error = truncation_error(terms)
         if error <= share:
             return dataclasses.replace(plan, terms=terms), error
     return dataclasses.replace(plan, terms=most), 0.0
@@ -339,12 +341,8 @@ def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, fl
     for bandwidth in _bandwidths(plan, trial, share, exact):
         a, b, c = bandwidth
         # As many wavelengths serve a grazing source, for which bounds were cut short, nearer to the horizon.
-        neighbour_extent = min(
-            ((plan.wavelengths - 1.0) / cost_model.SPAN - b * plan.max_w - c) / a, trial.max_order_rate
-        )
-        adapted = dataclasses.replace(
-            plan, bandwidth_um=bandwidth, max_order_rate=max(plan.max_order_rate, neighbour_extent)
-        )
+        order_rate = min(((plan.wavelengths - 1.0) / cost_model.SPAN - b * plan.max_w - c) / a, trial.max_order_rate)
+        adapted = dataclasses.replace(plan, bandwidth_um=bandwidth, max_order_rate=max(plan.max_order_rate, order_rate))
         most = cost_model.wavelength_count(adapted, adapted.max_order_rate, adapted.max_w)
         adapted = dataclasses.replace(
             adapted, wavelengths=coefficient_table.wavelength_set_size(min(most, 2.0 * plan.wavelengths))
@@ -363,10 +361,10 @@ def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[
     Bounds are for what oscillates; a surface much higher than a wavelength may take a little more than they say.
     """
 
-    def against_twice(tried: Plan) -> tuple[NDArray[np.float64], float]:
-        tried = dataclasses.replace(tried, adaptive=False)
-        exact = trial.run(dataclasses.replace(tried, wavelengths=2 * tried.wavelengths - 1))
-        return exact, trial.error(trial.run(tried), exact)
+    def against_twice(candidate: Plan) -> tuple[NDArray[np.float64], float]:
+        candidate = dataclasses.replace(candidate, adaptive=False)
+        exact = trial.run(dataclasses.replace(candidate, wavelengths=2 * candidate.wavelengths - 1))
+        return exact, trial.error(trial.run(candidate), exact)
 
     exact, error = against_twice(plan)
     # For a source at the horizon bounds were cut short: what is too sparse to see an order need not err less at once.
@@ -377,12 +375,12 @@ def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[
         a, b, c = (2.0 * part for part in plan.bandwidth_um)
         more = coefficient_table.wavelength_set_size(2.0 * plan.wavelengths)
         wider = dataclasses.replace(plan, bandwidth_um=(a, b, c), wavelengths=more)
-        values, left = against_twice(wider)
-        if left > error / 2.0 and wider.wavelengths >= bound:
+        values, new_error = against_twice(wider)
+        if new_error > error / 2.0 and wider.wavelengths >= bound:
             # What does not fall is float32's.
             break
-        plan, exact, error = wider, values, left
-    if plan.wavelengths > 1.5 * trial.finest.wavelengths:
+        plan, exact, error = wider, values, new_error
+    if plan.wavelengths > 1.5 * trial.reference.wavelengths:
         trial.refine_reference(plan)
     return plan, exact
 
@@ -403,10 +401,10 @@ def _bandwidths(
         size = coefficient_table.wavelength_set_size(size * 2.0 ** (-1.0 / coefficient_table.SETS_PER_OCTAVE))
 
     # Of a source, grazing light is foreshortened beyond what bright pilots tell of.
-    seen = float(np.max(trial.order_rate, initial=0.0, where=trial.training_set.above.all(axis=0)))
-    known_to = plan.coherence.kind != "source" or seen * _TRUSTED_LATERAL_FACTOR >= trial.max_order_rate
-    lateral_steps = _LATERAL_STEPS if known_to else _LATERAL_STEPS[_LATERAL_STEPS >= _LEAST_LATERAL_STEP]
-    factors = np.stack(np.meshgrid(lateral_steps, _HEIGHT_STEPS, _COLOUR_STEPS, indexing="ij"), axis=-1)
+    bright_rate = float(np.max(trial.order_rate, initial=0.0, where=trial.training_set.above.all(axis=0)))
+    known_to = plan.coherence.kind != "source" or bright_rate * _TRUSTED_RATE_FACTOR >= trial.max_order_rate
+    rate_steps = _RATE_STEPS if known_to else _RATE_STEPS[_RATE_STEPS >= _LEAST_RATE_STEP]
+    factors = np.stack(np.meshgrid(rate_steps, _HEIGHT_STEPS, _COLOUR_STEPS, indexing="ij"), axis=-1)
     parts = 2.0 ** factors.reshape(-1, 3) * plan.bandwidth_um
     counts = 1.0 + cost_model.SPAN * (
         np.outer(parts[:, 0], trial.order_rate) + np.outer(parts[:, 1], trial.w) + parts[:, 2:]
@@ -427,10 +425,10 @@ def _fewer_subdivisions(plan: Plan, trial: Trial, share: float) -> Plan:
     """Fewer samples of the copies' factor, as long as they leave a small part of the share."""
     if plan.subdivisions == 1:
         return plan
-    whole = trial.run(plan)
+    reference_values = trial.run(plan)
     while plan.subdivisions > 1:
-        tried = dataclasses.replace(plan, subdivisions=math.floor(plan.subdivisions / 1.2))
-        if trial.error(trial.run(tried), whole) > _SUBDIVISION_SHARE * share:
+        candidate = dataclasses.replace(plan, subdivisions=math.floor(plan.subdivisions / 1.2))
+        if trial.error(trial.run(candidate), reference_values) > _SUBDIVISION_SHARE * share:
             break
-        plan = tried
+        plan = candidate
     return plan

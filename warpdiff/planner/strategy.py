@@ -238,19 +238,24 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     blurs = request.footprint and coherence.adds_powers and method == "auto"
     if request.footprint and not blurs:
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    most_making = math.inf if integration == "table" or blurs else 0.0
-    if method == "auto" and colour and not most_making:
-        most_making = affordable_table_cost(heightfield, upper_bound_plan, count)
+    affordable = math.inf if integration == "table" or blurs else 0.0
+    if method == "auto" and colour and not affordable:
+        affordable = affordable_table_cost(heightfield, upper_bound_plan, count)
     # Bounds that were cut short, for a source at the horizon, are none, and may miss what light there is.
     is_truncated = upper_bound_plan.max_order_rate < direction_range.max_order_rate
     # Powers of coefficients that vanish with κ cancel in float32, which only a trial tells.
     cancels = method != "auto" and holds_powers(upper_bound_plan.method, adds_powers=coherence.adds_powers)
     fewest = _FEWEST_TRIED if cancels else _fewest_searched(coherence)
-    is_searched = len(sample) > 0 and (most_making > 0.0 or is_truncated or count >= fewest)
+    is_searched = len(sample) > 0 and (affordable > 0.0 or is_truncated or count >= fewest)
     if method == "auto" and not is_searched:
         # Amplitudes take no longer.
         upper_bound_plan = _ample(
-            heightfield, direction_range, tolerance=tolerance, method=trial.TRUTH, coherence=coherence, colour=colour
+            heightfield,
+            direction_range,
+            tolerance=tolerance,
+            method=trial.REFERENCE_METHOD,
+            coherence=coherence,
+            colour=colour,
         )
     if not is_searched and coherence.adds_powers:
         upper_bound_plan = replace(upper_bound_plan, least_weight=tolerance * _DARKEST)
@@ -262,13 +267,20 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
             threads=request.threads,
         )  # fmt: skip
         terms = basis.terms_within(_BASIS_SHARE * tolerance)
-        found = replace(upper_bound_plan, terms=terms, truncation=float(basis.unserved_gain[terms]))
+        found = replace(upper_bound_plan, terms=terms, truncation=float(basis.truncation_errors[terms]))
     found = replace(
-        found, aliasing=diagnostics.folded_power(heightfield, direction_range.max_uv * 1e3 / direction_range.lambda_min_nm)
+        found,
+        aliasing=diagnostics.folded_power(heightfield, direction_range.max_uv * 1e3 / direction_range.lambda_min_nm),
     )
     if is_searched:
         found = search_plan(
-            found, request, direction_range, sample, footprint=blurs, most_making=most_making, is_truncated=is_truncated
+            found,
+            request,
+            direction_range,
+            sample,
+            footprint=blurs,
+            affordable=affordable,
+            is_truncated=is_truncated,
         )
     else:
         found = _with_cost(found, heightfield, sample)
@@ -288,12 +300,12 @@ def search_plan(
     sample: DirectionSample,
     *,
     footprint: bool,
-    most_making: float,
+    affordable: float,
     is_truncated: bool,
 ) -> Plan:
     """The plan that a search finds from that of bounds, which is left where all is dark.
 
-    A table may take ``most_making`` multiply-adds to make; 0 is none.
+    A table may take ``affordable`` multiply-adds to make; 0 is none.
     """
     heightfield, tolerance, colour = request.heightfield, plan.tolerance, request.integrates
     method, integration = _expansion(request)
@@ -313,8 +325,8 @@ def search_plan(
         return plan
     explicit = integration == "table"
     best = None
-    if most_making:
-        best = plan_search.tabled(plan, tried, footprint=footprint, needed=explicit, most_making=most_making)
+    if affordable:
+        best = plan_search.search_table(plan, tried, footprint=footprint, needed=explicit, affordable=affordable)
     if best is None and explicit:
         raise ToleranceError(
             f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
@@ -323,7 +335,7 @@ def search_plan(
     # Points in place of means err by more than a table that keeps the tolerance without any safety.
     most = tolerance * (plan_search.SEARCH_SAFETY if footprint else 1.0)
     if best is None or (best.error > most and not explicit):
-        best = plan_search.refined(plan, tried, automatic=method == "auto")
+        best = plan_search.search_sampled(plan, tried, automatic=method == "auto")
     return best
 
 
@@ -352,7 +364,7 @@ def affordable_table_cost(heightfield: HeightField, plan: Plan, count: float) ->
         return 0.0
     smallest = replace(plan, rings_per_octave=table_size[0], azimuths_per_width=table_size[1])
     saved = _EXPECTED_REPEATS * count * plan.multiply_adds / _SEARCH_SAVES_FACTOR
-    return saved if saved > cost_model.making_multiply_adds(heightfield, smallest) else 0.0
+    return saved if saved > cost_model.table_multiply_adds(heightfield, smallest) else 0.0
 
 
 def _ample(

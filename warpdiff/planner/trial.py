@@ -36,9 +36,9 @@ DARK = 1e-10
 # A picture's floor, as a share of its brightness.
 _FLOOR_SHARE = 1e-3
 # Neighbours' share of what a truth may leave out.
-_TRUTH_NEIGHBOUR_SHARE = 0.25
+_REFERENCE_NEIGHBOUR_SHARE = 0.25
 # Its amplitudes lose nothing in float32, however dim a coefficient is where κ is small.
-TRUTH = "jacobi-anger"
+REFERENCE_METHOD = "jacobi-anger"
 _SPECTRAL_SAMPLES = 64
 # Directions are few and dear: a launch is cut into slices that keep every thread busy.
 _DIRECTIONS_OF_SLICE = 8
@@ -74,10 +74,10 @@ class Group:
         self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
-    def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
+    def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
         """The error of each direction, shape (rows, n)."""
-        moved = np.linalg.norm(values - against, axis=2)
-        return np.asarray(np.repeat(moved, len(self.scale) // len(moved), axis=0) / self.scale)
+        differences = np.linalg.norm(values - reference, axis=2)
+        return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 
 
 class Trial:
@@ -96,42 +96,37 @@ class Trial:
         *,
         coarse: Plan,
     ) -> None:
-        self.heightfield, self._scope, self._device, self._threads = (
-            request.heightfield,
-            direction_range,
-            request.device,
-            request.threads,
-        )
-        heightfield, device, threads, wavelengths_nm = (
-            request.heightfield,
-            request.device,
-            request.threads,
-            request.wavelengths_nm,
-        )
-        self._lit = request.illuminated
+        heightfield, device, threads = request.heightfield, request.device, request.threads
+        self.heightfield, self._range, self._device, self._threads = heightfield, direction_range, device, threads
+        wavelengths_nm = request.wavelengths_nm
+        self._illuminated = request.illuminated
         self._wavenumbers, self._points = None, 1
         self.integrates = wavelengths_nm is None
         if wavelengths_nm is not None:
             self._points = min(_SPECTRAL_SAMPLES, len(wavelengths_nm))
-            some = np.linspace(0, len(wavelengths_nm) - 1, self._points).astype(int)
-            self._wavenumbers = wp.array(1e3 / wavelengths_nm[some], dtype=wp.float64, device=device)
+            places = np.linspace(0, len(wavelengths_nm) - 1, self._points).astype(int)
+            self._wavenumbers = wp.array(1e3 / wavelengths_nm[places], dtype=wp.float64, device=device)
         self._gain = float(np.percentile(sample.gains, 99.0))
         terms = coefficient_basis.series_terms(heightfield, direction_range.kappas)
-        self.finest = dataclasses.replace(plan, method=TRUTH, terms=terms)
-        tried = ((TRUTH, terms), (plan.method, min(plan.terms, coefficient_table.LANES)))
-        kernels = [coefficient_table.kernels_for(method, plan.coherence, count) for method, count in tried]
-        load([each.integrate if self.integrates else each.sample for each in kernels], device)
+        self.reference = dataclasses.replace(plan, method=REFERENCE_METHOD, terms=terms)
+        methods = ((REFERENCE_METHOD, terms), (plan.method, min(plan.terms, coefficient_table.LANES)))
+        kernels = [coefficient_table.kernels_for(method, plan.coherence, count) for method, count in methods]
+        load([namespace.integrate if self.integrates else namespace.sample for namespace in kernels], device)
 
-        seen, suspect = validation_directions.candidates(heightfield, direction_range, sample, coarse, threads=threads)
-        self._watched = self._group(seen)
-        self._sees_all = len(seen) == round(seen.weights.sum())
-        luminance = _luminance(self.run(coarse, self._watched))
+        candidates, is_edge_case = validation_directions.candidates(
+            heightfield, direction_range, sample, coarse, threads=threads
+        )
+        self._candidates = self._group(candidates)
+        self._sees_all = len(candidates) == round(candidates.weights.sum())
+        luminance = _luminance(self.run(coarse, self._candidates))
         self._find_floors(luminance)
         # Of a spectrum's points the brightest tells.
-        brightest = luminance[0].reshape(len(seen), -1).max(axis=1)
-        is_measured, judging = validation_directions.sampled(seen, suspect, brightest, float(self._floors[0].min()))
-        self.training_set = self._watched if is_measured is seen else self._group(is_measured)
-        self.validation_set = self._watched if judging is seen else self._group(judging)
+        brightest = luminance[0].reshape(len(candidates), -1).max(axis=1)
+        training, validation = validation_directions.sampled(
+            candidates, is_edge_case, brightest, float(self._floors[0].min())
+        )
+        self.training_set = self._candidates if training is candidates else self._group(training)
+        self.validation_set = self._candidates if validation is candidates else self._group(validation)
         self.order_rate = order_rate(
             heightfield, plan.coherence, self.training_set.sample.scattering_vectors, self.training_set.sample.to_lights
         )
@@ -146,7 +141,7 @@ class Trial:
     @property
     def bright(self) -> tuple[float, float]:
         """How many of the jury are bright, by the highest floor and by the lowest; infinite where all are judged."""
-        if len(self.validation_set) == len(self._watched):
+        if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
         self.exact(self.validation_set)
         counts = np.count_nonzero(self.validation_set.above, axis=1).reshape(self._floors.shape)
@@ -155,14 +150,16 @@ class Trial:
     @property
     def max_order_rate(self) -> float:
         """The largest lateral of the call, to which bounds need not reach."""
-        return self._scope.max_order_rate
+        return self._range.max_order_rate
 
     @property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Lateral, |w| and weight of what is watched, as the call's cost depends on them."""
-        seen = self._watched.sample
-        reaches = order_rate(self.heightfield, self.finest.coherence, seen.scattering_vectors, seen.to_lights)
-        return reaches, np.abs(seen.scattering_vectors[:, 2]), seen.weights
+        sample = self._candidates.sample
+        order_rates = order_rate(
+            self.heightfield, self.reference.coherence, sample.scattering_vectors, sample.to_lights
+        )
+        return order_rates, np.abs(sample.scattering_vectors[:, 2]), sample.weights
 
     def _group(self, sample: DirectionSample) -> Group:
         return Group(sample, self._device, self._points)
@@ -174,11 +171,11 @@ class Trial:
         with them and by one without.
         """
         order = np.argsort(luminance[0])
-        kept = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
-        weights = self._watched.weights
+        subsets = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
+        weights = self._candidates.weights
         bright = [
-            [reference_luminance(each[some], weights[some], with_median=self.integrates) for some in kept]
-            for each in luminance
+            [reference_luminance(row[subset], weights[subset], with_median=self.integrates) for subset in subsets]
+            for row in luminance
         ]
         self._floors = np.maximum(_FLOOR_SHARE * np.asarray(bright), DARK)
 
@@ -186,16 +183,16 @@ class Trial:
         """Judge by twice the wavelengths of a plan."""
         if plan.coherence.adds_powers:
             # The mirror's coefficient, of power 1, must not show in what is far darker.
-            needed = _TRUTH_NEIGHBOUR_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
-            self.finest = dataclasses.replace(self.finest, least_weight=min(self.finest.least_weight, needed))
+            needed = _REFERENCE_NEIGHBOUR_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
+            self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
-            self.finest = dataclasses.replace(self.finest, wavelengths=2 * plan.wavelengths - 1)
+            self.reference = dataclasses.replace(self.reference, wavelengths=2 * plan.wavelengths - 1)
         for group in (self.training_set, self.validation_set):
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
         """See with a plan that is nearly right how bright the call is, which errors are relative to."""
-        self._find_floors(_luminance(self.run(plan, self._watched)))
+        self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
                 group.weigh(group.exact, self._floors)
@@ -203,50 +200,51 @@ class Trial:
     def exact(self, group: Group) -> NDArray[np.float64]:
         """Colours of directions by the finest plan, which stands for the truth."""
         if group.exact is None:
-            group.weigh(self.run(self.finest, group), self._floors)
+            group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
 
-    def run(self, plan: Plan, on: Group | None = None) -> NDArray[np.float64]:
+    def run(self, plan: Plan, group: Group | None = None) -> NDArray[np.float64]:
         """Colours of directions, the pilots, by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
-        group = self.training_set if on is None else on
-        seen = group.scattering_vectors, group.to_lights, group.gains
+        group = self.training_set if group is None else group
+        arrays = group.scattering_vectors, group.to_lights, group.gains
         if self._wavenumbers is not None:
             table = coefficient_table.table_for(
-                self.heightfield, plan, self._scope, device=self._device, threads=self._threads
+                self.heightfield, plan, self._range, device=self._device, threads=self._threads
             )
             values = wp.empty((len(group), self._points), dtype=wp.float32, device=self._device)
             launch(
-                table.sample, len(group), [table.arguments, *seen, self._wavenumbers], [values], device=self._device,
+                table.sample, len(group), [table.arguments, *arrays, self._wavenumbers], [values], device=self._device,
                 threads=self._threads, slice_size=_DIRECTIONS_OF_SLICE,
             )  # fmt: skip
-            found = np.asarray(values.numpy(), dtype=np.float64)
-            found = found * reflectances(
-                self._lit[0].material, group.sample.scattering_vectors, 1e3 / self._wavenumbers.numpy()
+            reflectance = np.asarray(values.numpy(), dtype=np.float64)
+            reflectance = reflectance * reflectances(
+                self._illuminated[0].material, group.sample.scattering_vectors, 1e3 / self._wavenumbers.numpy()
             )
-            return np.asarray(found).reshape(1, -1, 1)
-        lookup = ColourLookup(self.heightfield, plan, self._scope, device=self._device, threads=self._threads)
+            return np.asarray(reflectance).reshape(1, -1, 1)
+        lookup = ColourLookup(self.heightfield, plan, self._range, device=self._device, threads=self._threads)
         results = []
-        for each in self._lit:
+        for illuminated in self._illuminated:
             xyz = wp.zeros(len(group), dtype=wp.vec3f, device=self._device)
-            lookup.add(*seen, each, xyz, slice_size=_DIRECTIONS_OF_SLICE)
+            lookup.add(*arrays, illuminated, xyz, slice_size=_DIRECTIONS_OF_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
-    def with_functions(self, plan: Plan, more: int = 0) -> Plan:
+    def with_w_basis(self, plan: Plan, more: int = 0) -> Plan:
         """A plan that says how many functions of w its table has, those for its tolerance or some more."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
-            colour_table.function_count(self.heightfield, plan, self._scope, each, **options) for each in self._lit
+            colour_table.function_count(self.heightfield, plan, self._range, light, **options)
+            for light in self._illuminated
         ]
         return dataclasses.replace(plan, w_basis_size=min(max(counts) + more, MOST_W_BASIS))
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
         """The coefficients of a plan with a fitted basis."""
-        found, _, _ = coefficient_table.coefficients_for(
-            self.heightfield, plan.method, plan.coherence, self._scope, coefficient_table.neighbour_extent(plan, self.heightfield), terms=plan.terms,
-            threads=self._threads,
-        )  # fmt: skip
-        return found
+        extent = coefficient_table.neighbour_extent(plan, self.heightfield)
+        coefficients, _, _ = coefficient_table.coefficients_for(
+            self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
+        )
+        return coefficients
 
     def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
         """The error of each pilot, shape (rows, n)."""
@@ -262,11 +260,11 @@ class Trial:
         """The worst of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        seen = self.validation_set.sample
+        sample = self.validation_set.sample
         # Where bounds were cut short for a source at the horizon, a table is right and the truth is not.
         resolved = (
-            order_rate(self.heightfield, plan.coherence, seen.scattering_vectors, seen.to_lights)
-            <= self.finest.max_order_rate
+            order_rate(self.heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
+            <= self.reference.max_order_rate
         )
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
@@ -300,12 +298,12 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
     return float(values[order[min(np.searchsorted(total, (share - 1e-9) * total[-1]), len(order) - 1)]])
 
 
-def worst_percentile(errors: NDArray[np.float64], group: Group, some: NDArray[np.bool_] | None = None) -> float:
+def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Percentile 99 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
-    kept = np.ones(errors.shape[1], dtype=bool) if some is None else some
+    included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     return max(
-        _percentile(each[mask & kept], group.weights[mask & kept], 0.99)
-        for each, above in zip(errors, group.above, strict=True)
+        _percentile(row[mask & included], group.weights[mask & included], 0.99)
+        for row, above in zip(errors, group.above, strict=True)
         for mask in (above, ~above)
     )
 

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 # Directions whose brightness is looked at, besides the suspects; those that a search tries plans on; those that judge
 # what it found.
-_WATCHED, _PILOTS, _JURY = 1024, 128, 256
+_CANDIDATES, _TRAINING, _VALIDATION = 1024, 128, 256
 # Suspects of each kind, and the orders that count as strong.
 _NEAR_MIRROR, _OF_LARGEST_GAIN, _AT_EACH_END = 32, 32, 12
 _STRONG_ORDERS, _NEAR_EACH_ORDER, _NEAR_ORDERS = 24, 4, 64
 # How often bright directions and suspects are drawn, where those that stand for the call are drawn once.
-_BRIGHT_SHARE, _SUSPECT_SHARE = 1.0, 0.25
+_BRIGHT_SHARE, _EDGE_CASE_SHARE = 1.0, 0.25
 _SEED = 1
 
 
@@ -48,43 +48,47 @@ def candidates(
         threads: Threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
-    if len(sample) > _PILOTS + _JURY:
-        edge_cases = _suspects(heightfield, direction_range, sample, plan, threads=threads)
+    if len(sample) > _TRAINING + _VALIDATION:
+        edge_cases = _edge_cases(heightfield, direction_range, sample, plan, threads=threads)
     others = np.setdiff1d(np.arange(len(sample)), edge_cases)
-    some = others[stratified(len(others), _WATCHED)]
-    chosen = np.concatenate([edge_cases, some])
+    uniform = others[stratified(len(others), _CANDIDATES)]
+    chosen = np.concatenate([edge_cases, uniform])
     weights = sample.weights[chosen]
-    weights[len(edge_cases) :] *= len(others) / max(len(some), 1)
+    weights[len(edge_cases) :] *= len(others) / max(len(uniform), 1)
     return sample.some(chosen, weights), np.arange(len(chosen)) < len(edge_cases)
 
 
 def sampled(
-    seen: DirectionSample, suspect: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
+    candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
     """The pilots and the jury among what is watched; of few directions, the jury is all of them.
 
     Args:
-        seen: What is watched.
-        suspect: Which of them are suspects, shape (n,).
+        candidates: What is watched.
+        is_edge_case: Which of them are suspects, shape (n,).
         luminance: How bright they are, about, shape (n,).
         floor: How bright a direction is that counts as bright.
     """
-    bright = np.where(luminance >= 0.5 * floor, seen.weights, 0.0)
-    measure = seen.weights / seen.weights.sum() + _SUSPECT_SHARE * suspect / max(int(suspect.sum()), 1)
+    bright = np.where(luminance >= 0.5 * floor, candidates.weights, 0.0)
+    measure = candidates.weights / candidates.weights.sum() + _EDGE_CASE_SHARE * is_edge_case / max(
+        int(is_edge_case.sum()), 1
+    )
     measure = measure + _BRIGHT_SHARE * bright / max(float(bright.sum()), 1e-300)
     # In their order by brightness, every third may be a pilot, for either to have its share of what few there are.
     order = np.argsort(luminance, kind="stable")
-    if len(order) <= _PILOTS:
-        return seen, seen
-    if len(order) <= _PILOTS + _JURY:
-        return _some(seen, order, measure, _PILOTS), seen
+    if len(order) <= _TRAINING:
+        return candidates, candidates
+    if len(order) <= _TRAINING + _VALIDATION:
+        return _draw(candidates, order, measure, _TRAINING), candidates
     thirds = np.arange(len(order)) % 3
     training_set, validation_set = order[thirds == 0], order[thirds > 0]
-    return _some(seen, training_set, measure, _PILOTS, 3.0), _some(seen, validation_set, measure, _JURY, 1.5)
+    return _draw(candidates, training_set, measure, _TRAINING, 3.0), _draw(
+        candidates, validation_set, measure, _VALIDATION, 1.5
+    )
 
 
-def _some(
-    seen: DirectionSample,
+def _draw(
+    candidates: DirectionSample,
     among: NDArray[np.int64],
     measure: NDArray[np.float64],
     count: int,
@@ -92,7 +96,7 @@ def _some(
 ) -> DirectionSample:
     """``count`` of some directions, drawn in proportion to a measure, evenly along their order, each at most once."""
     if len(among) <= count:
-        return seen.some(among, stands_for * seen.weights[among])
+        return candidates.some(among, stands_for * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
     # What would be drawn more than once is drawn surely, and the others the more.
     while (excess := share > 1.0).any():
@@ -100,36 +104,36 @@ def _some(
         rest = share < 1.0
         share[rest] *= (count - np.count_nonzero(~rest)) / share[rest].sum()
     edges = np.cumsum(share)
-    at = np.arange(np.random.default_rng(_SEED).uniform(), edges[-1], 1.0)
-    picked = np.minimum(np.searchsorted(edges, at, side="right"), len(among) - 1)
-    chosen = among[picked]
-    return seen.some(chosen, stands_for * seen.weights[chosen] / share[picked])
+    positions = np.arange(np.random.default_rng(_SEED).uniform(), edges[-1], 1.0)
+    places = np.minimum(np.searchsorted(edges, positions, side="right"), len(among) - 1)
+    chosen = among[places]
+    return candidates.some(chosen, stands_for * candidates.weights[chosen] / share[places])
 
 
-def _suspects(
+def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
     """Directions that may decide however few they are: by the mirror, by orders, of large gain, at the ranges' ends."""
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
-    passing = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
-    by_orders = _by_orders(heightfield, direction_range, sample, plan, threads=threads)
+    order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
+    order_light = _order_light(heightfield, direction_range, sample, plan, threads=threads)
     kinds = [
         (-across, _NEAR_MIRROR),
         (sample.gains, _OF_LARGEST_GAIN),
         # Each order by itself, too: many directions by one of them say nothing of the few by another.
-        (by_orders.max(axis=1, initial=-math.inf), _NEAR_ORDERS),
-        *((each, _NEAR_EACH_ORDER) for each in by_orders.T),
-        *((each, _AT_EACH_END) for each in (across, passing, w, -w, -light, light + w)),
+        (order_light.max(axis=1, initial=-math.inf), _NEAR_ORDERS),
+        *((score, _NEAR_EACH_ORDER) for score in order_light.T),
+        *((score, _AT_EACH_END) for score in (across, order_rates, w, -w, -light, light + w)),
     ]
-    return np.unique(np.concatenate([np.argpartition(each, -most)[-most:] for each, most in kinds]))
+    return np.unique(np.concatenate([np.argpartition(score, -count)[-count:] for score, count in kinds]))
 
 
-def _by_orders(
+def _order_light(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
     """How much light directions may see of each of the strongest orders but the mirror's, by the logarithm, (n, m)."""
-    found, block, grid = coefficient_table.coefficients_for(
+    coefficients, block, grid = coefficient_table.coefficients_for(
         heightfield,
         plan.method,
         plan.coherence,
@@ -138,13 +142,13 @@ def _by_orders(
         terms=plan.terms,
         threads=threads,
     )
-    strongest, powers = found.strongest
+    strongest, powers = coefficients.strongest
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
     # The mirror's is another kind.
-    kept = np.flatnonzero(q.any(axis=1))[:_STRONG_ORDERS]
-    q, powers = q[kept], powers[kept]
+    others = np.flatnonzero(q.any(axis=1))[:_STRONG_ORDERS]
+    q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]
     # The place on the way from red to blue that is nearest to each order.
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), 1e-12)[:, None]
