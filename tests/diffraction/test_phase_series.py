@@ -134,10 +134,10 @@ def test_a_broken_series_is_refused_or_named(surfaces, method, height):
     arguments = surfaces[height].arguments
     for call in (wd.spectral_reflectance, lambda *a, **k: wd.reflectance(*a[:3], **k)):
         with pytest.raises(
-            ValueError, match=r"Taylor series cannot reach tolerance=0\.01: (float32|\d+ terms).*strict"
+            ValueError, match=r"Taylor series cannot meet tolerance=0\.01: (float32|\d+ terms).*strict"
         ):
             call(*arguments, coherence=WINDOW, method=method)
-        with pytest.warns(wd.WarpdiffWarning, match=r"Taylor series cannot reach.*height range") as caught:
+        with pytest.warns(wd.WarpdiffWarning, match=r"Taylor series cannot meet.*height range") as caught:
             values = call(*arguments, coherence=WINDOW, method=method, strict=False)
         assert len(caught) == 1
         assert np.isfinite(values).all()
