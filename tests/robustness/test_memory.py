@@ -148,7 +148,7 @@ def test_bodies_that_do_not_fit_after_all_say_so(monkeypatch):
     """Their bytes are known about."""
     monkeypatch.setattr(memory, "require_faces", lambda *_: None)
     for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):
-        with pytest.raises(MemoryError, match=r"a body of so many faces requires another .* GB are free: take fewer"):
+        with pytest.raises(MemoryError, match=r"a body of this many faces requires another .* GB are free: take fewer"):
             call()
 
 
