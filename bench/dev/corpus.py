@@ -26,6 +26,7 @@ import re
 import sys
 import tempfile
 import time
+import traceback
 import warnings
 import zlib
 from pathlib import Path
@@ -705,21 +706,27 @@ CASES: dict[str, Case] = {
 # Writing and comparing.
 
 
-def compute(names: list[str]) -> dict[str, np.ndarray]:
-    """All values of some cases, by case, number of threads and name."""
+def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """All values of some cases, by case, number of threads and name, and one line per case that failed."""
     values: dict[str, np.ndarray] = {}
+    failures = []
     for name in names:
         by_threads = []
         for threads in THREADS:
             begin = time.perf_counter()
-            arrays = {what: np.asarray(value) for what, value in CASES[name](threads).items()}
+            try:
+                arrays = {what: np.asarray(value) for what, value in CASES[name](threads).items()}
+            except Exception as error:
+                traceback.print_exc()
+                failures.append(f"{name}, threads={threads}: {type(error).__name__}: {error}")
+                continue
             seconds = time.perf_counter() - begin
             by_threads.append(arrays)
             values |= {f"{name}/{threads}/{what}": array for what, array in arrays.items()}
             print(f"{digest(arrays)}  {seconds:5.1f} s  {name}, threads={threads}", flush=True)
-        for line in differences(*by_threads):
-            print(f"{name} depends on the number of threads: {line}", flush=True)
-    return values
+        if len(by_threads) == len(THREADS):
+            failures += [f"{name} depends on the number of threads: {line}" for line in differences(*by_threads)]
+    return values, failures
 
 
 def digest(values: dict[str, np.ndarray]) -> str:
@@ -754,7 +761,7 @@ def _difference(a: np.ndarray, b: np.ndarray) -> str:
 
 
 def main() -> int:
-    """Write values, or compare with written ones; returns 1 if any value differs."""
+    """Write values, or compare with written ones; returns 1 if any value differs or any case fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--write", type=Path, metavar="FILE", help="write a reference, a .npz file")
@@ -768,16 +775,18 @@ def main() -> int:
     print(f"warpdiff {wd.__version__} in {folder}, Python {sys.version.split()[0]}, NumPy {np.__version__}", flush=True)
     begin = time.perf_counter()
     names = options.only or list(CASES)
-    values = compute(names)
+    values, lines = compute(names)
     seconds = time.perf_counter() - begin
     print(f"{len(names)} cases, {len(values)} arrays, {digest(values)} for all, {seconds:.0f} s")
     if options.write:
         np.savez_compressed(options.write, **values)
-        return 0
-    with np.load(options.compare) as archive:
-        before = {name: archive[name] for name in archive if name.split("/")[0] in names}
-    lines = differences(before, values)
-    print("\n".join(lines) or "all values are equal to the bit")
+    else:
+        with np.load(options.compare) as archive:
+            before = {name: archive[name] for name in archive if name.split("/")[0] in names}
+        lines += differences(before, values)
+        if not lines:
+            print("all values are equal to the bit")
+    print("\n".join(lines))
     return int(bool(lines))
 
 
