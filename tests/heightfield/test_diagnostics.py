@@ -49,10 +49,10 @@ def test_short_periods_are_all_wrong():
     """Scalar theory takes 1 − J_0² from a mirror that has no other order to give it to."""
     depth, wavelength = 0.01, 500.0
     heightfield = wd.gratings.sinusoidal(0.3, depth)
-    found = wd.order_efficiencies(heightfield, (0, 0, 1), wavelength, ior=math.inf, energy="stam")
-    assert found.orders.tolist() == [[0, 0]]
+    orders = wd.order_efficiencies(heightfield, (0, 0, 1), wavelength, ior=math.inf, energy="stam")
+    assert orders.orders.tolist() == [[0, 0]]
     bound = scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, wavelength)
-    assert bound == pytest.approx(1.0 - found[0, 0][0], rel=0.01)
+    assert bound == pytest.approx(1.0 - orders[0, 0][0], rel=0.01)
 
 
 def test_the_mean_slope_does_not_depend_on_the_samples():
@@ -116,8 +116,8 @@ def test_the_rule_holds_against_rigorous_solutions():
             worst = 0.0
             for angle in stored["angles_deg"]:
                 first, *efficiencies = next(rows)
-                found = wd.order_efficiencies(heightfield, at_angle(angle), 1000.0, ior=math.inf, energy="stam")
-                ours = [found[0, first + n][0] for n in range(len(efficiencies))]
+                orders = wd.order_efficiencies(heightfield, at_angle(angle), 1000.0, ior=math.inf, energy="stam")
+                ours = [orders[0, first + n][0] for n in range(len(efficiencies))]
                 worst = max(worst, float(np.max(np.abs(np.array(efficiencies) * stored["unit"] - ours))))
             errors.append(worst)
             bounds.append(scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 1000.0))
@@ -132,9 +132,9 @@ def test_the_rule_holds_against_rigorous_solutions():
 
 
 @pytest.mark.parametrize(("case", "make"), [
-    ("Sine, perfect mirror", lambda *given: wd.gratings.sinusoidal(*given, samples=128)),
-    ("Square grooves, perfect mirror", lambda *given: wd.gratings.lamellar(*given, samples=512)),
-    ("Sawtooth, perfect mirror", lambda *given: wd.gratings.blazed(*given, samples=512)),
+    ("Sine, perfect mirror", lambda *size: wd.gratings.sinusoidal(*size, samples=128)),
+    ("Square grooves, perfect mirror", lambda *size: wd.gratings.lamellar(*size, samples=512)),
+    ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, make):
     """Where grooves are no deeper than a quarter of a wavelength; half of the rule holds for them."""
@@ -149,12 +149,12 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
                 if i % 3 or j not in (2, 5) or angle == 0.0:
                     continue
                 heightfield = make(period, depth)
-                found = [
+                results = [
                     wd.order_efficiencies(heightfield, at_angle(angle), 1000.0, ior=math.inf, energy=energy)
                     for energy in ("stam", "normalised")
                 ]
                 right = np.array(efficiencies) * stored["unit"]
-                ours = [[each[0, first + n][0] for n in range(len(right))] for each in found]
+                ours = [[orders[0, first + n][0] for n in range(len(right))] for orders in results]
                 errors.append(np.max(np.abs(np.array(ours) - right), axis=1))
                 bounds.append(scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 1000.0, normalised=True))
     stam, normalised = np.array(errors).T
@@ -182,9 +182,9 @@ def test_implausible_scales_are_warned_of(height_factor: float, pitch_factor: fl
 
 def test_files_are_warned_of_and_what_is_made_of_them_is_not(tmp_path: Path) -> None:
     np.save(tmp_path / "scan.npy", 1e-6 * SCAN.heights_um)
-    with pytest.warns(wd.WarpdiffWarning, match="metres.*HeightField.of_known_scale") as told:
+    with pytest.warns(wd.WarpdiffWarning, match="metres.*HeightField.of_known_scale") as caught:
         field = wd.HeightField.load(tmp_path / "scan.npy", extent_um=12.8)
-    assert len(told) == 1
+    assert len(caught) == 1
     for made in (field.levelled(), field.cropped(5.0), field.periodic(), field.despiked(), field.resampled(0.1)):
         assert made.height_range_um < 1e-4
 

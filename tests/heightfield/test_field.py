@@ -18,9 +18,9 @@ def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:
 
 
 def test_holds_a_read_only_copy() -> None:
-    given = 0.1 * np.arange(6.0).reshape(2, 3)
-    field = HeightField(given, (0.5, 0.25))
-    given[0, 0] = 9.0
+    heights = 0.1 * np.arange(6.0).reshape(2, 3)
+    field = HeightField(heights, (0.5, 0.25))
+    heights[0, 0] = 9.0
     assert field.heights_um[0, 0] == 0.0
     assert field.heights_um.dtype == np.float64
     with pytest.raises(ValueError, match="read-only"):

@@ -25,15 +25,15 @@ def grooves(period, *, degrees=0.0, height=0.572, noise=0.01, tilt=0.02, seed=0)
 @pytest.mark.parametrize(("period", "degrees"), [(2.886, 0.0), (2.886, 20.0), (1.1, 70.0), (0.7, 90.0), (2.2, -35.0)])
 def test_periods_between_coefficients_are_found_to_their_error(period, degrees):
     field = grooves(period, degrees=degrees)
-    found = field.periods(1)[0]
-    assert abs(found.period_um - period) < 4.0 * found.standard_error_um < 0.01 * period
-    assert abs((found.direction_deg - degrees + 90.0) % 180.0 - 90.0) < 0.1
-    assert found.share > 0.98
-    assert not found.is_waviness
-    assert found.period_um == pytest.approx(1.0 / math.hypot(*found.frequency))
+    result = field.periods(1)[0]
+    assert abs(result.period_um - period) < 4.0 * result.standard_error_um < 0.01 * period
+    assert abs((result.direction_deg - degrees + 90.0) % 180.0 - 90.0) < 0.1
+    assert result.share > 0.98
+    assert not result.is_waviness
+    assert result.period_um == pytest.approx(1.0 / math.hypot(*result.frequency))
     # Odd harmonics alone; the first lies between a sine's amplitude and a square wave's.
-    assert 0.5 * 0.572 < found.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
-    assert found.harmonics_um[1] < 0.1 * found.harmonics_um[2]
+    assert 0.5 * 0.572 < result.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
+    assert result.harmonics_um[1] < 0.1 * result.harmonics_um[2]
     if period == 2.886 and degrees == 0.0:
         summary = field.summary()
         assert summary.periods == field.periods()[: len(summary.periods)]
@@ -52,8 +52,8 @@ def test_standard_errors_are_those_of_many_fits():
     scores = []
     for _ in range(40):
         wave = 0.1 * np.cos(2.0 * np.pi * (X[:60, :80] / 1.37 + 0.1))
-        found = wd.HeightField(wave + 0.1 * rng.normal(size=wave.shape), PITCH).periods(1)[0]
-        scores.append((found.period_um - 1.37) / found.standard_error_um)
+        result = wd.HeightField(wave + 0.1 * rng.normal(size=wave.shape), PITCH).periods(1)[0]
+        scores.append((result.period_um - 1.37) / result.standard_error_um)
     assert abs(np.mean(scores)) < 0.6
     assert 0.6 < np.std(scores) < 1.6
 
@@ -64,9 +64,9 @@ def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise):
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 60):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
-        found = wd.HeightField(heights, PITCH).periods(1)[0]
-        scores.append(abs(found.period_um - 1.37) / found.standard_error_um)
-    # Where a peak of the noise is higher, that is found.
+        result = wd.HeightField(heights, PITCH).periods(1)[0]
+        scores.append(abs(result.period_um - 1.37) / result.standard_error_um)
+    # Where a peak of the noise is higher, that is fitted instead.
     assert np.mean(np.array(scores) < 2.0) > 0.85
     assert 0.5 < np.median(scores) / 0.6745 < 1.5
 
@@ -78,9 +78,9 @@ def test_a_fit_that_strays_in_strong_noise_still_gives_a_period(seed):
     noise *= np.exp(-0.5 * np.hypot(np.fft.fftfreq(60, PITCH)[:, None], np.fft.fftfreq(80, PITCH)))
     noise = np.fft.ifft2(noise).real
     heights = 0.01 * np.cos(2.0 * np.pi * X[:60, :80] / 1.37) + 0.04 * noise / np.std(noise)
-    (found,) = wd.HeightField(heights, PITCH).periods(1)
-    assert found.share > 0.01
-    assert max(found.harmonics_um) < 0.1
+    (result,) = wd.HeightField(heights, PITCH).periods(1)
+    assert result.share > 0.01
+    assert max(result.harmonics_um) < 0.1
 
 
 def test_waves_of_a_sum_and_waviness_are_told_apart():
@@ -106,12 +106,12 @@ def test_flat_fields_have_no_period_and_one_row_has_one():
     assert wd.HeightField(np.full((20, 30), 0.3), PITCH).periods() == ()
     assert wd.HeightField([[0.1]], PITCH).periods() == ()
     row = wd.HeightField(0.1 * np.cos(2.0 * np.pi * X[:1] / 1.7), PITCH)
-    (found,) = row.periods()
-    assert found.period_um == pytest.approx(1.7, rel=1e-6)
-    assert found.harmonics_um[0] == pytest.approx(0.1, rel=1e-4)
-    assert found.direction_deg == pytest.approx(0.0)
-    assert repr(found) == "Period(1.700000 ± 0.000000 µm at 0°, share 1)"
-    assert found == row.periods()[0]
+    (result,) = row.periods()
+    assert result.period_um == pytest.approx(1.7, rel=1e-6)
+    assert result.harmonics_um[0] == pytest.approx(0.1, rel=1e-4)
+    assert result.direction_deg == pytest.approx(0.0)
+    assert repr(result) == "Period(1.700000 ± 0.000000 µm at 0°, share 1)"
+    assert result == row.periods()[0]
     with pytest.raises(ValueError, match="count must be an integer, at least 1"):
         row.periods(0)
 

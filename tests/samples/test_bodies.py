@@ -78,7 +78,7 @@ def test_the_seam_is_invisible(mesh, axis):
 
 
 @pytest.mark.parametrize(
-    ("make", "given", "error", "message"),
+    ("make", "arguments", "error", "message"),
     [
         (meshes.tube, {"radius": 0.0}, ValueError, "radius must be"),
         (meshes.tube, {"length": 0.3}, ValueError, "length must be at least 5 radii"),
@@ -94,9 +94,9 @@ def test_the_seam_is_invisible(mesh, axis):
         (meshes.disc, {"rings": 0}, ValueError, "rings must be an integer, at least 1"),
     ],
 )
-def test_bad_arguments(make, given, error, message):
+def test_bad_arguments(make, arguments, error, message):
     with pytest.raises(error, match=message):
-        make(**given)
+        make(**arguments)
 
 
 def test_bodies_are_told_from_sheets():

@@ -40,10 +40,10 @@ def places(mesh):
 
 
 @pytest.mark.parametrize(
-    "given", [SMALL, {"scale_rows": 5, "ventrals": 8, "segments": 3, "bend_deg": 0.0, "tangent": "along"}]
+    "arguments", [SMALL, {"scale_rows": 5, "ventrals": 8, "segments": 3, "bend_deg": 0.0, "tangent": "along"}]
 )
-def test_it_is_closed_and_wound_outwards(given):
-    mesh = meshes.snake(**given)
+def test_it_is_closed_and_wound_outwards(arguments):
+    mesh = meshes.snake(**arguments)
     place = places(mesh)
     edges = place[mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
     forward, backward = edges @ [len(place), 1], edges @ [1, len(place)]
@@ -100,12 +100,12 @@ def test_scales_are_as_many_as_asked_for(scale_rows):
     tau = mesh.visual.uv[:, 1] * (head + ventrals + tail) - head
     inside = (tau > 0.1) & (tau < ventrals - 0.1) & (x > 0.1) & (x < scale_rows + 0.9)
     cells = np.round(np.stack([x, 2.0 * tau], axis=1)[inside] * 1e6).astype(np.int64)
-    found, group = np.unique(cells, axis=0, return_inverse=True)
+    places_in_texture, group = np.unique(cells, axis=0, return_inverse=True)
     place = places(mesh)[inside]
-    least, most = np.full(len(found), place.max()), np.zeros(len(found), place.dtype)
+    least, most = np.full(len(places_in_texture), place.max()), np.zeros(len(places_in_texture), place.dtype)
     np.minimum.at(least, group.ravel(), place)
     np.maximum.at(most, group.ravel(), place)
-    apart = found[most > least] / 1e6
+    apart = places_in_texture[most > least] / 1e6
     corners = apart[np.all(np.abs(apart - np.round(apart)) < 1e-4, axis=1)]
     middle = np.round(corners[:, 1]) // 2 == ventrals // 2
     assert len(np.unique(np.round(corners[middle, 0]))) == scale_rows
@@ -140,15 +140,15 @@ def test_it_does_not_meet_itself(snake):
     rng = np.random.default_rng(7)
     # Segments within some faces, against all faces nearby.
     weights = rng.dirichlet([2.0, 2.0, 2.0], (250, 2))
-    some = rng.choice(len(corners), 250, replace=False)
-    start, end = (np.einsum("ij,ijk->ik", weights[:, k], corners[some]) for k in (0, 1))
+    chosen = rng.choice(len(corners), 250, replace=False)
+    start, end = (np.einsum("ij,ijk->ik", weights[:, k], corners[chosen]) for k in (0, 1))
     middles = corners.mean(axis=1)
-    neighbour_extent = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
-    gap = np.linalg.norm(middles[some, None] - middles[None], axis=2) - neighbour_extent[some, None] - neighbour_extent
-    i, j = np.nonzero((gap < 0.0) & (some[:, None] != np.arange(len(corners))))
+    extent = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    gap = np.linalg.norm(middles[chosen, None] - middles[None], axis=2) - extent[chosen, None] - extent
+    i, j = np.nonzero((gap < 0.0) & (chosen[:, None] != np.arange(len(corners))))
     a, b, c = (corners[j, k] for k in range(3))
     normal = np.cross(b - a, c - a)
-    before, after = (np.einsum("ij,ij->i", normal, each[i] - a) for each in (start, end))
+    before, after = (np.einsum("ij,ij->i", normal, ends[i] - a) for ends in (start, end))
     share = before / np.where(before == after, np.inf, before - after)
     at = start[i] + share[:, None] * (end - start)[i]
     inside = [np.einsum("ij,ij->i", normal, np.cross(q - p, at - p)) > 0.0 for p, q in ((a, b), (b, c), (c, a))]
@@ -191,7 +191,7 @@ def test_colours_are_where_they_belong(surface):
 
 
 @pytest.mark.parametrize(
-    ("given", "error", "message"),
+    ("arguments", "error", "message"),
     [
         ({"radius": 0.0}, ValueError, "radius must be"),
         ({"length": 1.0}, ValueError, r"length must be 16 to 1000 radii \(1\.92 to 120\), got 1"),
@@ -207,6 +207,6 @@ def test_colours_are_where_they_belong(surface):
         ({"radius": math.inf}, ValueError, "radius must be"),
     ],
 )
-def test_bad_arguments(given, error, message):
+def test_bad_arguments(arguments, error, message):
     with pytest.raises(error, match=message):
-        meshes.snake(**given)
+        meshes.snake(**arguments)
