@@ -336,6 +336,14 @@ def test_unknown_options_are_2():
         assert stopped.value.code == 2
 
 
+def test_a_misspelt_flag_gets_the_one_that_was_meant(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["info", "--heightfield", "blazed", "--tolernce", "0.1"])
+    assert capsys.readouterr().err == (
+        "warpdiff info: there is no argument '--tolernce'; did you mean '--tolerance'? See warpdiff info --help\n"
+    )
+
+
 def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     def fail(*_args, **_options):
         raise OSError("disk full")

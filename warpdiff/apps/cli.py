@@ -78,13 +78,18 @@ _SEQUENCE = ("formats", "animation", "frames_per_second", "overwrite")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    options = _parser(arguments).parse_args(arguments)
+    options, unknown = _parser(arguments).parse_known_args(arguments)
 
     def say(kind: str, message: object) -> None:
         text = spelled(message, lambda name, value: word(name, value, options.words))
         with contextlib.suppress(OSError):
             print(f"warpdiff{kind}{text}", file=sys.stderr)
 
+    if unknown:
+        near = did_you_mean(unknown[0], options.flags)
+        text = f"there is no argument {unknown[0]!r}{near or '.'} See warpdiff {options.command} --help"
+        say(f" {options.command}: ", text)
+        raise SystemExit(2)
     with warnings.catch_warnings():
         warnings.simplefilter("always", wd.WarpdiffWarning)
         warnings.showwarning = lambda message, *_, **__: say(": warning: ", message)
@@ -127,10 +132,11 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
             name, help=known.what, description=description, epilog=f"example:\n  {known.example}",
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
         )  # fmt: skip
-        command.set_defaults(run=known.run, words={}, stored=frozenset())
         command.add_argument("--debug", action="store_true", help="show the full traceback of an error")
+        command.set_defaults(run=known.run, words={}, stored=frozenset())
         if name == named:
             known.add_flags(command)
+        command.set_defaults(flags=tuple(command._option_string_actions))
     return parser
 
 
