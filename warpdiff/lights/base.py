@@ -64,7 +64,7 @@ def lobes_of(light: Any, sigma_um: float | None = None, *, single_lobe: bool = F
         sigma_um: Standard deviation of the window that blurs the light [µm]; None does not blur it.
         single_lobe: Whether a light that can be approximated by one lobe is.
     """
-    raise NotImplementedError
+    raise TypeError(f"no function is registered for the lobes of {type(light).__name__}")
 
 
 def check_illuminant(illuminant: object) -> None:
