@@ -1,25 +1,29 @@
-"""``export_html``: a page without a server, of a mesh whose surface carries baked lobes."""
+"""``export_html``: a web page without a server, of a mesh whose surface carries baked lobes."""
 
 from __future__ import annotations
 
 import html
 import io
 import json
+import math
 import re
 from importlib import metadata, resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Interval
 
 from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, mirror_power, normal_reflectance
 from warpdiff.core import files, memory, validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
 from warpdiff.lights.base import MOST_POWER, lobes_of
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.scene.camera import View
+from warpdiff.request.signatures import checked
+from warpdiff.scene.camera import View  # noqa: TC001 (``checked`` reads annotations)
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -47,73 +51,65 @@ _PARTS = {
 }  # fmt: skip
 
 
+@checked
 def export_html(
     path: str | os.PathLike[str],
     mesh: Any,
     lobes: BakedLobes,
-    light: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight],
+    lights: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight],
     view: View,
     *,
-    ior: float | None = None,
+    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None,
     masking: bool = True,
-    pigment: float = 1.0,
+    pigment: Annotated[float, Ge(0.0)] = 1.0,
     shadows: bool = True,
     smooth: bool = True,
     tangents: ArrayLike | None = None,
-    exposure: float | None = None,
+    exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
     title: str = "warpdiff",
 ) -> Path:
     """Write one HTML file that shows a mesh whose surface carries baked lobes, in any browser with WebGL 2.
 
-    It asks for nothing else, from this machine or any other. The body is turned, moved and approached, its lights are
-    turned and its exposure is set by hand. A picture at rest adds up 1,024 frames, each with places of its own in the
-    pixels, and then is that of :func:`warpdiff.shade` but for quantisation, edges of shadows, and footprints narrower
-    than the page's grid over (u, v) resolves: it says how narrow.
+    The file is complete: it loads nothing else. On the page you can rotate, pan and zoom, rotate the lights and set the
+    exposure. A picture at rest accumulates 1,024 frames with jittered pixel positions. It then equals that of
+    :func:`warpdiff.shade` except for quantisation, the edges of shadows, and footprints that are narrower than the
+    page's grid over (u, v); the page states its resolution.
 
     Args:
-        path: Where to; it ends in ``.html`` or ``.htm``.
-        mesh: As in :func:`warpdiff.shade`.
-        lobes: What :func:`warpdiff.bake` made.
-        light: One light, or several, under the illuminant of ``lobes``, up to 5° wide where these are averaged; those
-            at a place are at least 1.1 radii of the mesh's bounding sphere from its centre.
-        view: The first view, a perspective one; its size is that of the reader's window.
-        ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror, None is 1.5, or what the material of the lobes
-            says.
-        masking: Whether V-cavity masking and shadowing is included.
-        pigment: Strength of the base colour that lies under the height field.
-        shadows: Whether lights are hidden by the mesh itself, by maps of 4096 × 4096 texels.
-        smooth: Whether vertex normals are interpolated; otherwise facets are seen.
-        tangents: As in :func:`warpdiff.shade`.
-        exposure: Linear factor; None is found when the page opens, for its first picture.
-        title: Of the page.
+        path: File with the suffix ``.html`` or ``.htm``.
+        mesh: Mesh, as for :func:`warpdiff.shade`.
+        lobes: Table of :func:`warpdiff.bake`.
+        lights: One to eight directional or point lights with the illuminant of ``lobes``. Discs have a diameter of at
+            most 5°, and require averaged lobes. The distance of point lights from the mesh's centre is at least 1.1
+            radii of its bounding sphere.
+        view: First view, by a perspective camera. The size of the picture is that of the browser's window.
+        ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material of the lobes.
+        masking: Whether V-cavity masking and shadowing of the relief is included.
+        pigment: Strength of the mesh's base colour (texture, vertex colours or plain), which lies under the relief.
+        shadows: Whether the mesh can occlude the lights, by shadow maps of 4096 × 4096 texels.
+        smooth: Whether vertex normals are interpolated; otherwise facets show.
+        tangents: Direction of the height field's x axis, as for :func:`warpdiff.shade`.
+        exposure: Linear factor of the light; None is automatic for the first picture of the page.
+        title: Title of the page.
 
     Returns:
-        The path.
+        The path of the file.
 
     Raises:
-        ValueError: A bad argument, a mesh without area or tangents, lights of another illuminant.
+        ValueError: An argument is not accepted, the mesh has no area or no tangents, or a light has another illuminant.
+        OSError: The file cannot be written; an existing file is unchanged.
     """
     target = validation.path(path, "path")
     if target.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"path must end in .html or .htm, got {str(path)!r}")
-    validation.instance(lobes, BakedLobes, "lobes")
-    lights = _check_lights(light, lobes)
-    validation.instance(view, View, "view")
+        raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {str(path)!r}")
+    checked_lights = _check_lights(lights, lobes)
     if view.extent_y is not None:
-        raise ValueError("view must be a perspective one, got an orthographic one")
+        raise ArgumentValueError(f"{ref('view')} must be a perspective camera, got an orthographic one")
     normal = normal_reflectance(lobes, ior)
-    pigment = validation.number(pigment, "pigment", least=0.0)
-    masking, shadows, smooth = (
-        validation.flag(value, name) for name, value in (("masking", masking), ("shadows", shadows), ("smooth", smooth))
-    )
-    if exposure is not None:
-        validation.positive(exposure, "exposure")
-    if not isinstance(title, str):
-        raise TypeError(f"title must be a string, got {type(title).__name__}")
     files.check_folder(target.parent, "path")
-    with memory.as_memory_error("export_html()", "take a smaller mesh"):
+    with memory.as_memory_error("export_html()", f"use a {ref('mesh')} with fewer faces"):
         surface = prepare_surface(mesh, tangents=tangents)
-        _check_places(lights, surface)
+        _check_positions(checked_lights, surface)
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
         # No light comes through a material to what lies below it.
@@ -121,15 +117,15 @@ def export_html(
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
             "lights": [
-                {"to_light": each.to_light, "position": each.position, "power": each.power,
-                 "deviation": 0.0 if each.deviations is None else float(np.linalg.norm(each.deviations[0]))}
-                for given in lights for each in lobes_of(given, single_lobe=True)
+                {"to_light": lobe.to_light, "position": lobe.position, "power": lobe.power,
+                 "deviation": 0.0 if lobe.deviations is None else float(np.linalg.norm(lobe.deviations[0]))}
+                for light in checked_lights for lobe in lobes_of(light, single_lobe=True)
             ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
             "normal_reflectance": normal, "rgb_to_xyz": colorimetry.RGB_TO_XYZ.tolist(),
             "pigment_white": (pigment / normal * _white(lobes)).tolist() if pigmented else None,
-            "arrays": arrays.told, "told": _told(lobes),
+            "arrays": arrays.entries, "description": _description(lobes),
         }  # fmt: skip
         page = _filled(header, arrays, title)
         with files.atomic_write(target, suffix=".html") as temporary:
@@ -137,46 +133,47 @@ def export_html(
     return target
 
 
-def _check_lights(light: Any, lobes: BakedLobes) -> list[DirectionalLight | PointLight]:
-    kinds = DirectionalLight | PointLight
-    lights = [light] if isinstance(light, kinds) else light
-    if not isinstance(lights, (list, tuple)) or not 1 <= len(lights) <= _MOST_LIGHTS:
-        raise TypeError(
-            f"light must be a DirectionalLight or a PointLight, or a sequence of 1 to {_MOST_LIGHTS} of them, got "
-            f"{light!r}"
+def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | PointLight]:
+    result = [lights] if isinstance(lights, DirectionalLight | PointLight) else lights
+    if not isinstance(result, (list, tuple)) or not 1 <= len(result) <= _MOST_LIGHTS:
+        raise ArgumentTypeError(
+            f"{ref('lights')} must be a DirectionalLight or a PointLight, or a sequence of 1 to {_MOST_LIGHTS} of "
+            f"them, got {lights!r:.60}"
         )
-    for index, each in enumerate(lights):
-        if not isinstance(each, PointLight):
-            validation.instance(each, DirectionalLight, f"light[{index}]")
+    for index, light in enumerate(result):
+        if not isinstance(light, PointLight):
+            validation.instance(light, DirectionalLight, f"lights[{index}]")
         most = ONE_LOBE_DEG if lobes.coherence.kind == "averaged" else 0.0
-        if isinstance(each, DirectionalLight) and each.angular_diameter_deg > most:
-            raise ValueError(
-                f"light[{index}].angular_diameter_deg must be at most {most:g} on a page of lobes of kind "
-                f"{lobes.coherence.kind!r}, got {each.angular_diameter_deg:g}: give several lights, or bake lobes of a "
+        if isinstance(light, DirectionalLight) and light.angular_diameter_deg > most:
+            raise ArgumentValueError(
+                f"{ref(f'lights[{index}].angular_diameter_deg')} must be at most {most:g} on a page of lobes of kind "
+                f"{lobes.coherence.kind!r}, got {light.angular_diameter_deg:g}: use several lights, or bake lobes of a "
                 "source"
             )
-        if each.illuminant != lobes.illuminant:
-            raise ValueError(
-                f"light[{index}].illuminant must be that of lobes, {lobes.illuminant!r}, got {each.illuminant!r}"
+        if light.illuminant != lobes.illuminant:
+            raise ArgumentValueError(
+                f"{ref(f'lights[{index}].illuminant')} must be the illuminant of {ref('lobes')}, "
+                f"{str(lobes.illuminant)!r}, got {str(light.illuminant)!r}: bake with the illuminant of the light"
             )
-    return list(lights)
+    return list(result)
 
 
-def _check_places(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
+def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
     """Refuse lights within the mesh, and those that are brighter than the page's numbers hold."""
-    for index, each in enumerate(lights):
-        if not isinstance(each, PointLight):
+    for index, light in enumerate(lights):
+        if not isinstance(light, PointLight):
             continue
-        away = float(np.linalg.norm(np.subtract(each.position, surface.centre))) / surface.radius
-        if away < _NEAREST:
-            raise ValueError(
-                f"light[{index}].position must be at least {_NEAREST:g} radii of the mesh, {surface.radius:g}, from "
-                f"its centre, {tuple(surface.centre.tolist())}, got one of {away:.3g}: move it outwards"
+        distance = float(np.linalg.norm(np.subtract(light.position, surface.centre))) / surface.radius
+        if distance < _NEAREST:
+            raise ArgumentValueError(
+                f"{ref(f'lights[{index}].position')} must be at least {_NEAREST:g} radii of the mesh, "
+                f"{surface.radius:g}, from its centre, {tuple(surface.centre.tolist())}, got {distance:.3g} radii: "
+                "move it outwards"
             )
-        if each.power > MOST_POWER * surface.radius**2:
-            raise ValueError(
-                f"light[{index}].power must be at most {MOST_POWER:g} times the square of the mesh's radius, "
-                f"{surface.radius:g}, got {each.power:g}"
+        if light.power > MOST_POWER * surface.radius**2:
+            raise ArgumentValueError(
+                f"{ref(f'lights[{index}].power')} must be at most {MOST_POWER:g} times the square of the mesh's "
+                f"radius, {surface.radius:g}, got {light.power:g}"
             )
 
 
@@ -218,13 +215,13 @@ def _defined_normals(surface: Surface) -> Any:
     """Vertex normals; where no direction is defined, that of one of its faces."""
     normals = surface.normals.astype(np.float64)
     corners = surface.vertices[surface.faces].astype(np.float64)
-    of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    of_faces /= np.maximum(np.linalg.norm(of_faces, axis=1, keepdims=True), 1e-30)
-    vague = np.linalg.norm(normals, axis=1) < 0.5
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face_normals /= np.maximum(np.linalg.norm(face_normals, axis=1, keepdims=True), 1e-30)
+    is_undefined = np.linalg.norm(normals, axis=1) < 0.5
     for corner in range(3):
-        at = surface.faces[:, corner]
-        here = vague[at]
-        normals[at[here]] = of_faces[here]
+        vertices = surface.faces[:, corner]
+        faces = is_undefined[vertices]
+        normals[vertices[faces]] = face_normals[faces]
     return normals
 
 
@@ -245,7 +242,7 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     arrays.add("zeroth", "float32", zeroth.astype(np.float32).tobytes())
     return {
         "lobes": {
-            "rings": lobes.grid.rings, "rays": list(lobes.grid.rays), "ring_of_largest": lobes.grid.ring_of_largest,
+            "rings": lobes.grid.rings, "rays": list(lobes.grid.azimuths), "ring_of_largest": lobes.grid.ring_of_largest,
             "functions": count, "scale": lobes.scale, "size": _SIZE,
         },
         "variances": [lobes.lobe_variance(1.0 / tau) for tau in wavenumbers.tolist()],
@@ -260,7 +257,7 @@ def _add_display(arrays: Arrays) -> dict[str, Any]:
     arrays.add("most_chroma", "float32", tables.most_chroma.astype(np.float32).tobytes())
     return {
         "display": {
-            "white": tables.white, "toe": tables.toe, "kept": [tables.unchanged, tables.compressed],
+            "white": tables.white, "toe": tables.toe, "chromaLimits": [tables.unchanged, tables.compressed],
             "background": colorimetry.srgb_decode(_BACKGROUND).tolist(),
             **{name: np.asarray(matrix).tolist() for name, matrix in tables.matrices.items()},
         }
@@ -274,12 +271,11 @@ def _white(lobes: BakedLobes) -> Any:
     return colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(lobes.illuminant))
 
 
-def _told(lobes: BakedLobes) -> str:
-    narrowest = 2.0 * LARGEST_W / _SIZE
+def _description(lobes: BakedLobes) -> str:
     return (
-        f"Drag to turn, with two fingers or the right button to move, wheel to approach; the disc is the light. "
-        f"{lobes.coherence}, {lobes.illuminant}. What is nearer than {narrowest:.2g} in (u, v) is not told apart: from "
-        f"nearer by, nothing new is seen. Made with warpdiff."
+        "Drag to rotate. Drag with two fingers or the right button to pan, use the wheel to zoom. Drag the disc to "
+        f"rotate the lights. {lobes.coherence}, {lobes.illuminant}. Resolution in (u, v): "
+        f"{2.0 * LARGEST_W / _SIZE:.2g}. Made with warpdiff."
     )
 
 
@@ -287,12 +283,12 @@ def _filled(header: dict[str, Any], arrays: Arrays, title: str) -> str:
     """The page."""
     folder = resources.files("warpdiff.apps.web_page").joinpath("page")
     page = folder.joinpath("page.html").read_text(encoding="utf-8")
-    background = "#" + "".join(f"{round(255.0 * each):02x}" for each in _BACKGROUND)
+    background = "#" + "".join(f"{round(255.0 * component):02x}" for component in _BACKGROUND)
     # In JSON within a script element nothing may look like its end.
     filling = {
         "VERSION": metadata.version("warpdiff"), "TITLE": html.escape(title), "BACKGROUND": background,
         "HEADER": json.dumps(header).replace("<", "\\u003c"), "DATA": arrays.base64(),
         **{name: folder.joinpath(file).read_text(encoding="utf-8") for name, file in _PARTS.items()},
     }  # fmt: skip
-    # One pass: what is filled in is not looked at again.
-    return re.sub("@([A-Z_]+)@", lambda found: filling[found[1]], page)
+    # One pass, so that texts that are filled in are not searched again.
+    return re.sub("@([A-Z_]+)@", lambda match: filling[match[1]], page)

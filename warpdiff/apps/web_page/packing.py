@@ -1,6 +1,6 @@
-"""Arrays of a page: quantised, as differences, in planes of bytes, deflated together.
+"""Packed arrays of a page: quantised, as differences, in planes of bytes, deflated together.
 
-``page/page.js``, ``unpack``, is the other end of it.
+The function ``unpack`` of ``page/page.js`` reads them.
 """
 
 from __future__ import annotations
@@ -19,16 +19,20 @@ STEPS = 65_535
 
 
 class Arrays:
-    """Arrays by name, one after the other, and what a page has to know of them."""
+    """Arrays by name, one after the other.
+
+    Attributes:
+        entries: Name, type, shape, begin and length of each array, by which the page reads it.
+    """
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
-        self.told: list[dict[str, Any]] = []
+        self.entries: list[dict[str, Any]] = []
 
     def add(self, name: str, kind: str, data: bytes, rows: int = 0, columns: int = 0) -> None:
-        """Add bytes as they are."""
+        """Add bytes."""
         begin = sum(map(len, self._parts))
-        self.told.append(
+        self.entries.append(
             {"name": name, "kind": kind, "rows": rows, "columns": columns, "begin": begin, "length": len(data)}
         )
         self._parts.append(data)
@@ -43,7 +47,7 @@ class Arrays:
         self.add(name, "differences", data, *values.shape)
 
     def base64(self) -> str:
-        """All of them, deflated."""
+        """Return all arrays, deflated, as base64."""
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode("ascii")
 
 
@@ -56,6 +60,6 @@ def quantised(values: NDArray[Any], low: Any, high: Any) -> NDArray[np.int64]:
 def octahedral(vectors: NDArray[Any]) -> NDArray[np.int64]:
     """Places of unit vectors (n, 3) on an octahedron unfolded into a square (Cigolle et al. 2014), (n, 2)."""
     size = np.abs(vectors).sum(axis=1, keepdims=True)
-    at = vectors / np.where(size > 0.0, size, 1.0)
-    folded = (1.0 - np.abs(at[:, 1::-1])) * np.where(at[:, :2] < 0.0, -1.0, 1.0)
-    return quantised(np.where(at[:, 2:] < 0.0, folded, at[:, :2]), -1.0, 1.0)
+    points = vectors / np.where(size > 0.0, size, 1.0)
+    folded = (1.0 - np.abs(points[:, 1::-1])) * np.where(points[:, :2] < 0.0, -1.0, 1.0)
+    return quantised(np.where(points[:, 2:] < 0.0, folded, points[:, :2]), -1.0, 1.0)

@@ -6,7 +6,7 @@ uniform highp sampler3D table;
 uniform highp sampler2D mostChroma;
 uniform float exposure, frames, white, toe;
 uniform vec3 background;
-uniform vec2 kept;  // chroma over the largest that is kept, and that becomes 1
+uniform vec2 chromaLimits;  // relative chroma up to which colours are unchanged, and relative chroma that becomes 1
 uniform mat3 xyzToCones, conesToXyz, rootsToLab, labToRoots, xyzToP3;
 out vec4 shown;
 
@@ -21,9 +21,9 @@ vec3 compressChroma(vec3 xyz) {
     float below = texelFetch(mostChroma, ivec2(int(first), 0), 0).r;
     float above = texelFetch(mostChroma, ivec2(int(first) + 1, 0), 0).r;
     float ratio = chroma / max(mix(below, above, at - first) * lab.x, 1e-30);
-    if (ratio <= kept.x) return xyz;
-    float excess = ratio - kept.x, bend = 1.0 / (1.0 - kept.x) - 1.0 / (kept.y - kept.x);
-    lab.yz *= (kept.x + excess / (1.0 + bend * excess)) / ratio;
+    if (ratio <= chromaLimits.x) return xyz;
+    float excess = ratio - chromaLimits.x, bend = 1.0 / (1.0 - chromaLimits.x) - 1.0 / (chromaLimits.y - chromaLimits.x);
+    lab.yz *= (chromaLimits.x + excess / (1.0 + bend * excess)) / ratio;
     vec3 roots = labToRoots * lab;
     return conesToXyz * (roots * roots * roots);
 }

@@ -13,9 +13,9 @@ const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
-    const told = document.getElementById("failed");
-    told.textContent = sentence;
-    told.style.display = "grid";
+    const element = document.getElementById("failed");
+    element.textContent = sentence;
+    element.style.display = "grid";
     throw new Error(sentence);
 }
 
@@ -185,7 +185,7 @@ function bakeGrid(arrays) {
         gl.TEXTURE_2D, gl.NEAREST, () => gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, SIZE, SIZE));
     const resample = program(WHOLE, source("resample.frag"), { MOST_OCTAVES: rays.length, SIZE: SIZE.toFixed(1) });
     const sharpen = program(WHOLE, source("sharpen.frag")), target = gl.createFramebuffer(), starts = [];
-    rays.reduce((start, each) => { starts.push(start); return start + rings * each; }, 0);
+    rays.reduce((start, count) => { starts.push(start); return start + rings * count; }, 0);
     gl.useProgram(resample.program);
     gl.uniform1i(resample.uniforms.ringsAnOctave, rings);
     gl.uniform1iv(resample.uniforms.raysOf, rays);
@@ -373,8 +373,8 @@ let scene = null, sums = null, added = 0, changes = 0;
 // A frame under one light, with depth, and the sums of all.
 function makeSums(width, height) {
     if (sums) {
-        for (const each of [sums.colour, sums.frame]) gl.deleteTexture(each);
-        for (const each of [sums.target, sums.frameTarget]) gl.deleteFramebuffer(each);
+        for (const texture of [sums.colour, sums.frame]) gl.deleteTexture(texture);
+        for (const target of [sums.target, sums.frameTarget]) gl.deleteFramebuffer(target);
         gl.deleteRenderbuffer(sums.depth);
     }
     const drawn = [0, 1].map(() => {
@@ -440,7 +440,7 @@ function addFrame(moving) {
         gl.uniformMatrix4fv(uniforms.projection, false, seen.matrix);
         gl.uniform3fv(uniforms.eye, seen.eye);
         gl.uniform4fv(uniforms.place, [...placed(light), light.position ? 1 : 0]);
-        // Distances are told in the mesh's unit.
+        // Distances are in the mesh's unit.
         gl.uniform1f(uniforms.power, light.position ? light.power / radius ** 2 : light.power);
         gl.uniform1f(uniforms.lightDeviation, light.deviation ?? 0);
         gl.uniform1f(uniforms.coverage, index === 0 ? 1 : 0);
@@ -513,8 +513,8 @@ function colours() {
 
 // The factor that gives the mean luminance of what is lit, but for its brightest ten-thousandth, what ACES shows well.
 function metered() {
-    const found = colours(), luminance = [];
-    for (let k = 0; k < found.length; k += 4) if (found[k + 1] > 0) luminance.push(found[k + 1]);
+    const xyz = colours(), luminance = [];
+    for (let k = 0; k < xyz.length; k += 4) if (xyz[k + 1] > 0) luminance.push(xyz[k + 1]);
     luminance.sort((a, b) => a - b);
     const count = Math.max(luminance.length - Math.ceil(1e-4 * luminance.length), Math.min(luminance.length, 1));
     const mean = luminance.slice(0, count).reduce((a, b) => a + b, 0) / count;
@@ -584,7 +584,7 @@ function showControls() {
     spot.left = `${42 + 40 * dot(light, right)}px`;
     spot.top = `${42 - 40 * dot(light, up)}px`;
     spot.opacity = behind ? 0.35 : 1;
-    document.getElementById("stopsTold").textContent = `${stops >= 0 ? "+" : "−"}${Math.abs(stops).toFixed(1)} stops`;
+    document.getElementById("stopsText").textContent = `${stops >= 0 ? "+" : "−"}${Math.abs(stops).toFixed(1)} stops`;
 }
 
 function orbit(dx, dy) {
@@ -626,21 +626,21 @@ function turnLights(towards) {
 }
 
 function listen() {
-    const held = new Map();
+    const pointers = new Map();
     canvas.addEventListener("pointerdown", (event) => {
         canvas.setPointerCapture(event.pointerId);
-        held.set(event.pointerId, [event.clientX, event.clientY]);
+        pointers.set(event.pointerId, [event.clientX, event.clientY]);
     });
     for (const name of ["pointerup", "pointercancel"]) {
-        canvas.addEventListener(name, (event) => held.delete(event.pointerId));
+        canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
     }
     canvas.addEventListener("pointermove", (event) => {
-        const before = held.get(event.pointerId);
+        const before = pointers.get(event.pointerId);
         if (!before) return;
         const now = [event.clientX, event.clientY], [dx, dy] = sub(now, before);
-        held.set(event.pointerId, now);
-        if (held.size === 2) {
-            const other = [...held].find(([id]) => id !== event.pointerId)[1];
+        pointers.set(event.pointerId, now);
+        if (pointers.size === 2) {
+            const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
             const apart = (point) => Math.max(Math.hypot(...sub(point, other)), 1);
             zoom(apart(before) / apart(now));
             pan(dx / 2, dy / 2);
@@ -714,25 +714,25 @@ async function begin() {
         else if (Array.isArray(value)) gl[`uniform${value.length}fv`](at, value);
         else gl.uniform1f(at, value);
     }
-    document.getElementById("told").textContent = header.told;
+    document.getElementById("description").textContent = header.description;
     listen();
     changed();
 }
 
-// A program that drives the page: `await warpdiff.ready`, then
-// `warpdiff.render({ width, height, view, lights, exposure, frames, more })`, each of them optional, gives
-// { width, height, xyz } as far as `frames` frames tell it: XYZ and coverage, bottom row first. The canvas shows it,
-// until someone turns it. With `more` the frames come on top of those of the last call.
+// For programs that drive the page: `await warpdiff.ready`, then
+// `warpdiff.render({ width, height, view, lights, exposure, frames, more })`, with optional fields, returns
+// { width, height, xyz }, the mean of `frames` frames: XYZ and coverage, bottom row first. The canvas shows it until
+// a user changes the view. With `more` the frames are added to those of the last call.
 window.warpdiff = {
     ready: begin(),
     header,
     fetches: TAPS * layers + groups + header.variances.length + 2,
     get state() { return { view, lights, exposure: exposure * 2 ** stops, frames: added, atRest: added >= FRAMES_AT_REST }; },
-    render(wanted = {}) {
-        const width = wanted.width || canvas.width, height = wanted.height || canvas.height;
-        if (!wanted.more) {
-            ({ view, lights } = { view, lights, ...wanted });
-            if (wanted.exposure) [exposure, stops] = [wanted.exposure, 0];
+    render(options = {}) {
+        const width = options.width || canvas.width, height = options.height || canvas.height;
+        if (!options.more) {
+            ({ view, lights } = { view, lights, ...options });
+            if (options.exposure) [exposure, stops] = [options.exposure, 0];
             fixedSize = [width, height];
             [canvas.width, canvas.height] = fixedSize;
             canvas.style.width = `${width}px`;
@@ -740,8 +740,8 @@ window.warpdiff = {
             makeSums(width, height);
             added = 0;
         }
-        const frames = wanted.frames || FRAMES_AT_REST;
-        for (let k = 0; k < frames; ++k) addFrame(frames === 1 && !wanted.more);
+        const frames = options.frames || FRAMES_AT_REST;
+        for (let k = 0; k < frames; ++k) addFrame(frames === 1 && !options.more);
         if (exposure === null) exposure = metered();
         show();
         return { width: sums.width, height: sums.height, xyz: colours() };

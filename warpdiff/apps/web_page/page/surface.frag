@@ -54,8 +54,8 @@ vec3 zeroth(vec2 uv, float w, vec3 covariance) {
         float exponent = 0.5 * (d * uv.x * uv.x - 2.0 * b * uv.x * uv.y + a * uv.y * uv.y) / determinant;
         if (exponent > 24.0) continue;
         vec2 at = vec2(w / LARGEST_W * (entries - 1.0) + 0.5, float(k) + 0.5) / vec2(entries, WAVELENGTHS);
-        float kept = texture(zerothOrder, at).r;
-        result += kept * own * inversesqrt(determinant) * exp(-exponent) * weights[k];
+        float reflected = texture(zerothOrder, at).r;
+        result += reflected * own * inversesqrt(determinant) * exp(-exponent) * weights[k];
     }
     return result;
 }
