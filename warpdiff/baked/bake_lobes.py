@@ -168,7 +168,7 @@ class _Bakery:
             def at(share: float, index: int = index) -> None:
                 progress((index + share) / len(_RUNGS))
 
-            grid = PolarGrid.of(width, rings, azimuths_per_width)
+            grid = PolarGrid.for_lobes(width, rings, azimuths_per_width)
             result = self._table(grid, principal, functions.astype(np.float32), zeroth, reflectances, at)
             if result.error <= self._tolerance:
                 break

@@ -22,7 +22,7 @@ _LARGEST = 2.0
 _BEYOND = 1
 # Within this share of a lobe's deviation colours do not change.
 _FLAT_WITHIN = 0.05
-_FEWEST_RAYS = 16
+_FEWEST_AZIMUTHS = 16
 
 
 @dataclass(frozen=True)
@@ -35,52 +35,52 @@ class PolarGrid:
     """
 
     rings: int
-    rays: tuple[int, ...]
+    azimuths: tuple[int, ...]
 
     @classmethod
-    def of(cls, width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
+    def for_lobes(cls, width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
         """The grid for lobes of a standard deviation, in (u, v), with so many rays in each of these."""
         octaves = max(math.ceil(math.log2(_LARGEST / (_FLAT_WITHIN * width)) + 2.0 / rings), 1)
         tops = _LARGEST * 2.0 ** (np.arange(octaves) - octaves + 1.0)
-        rays = np.maximum(4.0 * np.ceil(2.0 * math.pi * tops / width * azimuths_per_width / 4.0), _FEWEST_RAYS)
-        return cls(rings, tuple(rays.astype(int).tolist()))
+        azimuths = np.maximum(4.0 * np.ceil(2.0 * math.pi * tops / width * azimuths_per_width / 4.0), _FEWEST_AZIMUTHS)
+        return cls(rings, tuple(azimuths.astype(int).tolist()))
 
     @property
-    def rays_of_rings(self) -> NDArray[np.int64]:
+    def azimuths_of_rings(self) -> NDArray[np.int64]:
         """Nodes on each ring."""
-        return np.repeat(self.rays, self.rings)
+        return np.repeat(self.azimuths, self.rings)
 
     @property
     def starts(self) -> NDArray[np.int64]:
         """The first node of each ring, and at the end the number of all."""
-        return np.concatenate([[0], np.cumsum(self.rays_of_rings)])
+        return np.concatenate([[0], np.cumsum(self.azimuths_of_rings)])
 
     @property
     def nodes(self) -> int:
         """Number of nodes."""
-        return self.rings * sum(self.rays)
+        return self.rings * sum(self.azimuths)
 
     @property
     def ring_of_largest(self) -> int:
         """The ring with |(u, v)| = 2."""
-        return self.rings * len(self.rays) - 1 - _BEYOND
+        return self.rings * len(self.azimuths) - 1 - _BEYOND
 
     def places(self) -> NDArray[np.float64]:
         """(u, v) of all nodes, shape (nodes, 2)."""
-        rays = self.rays_of_rings
-        radii = _LARGEST * 2.0 ** ((np.arange(len(rays)) - self.ring_of_largest) / self.rings)
-        node = np.arange(self.nodes) - np.repeat(self.starts[:-1], rays)
-        angles = 2.0 * math.pi * node / np.repeat(rays, rays)
-        return np.asarray(np.repeat(radii, rays)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+        azimuths = self.azimuths_of_rings
+        radii = _LARGEST * 2.0 ** ((np.arange(len(azimuths)) - self.ring_of_largest) / self.rings)
+        node = np.arange(self.nodes) - np.repeat(self.starts[:-1], azimuths)
+        angles = 2.0 * math.pi * node / np.repeat(azimuths, azimuths)
+        return np.asarray(np.repeat(radii, azimuths)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1))
 
     def coefficients(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Coefficients of the periodic cubic B-spline that passes through each ring's values, (nodes, ...)."""
         result = np.empty_like(values)
-        for first, rays in zip(self.starts[:-1], self.rays_of_rings, strict=True):
-            spectrum = np.fft.rfft(values[first : first + rays], axis=0)
-            response = (2.0 + np.cos(2.0 * math.pi * np.arange(len(spectrum)) / rays)) / 3.0
+        for first, azimuths in zip(self.starts[:-1], self.azimuths_of_rings, strict=True):
+            spectrum = np.fft.rfft(values[first : first + azimuths], axis=0)
+            response = (2.0 + np.cos(2.0 * math.pi * np.arange(len(spectrum)) / azimuths)) / 3.0
             spectrum /= response.reshape(-1, *[1] * (values.ndim - 1))
-            result[first : first + rays] = np.fft.irfft(spectrum, rays, axis=0)
+            result[first : first + azimuths] = np.fft.irfft(spectrum, azimuths, axis=0)
         return result
 
     def interpolated(self, coefficients: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -91,18 +91,18 @@ class PolarGrid:
         ring = np.clip(ring, 1.0, self.ring_of_largest)
         before = np.clip(np.floor(ring), 1, self.ring_of_largest - 1).astype(np.int64)
         turns = np.arctan2(v, u) / (2.0 * math.pi)
-        rays, starts = self.rays_of_rings, self.starts
+        azimuths, starts = self.azimuths_of_rings, self.starts
         result = np.zeros((len(u), *coefficients.shape[1:]), dtype=np.float32)
         shape = (-1, *[1] * (coefficients.ndim - 1))
-        of_rings = lagrange(ring - before)
+        ring_weights = lagrange(ring - before)
         for along in range(4):
             at = before - 1 + along
-            position = (turns % 1.0) * rays[at]
+            position = (turns % 1.0) * azimuths[at]
             first = np.floor(position).astype(np.int64)
-            of_rays = b_spline(position - first)
+            azimuth_weights = b_spline(position - first)
             for across in range(4):
-                node = starts[at] + (first - 1 + across) % rays[at]
-                weight = (of_rings[along] * of_rays[across]).astype(np.float32)
+                node = starts[at] + (first - 1 + across) % azimuths[at]
+                weight = (ring_weights[along] * azimuth_weights[across]).astype(np.float32)
                 result += weight.reshape(shape) * coefficients[node]
         return result
 

@@ -1,4 +1,4 @@
-"""``BakedLobes``: colours of a height field in all directions, as a table that needs no height field, and its file."""
+"""``BakedLobes``: table of a height field's colours in all directions, and its file; the height field is not needed."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from warpdiff.baked import quantisation, table_files
 from warpdiff.baked.interpolation import PolarGrid
 from warpdiff.core import forks, memory, validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import check_reflection
@@ -27,37 +28,36 @@ LARGEST_W = 2.0
 # |κ| of the zeroth order's entries end at that of the largest |w| and the shortest wavelength [1/µm].
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
 MOST_W_BASIS = 16
-_MIRROR_WAVELENGTHS = 40
+_ZEROTH_WAVELENGTHS = 40
 # What a look-up takes, as measured.
-_BYTES_A_LOOK_UP = 400
-_MOST_RINGS, _MOST_OCTAVES, _MOST_RAYS = 512, 64, 2**20
+_BYTES_PER_LOOK_UP = 400
+_MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
 _MOST_SIZE, _LONGEST_UM = 2048, 10.0
 _KINDS = ("averaged", "source")
 
 
 @dataclass(frozen=True, eq=False)
 class BakedLobes:
-    """Colours of a height field in all directions, XYZ(u, v, w) = w² Σ_k c_k(u, v) f_k(w), and the zeroth order beside.
+    """Table of a height field's colours in all directions: XYZ(u, v, w) = w² Σ_k c_k(u, v) f_k(w) + the zeroth order.
 
-    The functions f_k are the principal ones of |w| of all (u, v), the coefficients c_k, three of each, for X, Y and Z,
-    lie at the nodes of a polar grid: a periodic cubic B-spline around each ring, and cubics in ln |(u, v)| from ring to
-    ring. The mean plane's lobe, brighter than others by orders of magnitude, is |H₀₀(w/λ)|² times a Gaussian at each
-    wavelength. Everything is for a gain C·M of 1; :meth:`reflectance` multiplies by it. With a material its reflectance
-    R(θd, λ) is within the colours, and C is without it.
+    f_k are principal functions of |w|. c_k are coefficients for X, Y and Z at the nodes of a polar grid: a periodic
+    cubic B-spline interpolates around each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
+    |H₀₀(w/λ)|² times a Gaussian at each wavelength. Colours are for a geometry factor of 1; :meth:`reflectance`
+    multiplies by it. With a material, the colours include its reflectance R(θd, λ).
 
     Attributes:
-        coherence: The window, averaged, or the source. Of a source lobes are those of light from above, and
-            keep their power where it comes aslant, where they would be narrower.
+        coherence: Averaged window or source. Lobes of a source are those at normal incidence; at oblique incidence they
+            keep their power but are too wide.
         illuminant: Name of an illuminant, or a ``Spectrum``.
-        tolerance: Percentile 99 of ΔE2000 that was asked for.
-        error: What was measured, on directions all over the hemisphere.
-        grid: Where the nodes lie.
+        tolerance: Requested 99th percentile of ΔE2000.
+        error: Measured 99th percentile of ΔE2000 over directions of the whole hemisphere.
+        grid: Polar grid of the nodes.
         functions: f_k at equal steps of |w| from 0 to 2, shape (entries, K), float32; linear in between.
-        scale: The size of the largest of all coefficients.
-        exponents: Of each node's coefficients for X, Y and Z, eighths of an octave below ``scale`` from 255 on, shape
-            (nodes, 3), uint8.
-        mantissas: The coefficients in 127ths of that size, shape (nodes, 3, K), int8; or, where lobes are much
-            brighter at some w than at others, in 32767ths, int16.
+        scale: Magnitude of the largest coefficient.
+        exponents: Magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8: 255 is ``scale``, each
+            step less is an eighth of an octave less.
+        mantissas: Coefficients in 127ths of that magnitude, shape (nodes, 3, K), int8; or in 32767ths, int16, for lobes
+            whose brightness varies strongly with w.
         zeroth: |H₀₀|² at equal steps of |κ| from 0 to 2 / 0.38 µm, shape (entries,), float32; linear in between.
         reflectances: R of the material at equal steps of cos θd from 0 to 1 and of the wavelength from 380 to 780 nm,
             shape (angles, wavelengths), float32, linear in between; None without a material.
@@ -78,22 +78,23 @@ class BakedLobes:
     def __post_init__(self) -> None:
         validation.instance(self.coherence, Coherence, "coherence")
         if self.coherence.kind not in _KINDS:
-            raise ValueError(f"coherence must be of kind {' or '.join(_KINDS)}, got {self.coherence.kind!r}")
+            raise ArgumentValueError(
+                f"{ref('coherence')} must be of kind {' or '.join(_KINDS)}, got {self.coherence.kind!r}"
+            )
         colorimetry.check_illuminant(self.illuminant)
         validation.positive(self.tolerance, "tolerance")
         validation.number(self.error, "error", least=0.0)
         validation.positive(self.scale, "scale")
         if not isinstance(self.grid, PolarGrid):
-            raise TypeError(f"grid must be a PolarGrid, got {type(self.grid).__name__}")
+            raise ArgumentTypeError(f"{ref('grid')} must be a PolarGrid, got {type(self.grid).__name__}")
         nodes = self.grid.nodes
         count = np.shape(self.mantissas)[-1] if np.ndim(self.mantissas) else 0
         if not 1 <= count <= MOST_W_BASIS:
-            raise ValueError(
-                f"mantissas must be of 1 to {MOST_W_BASIS} functions, got shape {np.shape(self.mantissas)}"
-            )
+            shape = np.shape(self.mantissas)
+            raise ArgumentValueError(f"{ref('mantissas')} must have 1 to {MOST_W_BASIS} functions, got shape {shape}")
         for name in ("functions", "zeroth"):
             if np.ndim(getattr(self, name)) == 0 or len(getattr(self, name)) < 2:
-                raise ValueError(f"{name} must have at least two entries")
+                raise ArgumentValueError(f"{ref(name)} must have at least two entries")
         table_files.check(
             self,
             functions=(np.float32, (len(self.functions), count)),
@@ -104,26 +105,31 @@ class BakedLobes:
         if self.reflectances is not None:
             table_files.check(self, reflectances=(np.float32, np.shape(self.reflectances)))
             if self.reflectances.ndim != 2 or min(self.reflectances.shape) < 2:
-                raise ValueError(f"reflectances must have shape (angles, wavelengths), got {self.reflectances.shape}")
+                shape = self.reflectances.shape
+                raise ArgumentValueError(f"{ref('reflectances')} must have shape (angles, wavelengths), got {shape}")
 
     @property
     def bytes(self) -> int:
-        """Size of the table."""
+        """Size of the table [bytes]."""
         arrays = (self.functions, self.exponents, self.mantissas, self.zeroth, self.reflectances)
-        return sum(each.nbytes for each in arrays if each is not None)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+    def __repr__(self) -> str:
+        size = f"{self.functions.shape[1]} functions of w at {self.grid.nodes} nodes, {self.bytes / 1e6:.2g} MB"
+        return f"BakedLobes({self.coherence}, {self.illuminant}, {size}, error {self.error:.2g} ΔE2000)"
 
     def __str__(self) -> str:
         material = ", with a material" if self.has_material else ""
         return (
             f"Baked lobes, {self.coherence}, under {self.illuminant}{material}: {self.functions.shape[1]} functions of "
-            f"w at {self.grid.nodes} nodes of (u, v), {self.grid.rings} rings an octave with up to "
-            f"{self.grid.rays[-1]} rays, {self.bytes / 1e6:.2g} MB. Percentile 99 of ΔE2000 over the hemisphere "
-            f"{self.error:.2g}, of {self.tolerance:g} asked for."
+            f"w at {self.grid.nodes} nodes of (u, v), {self.grid.rings} rings per octave with up to "
+            f"{self.grid.azimuths[-1]} azimuth samples, {self.bytes / 1e6:.2g} MB. 99th-percentile ΔE2000 over the "
+            f"hemisphere: {self.error:.2g}, requested: {self.tolerance:g}."
         )
 
     @property
     def has_material(self) -> bool:
-        """Whether the reflectance of a material is within the colours."""
+        """Whether the colours include the reflectance of a material."""
         return self.reflectances is not None
 
     @forks.cached_property
@@ -132,43 +138,44 @@ class BakedLobes:
         return quantisation.dequantise(self.scale, self.exponents, self.mantissas)
 
     def colours(self, scattering_vectors: ArrayLike, *, zeroth_order: bool = True) -> NDArray[np.float32]:
-        """XYZ of deflections for a gain of 1.
+        """Colours of scattering vectors, for a geometry factor of 1.
 
         Args:
             scattering_vectors: (u, v, w) = −ωi − ωr, shape (n, 3).
-            zeroth_order: Whether the mean plane's lobe is among them.
+            zeroth_order: Whether to include the zeroth order.
 
         Returns:
             CIE XYZ, shape (n, 3), float32.
         """
-        given = validation.finite_array(scattering_vectors, "scattering_vectors", ndim=2, most=2.0 * LARGEST_W)
-        if given.shape[1] != 3:
-            raise ValueError(f"deflections must have shape (n, 3), got {given.shape}")
+        uvw = validation.finite_array(scattering_vectors, "scattering_vectors", ndim=2, most=2.0 * LARGEST_W)
+        if uvw.shape[1] != 3:
+            raise ArgumentValueError(f"{ref('scattering_vectors')} must have shape (n, 3), got {uvw.shape}")
         validation.flag(zeroth_order, "zeroth_order")
         memory.require_memory(
-            _BYTES_A_LOOK_UP * len(given), f"a look-up of {len(given)} deflections", "take at most {share} of them"
+            _BYTES_PER_LOOK_UP * len(uvw),
+            f"{ref('scattering_vectors')} of {len(uvw)} rows",
+            "take at most {share} of them",
         )
-        at_uv = self.grid.interpolated(self.coefficients, given[:, :2])
-        w = np.minimum(np.abs(given[:, 2]), LARGEST_W)
-        found = np.einsum("nck,nk->nc", at_uv, _linear(self.functions, w / LARGEST_W)) * (w * w)[:, None]
-        result: NDArray[np.float64] = np.maximum(found, 0.0)
+        at_uv = self.grid.interpolated(self.coefficients, uvw[:, :2])
+        w = np.minimum(np.abs(uvw[:, 2]), LARGEST_W)
+        colours = np.einsum("nck,nk->nc", at_uv, _linear(self.functions, w / LARGEST_W)) * (w * w)[:, None]
+        result: NDArray[np.float64] = np.maximum(colours, 0.0)
         if zeroth_order:
-            result += self._zeroth_order(given[:, :2], w)
+            result += self._zeroth_order(uvw[:, :2], w)
         return np.asarray(result, dtype=np.float32)
 
     def cartesian(self, size: int = 1024) -> NDArray[np.float32]:
-        """The coefficients on a Cartesian grid over (u, v), at the centres of its cells; 0 outside the disc.
+        """Coefficients on a Cartesian grid over (u, v), at the centres of its cells; 0 outside the disc |(u, v)| ≤ 2.
 
         Args:
-            size: Cells from −2 to 2 along either axis, 2 to 2048.
+            size: Number of cells from −2 to 2 along each axis, 2 to 2048.
 
         Returns:
-            Shape (size, size, 3, K), float32; the first index goes along v, the second along u.
+            Coefficients, shape (size, size, 3, K), float32; the first index goes along v, the second along u.
         """
-        if not 2 <= validation.count(size, "size") <= _MOST_SIZE:
-            raise ValueError(f"size must be 2 to {_MOST_SIZE}, got {size}")
+        validation.count(size, "size", least=2, most=_MOST_SIZE)
         memory.require_memory(
-            4.0 * size * size * self.coefficients[0].size, f"a grid of size={size}", "take at most {side} of it"
+            4.0 * size * size * self.coefficients[0].size, f"a grid of {ref('size', size)}", "take at most {side} of it"
         )
         axis = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * LARGEST_W
         result = np.zeros((size, size, *self.coefficients.shape[1:]), dtype=np.float32)
@@ -181,13 +188,14 @@ class BakedLobes:
     def reflectance(
         self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float | None = None, masking: bool = True
     ) -> NDArray[np.float32]:
-        """Colour of the reflectance, as :func:`warpdiff.reflectance` has it, within :attr:`error`.
+        """Colours of the reflectance, as :func:`warpdiff.reflectance` computes them, up to :attr:`error`.
 
         Args:
-            to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
-            to_view: Directions to the viewer, the same; one and many broadcast.
-            ior: Index of refraction, > 1; ``math.inf`` is a perfect mirror, None is 1.5, or what the material says.
-            masking: Whether V-cavity masking and shadowing is included.
+            to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
+            to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single
+                direction broadcasts.
+            ior: Index of refraction, above 1; ``math.inf`` is a perfect mirror, None is 1.5. None with a material.
+            masking: Whether to include V-cavity masking and shadowing.
 
         Returns:
             CIE XYZ, shape (n, 3), or (3,) for single directions, float32.
@@ -195,9 +203,9 @@ class BakedLobes:
         lights, one_light = validation.directions(to_light, "to_light")
         views, one_view = validation.directions(to_view, "to_view")
         if len(lights) != len(views) and 1 not in (len(lights), len(views)):
-            raise ValueError(
-                f"to_light and to_view must hold the same number of directions, or one, got {len(lights)} and "
-                f"{len(views)}"
+            raise ArgumentValueError(
+                f"{ref('to_light')} and {ref('to_view')} must hold the same number of directions, or one, got "
+                f"{len(lights)} and {len(views)}"
             )
         shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
         lights, views = np.broadcast_to(lights, shape), np.broadcast_to(views, shape)
@@ -209,79 +217,83 @@ class BakedLobes:
     def _zeroth_order(self, uv: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
         """What the mean plane reflects, for a gain of 1, where it is not nothing."""
         result = np.zeros((len(uv), 3))
-        wavenumbers, weights = colorimetry.uniform_quadrature(_MIRROR_WAVELENGTHS, self.illuminant)
+        wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, self.illuminant)
         square = uv[:, 0] ** 2 + uv[:, 1] ** 2
         for tau, weight in zip(wavenumbers, weights, strict=True):
             exponent = 0.5 * square / self.lobe_variance(1.0 / tau)
             near = np.flatnonzero(exponent < 24.0)
-            result[near] += (mirror_power(self, w[near], tau) * np.exp(-exponent[near]))[:, None] * weight
+            result[near] += (zeroth_order_power(self, w[near], tau) * np.exp(-exponent[near]))[:, None] * weight
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """The variance of a lobe in (u, v) along either axis at a wavelength [µm]."""
+        """Variance of a lobe in (u, v) along each axis, at a wavelength [µm], above 0 and at most 10."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
         return wavelength_um**2 / (8.0 * (math.pi * self.coherence.sigma_um) ** 2)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the table; an existing file is replaced only once the new one is complete.
+        """Write the table to a file; an existing file is replaced only after the new one is complete.
 
-        The file is NumPy's ``.npz``, compressed, of the arrays ``functions``, ``exponents``, ``mantissas`` and
-        ``zeroth``, of ``reflectances`` where there is a material, and of ``format``, ``coherence`` (kind), ``width`` (σ
-        in µm, or the source's diameter in degrees), ``illuminant`` (name), ``tolerance``, ``error``, ``rings``,
-        ``rays`` and ``scale``; for a ``Spectrum`` also of ``illuminant_nm`` and ``illuminant_values``.
+        The file is a compressed ``.npz`` of NumPy. It holds the arrays ``functions``, ``exponents``, ``mantissas`` and
+        ``zeroth``, with a material also ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and
+        ``illuminant_values``. It also holds ``format``, ``coherence`` (kind), ``width`` (σ in µm, or the source's
+        diameter in degrees), ``illuminant`` (name), ``tolerance``, ``error``, ``rings``, ``rays`` (azimuth samples) and
+        ``scale``.
 
         Args:
-            path: Where to; it ends in ``.npz``.
+            path: Path of the file, ending in ``.npz``.
 
         Returns:
             The path.
         """
         coherence = self.coherence
         width = coherence.angular_diameter_deg if coherence.sigma_um is None else coherence.sigma_um
-        told: dict[str, Any] = {
+        arrays: dict[str, Any] = {
             "format": FORMAT, "coherence": coherence.kind, "width": width, "illuminant": str(self.illuminant),
             "tolerance": self.tolerance, "error": self.error, "rings": self.grid.rings,
-            "rays": np.array(self.grid.rays, dtype=np.int64), "scale": self.scale, "functions": self.functions,
+            "rays": np.array(self.grid.azimuths, dtype=np.int64), "scale": self.scale, "functions": self.functions,
             "exponents": self.exponents, "mantissas": self.mantissas, "zeroth": self.zeroth,
         }  # fmt: skip
         if self.reflectances is not None:
-            told["reflectances"] = self.reflectances
+            arrays["reflectances"] = self.reflectances
         if isinstance(self.illuminant, Spectrum):
-            told |= {"illuminant_nm": self.illuminant.wavelengths_nm, "illuminant_values": self.illuminant.values}
-        return table_files.save(path, told)
+            arrays |= {"illuminant_nm": self.illuminant.wavelengths_nm, "illuminant_values": self.illuminant.values}
+        return table_files.save(path, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> BakedLobes:
-        """Read what :meth:`save` wrote.
+        """Read a table from a file of :meth:`save`.
+
+        Args:
+            path: Path of the file.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: It is no such file, or damaged.
+            FileNotFoundError: The file does not exist.
+            ValueError: The file is damaged or of another format.
         """
-        with table_files.loaded(path, FORMAT, "BakedLobes") as found:
-            return cls._of_file(found)
+        with table_files.loaded(path, FORMAT, "BakedLobes") as arrays:
+            return cls._from_arrays(arrays)
 
     @classmethod
-    def _of_file(cls, found: dict[str, NDArray[Any]]) -> BakedLobes:
-        kind, width = str(found["coherence"]), float(found["width"])
+    def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> BakedLobes:
+        kind, width = str(arrays["coherence"]), float(arrays["width"])
         is_source = kind == "source"
         coherence = Coherence(
             kind, sigma_um=None if is_source else width, angular_diameter_deg=width if is_source else None
         )
-        rings, rays = int(found["rings"]), found["rays"]
-        if not 1 <= rings <= _MOST_RINGS or rays.dtype != np.int64 or not 1 <= rays.size <= _MOST_OCTAVES:
-            raise ValueError("rings and rays must be those of a grid")
-        if rays.ndim != 1 or rays.min() < 4 or rays.max() > _MOST_RAYS:
-            raise ValueError(f"rays must be 4 to {_MOST_RAYS}")
-        illuminant: str | Spectrum = str(found["illuminant"])
-        if "illuminant_nm" in found:
-            illuminant = Spectrum(found["illuminant_nm"], found["illuminant_values"], str(illuminant))
+        rings, azimuths = int(arrays["rings"]), arrays["rays"]
+        if not 1 <= rings <= _MOST_RINGS or azimuths.dtype != np.int64 or not 1 <= azimuths.size <= _MOST_OCTAVES:
+            raise ValueError("rings and rays must describe a polar grid")
+        if azimuths.ndim != 1 or azimuths.min() < 4 or azimuths.max() > _MOST_AZIMUTHS:
+            raise ValueError(f"rays must be 4 to {_MOST_AZIMUTHS}")
+        illuminant: str | Spectrum = str(arrays["illuminant"])
+        if "illuminant_nm" in arrays:
+            illuminant = Spectrum(arrays["illuminant_nm"], arrays["illuminant_values"], str(illuminant))
         return cls(
-            coherence, illuminant, float(found["tolerance"]), float(found["error"]),
-            PolarGrid(rings, tuple(rays.tolist())), found["functions"], float(found["scale"]), found["exponents"],
-            found["mantissas"], found["zeroth"], found.get("reflectances"),
+            coherence, illuminant, float(arrays["tolerance"]), float(arrays["error"]),
+            PolarGrid(rings, tuple(azimuths.tolist())), arrays["functions"], float(arrays["scale"]),
+            arrays["exponents"], arrays["mantissas"], arrays["zeroth"], arrays.get("reflectances"),
         )  # fmt: skip
 
 
@@ -290,12 +302,12 @@ def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
     if not lobes.has_material:
         return check_reflection(ior, None)[0]
     if ior is not None:
-        raise ValueError("ior must not be given beside lobes that were baked with a material")
+        raise ArgumentValueError(f"{ref('ior')} must be None for lobes that were baked with a material, got {ior!r}")
     return 1.0
 
 
-def mirror_power(lobes: BakedLobes, w: NDArray[np.float64], wavenumber: float) -> NDArray[np.float64]:
-    """What the mean plane reflects at |w| where its lobe is highest, for a gain of 1 and 1/λ [1/µm]."""
+def zeroth_order_power(lobes: BakedLobes, w: NDArray[np.float64], wavenumber: float) -> NDArray[np.float64]:
+    """Power of the zeroth order at |w| and 1/λ [1/µm], at the peak of its lobe, for a geometry factor of 1."""
     power = _linear(lobes.zeroth[:, None], w * wavenumber / LARGEST_KAPPA)[:, 0]
     if lobes.reflectances is None:
         return power

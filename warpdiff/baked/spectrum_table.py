@@ -1,4 +1,4 @@
-"""``BakedSpectrum``: the power spectrum of a height field as a table that needs no height field, and its file."""
+"""``BakedSpectrum``: table of a height field's power spectrum, and its file; the height field is not needed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from warpdiff.baked import table_files
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
 
 if TYPE_CHECKING:
@@ -23,18 +24,18 @@ _MOST_SIZE = 8192
 
 @dataclass(frozen=True, eq=False)
 class BakedSpectrum:
-    """The power ⟨|P|²⟩ of a height field under an averaged window, Σ_k s_k(q) f_k(|κ|), and the zeroth order beside.
+    """Table of the power ⟨|P|²⟩ of a height field under an averaged window: Σ_k s_k(q) f_k(|κ|) plus the zeroth order.
 
-    q = (u, v)/λ and κ = w/λ. Cells hold means over themselves, so that their sum is the power however coarse they are.
-    The mean plane's part, |H₀₀(κ)|² exp(−4π²σ²|q|²), is left out of them. Over 2 dimensions, 4πσ² times the power is
-    a density that adds up to 1 over q, as Σ|H|² does.
+    q = (u, v)/λ and κ = w/λ. Each cell holds the mean over its area, so the sum over cells is the power at any
+    resolution. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²). In two dimensions, 4πσ² times the power
+    is a density whose integral over q is 1, as Σ|H|² is.
 
     Attributes:
-        sigma_um: σ of the window [µm].
-        largest_q: Cells reach from minus this to this along either axis [1/µm].
+        sigma_um: Standard deviation σ of the window [µm].
+        largest_q: Half the side of the square of cells, which is centred on q = 0 [1/µm].
         powers: s_k of the cells, shape (size, size, K), float32; the first index goes along v, the second along u.
-        least_kappa: The |κ| of the functions' first entry [1/µm].
-        largest_kappa: That of the last one.
+        least_kappa: |κ| of the first entry of ``functions`` [1/µm].
+        largest_kappa: |κ| of the last entry of ``functions`` [1/µm].
         functions: f_k at equal steps of |κ|, shape (entries, K), float32; linear in between.
         zeroth: |H₀₀|² at the same |κ|, shape (entries,), float32.
     """
@@ -54,7 +55,7 @@ class BakedSpectrum:
         validation.number(self.largest_kappa, "largest_kappa", above=self.least_kappa)
         size, count = (np.shape(self.powers)[0], np.shape(self.powers)[-1]) if np.ndim(self.powers) else (0, 0)
         if not 2 <= size <= _MOST_SIZE:
-            raise ValueError(f"powers must be of 2 to {_MOST_SIZE} cells along a side, got {size}")
+            raise ArgumentValueError(f"{ref('powers')} must have 2 to {_MOST_SIZE} cells along a side, got {size}")
         entries = np.shape(self.zeroth)[0] if np.ndim(self.zeroth) else 0
         table_files.check(
             self,
@@ -65,8 +66,13 @@ class BakedSpectrum:
 
     @property
     def coherence(self) -> Coherence:
-        """The window."""
+        """Averaged window of the spectrum."""
         return Coherence(sigma_um=self.sigma_um)
+
+    def __repr__(self) -> str:
+        size, _, count = self.powers.shape
+        cells = f"{count} functions of κ at {size} × {size} cells, {self.powers.nbytes / 1e6:.2g} MB"
+        return f"BakedSpectrum({self.coherence}, {cells})"
 
     def __str__(self) -> str:
         size, _, count = self.powers.shape
@@ -76,22 +82,31 @@ class BakedSpectrum:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the table as NumPy's ``.npz``, compressed, its arrays named as the attributes, and ``format``.
+        """Write the table to a file; an existing file is replaced only after the new one is complete.
 
-        An existing file is replaced only once the new one is complete.
+        The file is a compressed ``.npz`` of NumPy with the attributes by name, and ``format``.
+
+        Args:
+            path: Path of the file, ending in ``.npz``.
+
+        Returns:
+            The path.
         """
         return table_files.save(path, {"format": FORMAT, **vars(self)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> BakedSpectrum:
-        """Read what :meth:`save` wrote.
+        """Read a table from a file of :meth:`save`.
+
+        Args:
+            path: Path of the file.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: It is no such file, or damaged.
+            FileNotFoundError: The file does not exist.
+            ValueError: The file is damaged or of another format.
         """
-        with table_files.loaded(path, FORMAT, "BakedSpectrum") as found:
+        with table_files.loaded(path, FORMAT, "BakedSpectrum") as arrays:
             return cls(
-                float(found["sigma_um"]), float(found["largest_q"]), found["powers"], float(found["least_kappa"]),
-                float(found["largest_kappa"]), found["functions"], found["zeroth"],
+                float(arrays["sigma_um"]), float(arrays["largest_q"]), arrays["powers"], float(arrays["least_kappa"]),
+                float(arrays["largest_kappa"]), arrays["functions"], arrays["zeroth"],
             )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Files of named arrays: NumPy's ``.npz``, whole or not there, and checked before anything is unpacked."""
+"""Files of named arrays: compressed ``.npz`` of NumPy, written atomically and checked before they are unpacked."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from warpdiff.core import files, memory, validation
 from warpdiff.core.files import naming_file
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
     import os
@@ -21,7 +22,7 @@ def save(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> Path:
     """Write arrays by name, compressed; an existing file is replaced only once the new one is complete."""
     target = validation.path(path, "path")
     if target.suffix.lower() != ".npz":
-        raise ValueError(f"path must end in .npz, got {str(path)!r}")
+        raise ArgumentValueError(f"{ref('path')} must end in .npz, got {str(path)!r}")
     files.check_folder(target.parent, "path")
     with files.atomic_write(target) as temporary, temporary.open("rb+") as file:
         np.savez_compressed(file, **arrays)
@@ -29,7 +30,7 @@ def save(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> Path:
 
 
 @contextlib.contextmanager
-def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[str, Any]]:
+def loaded(path: str | os.PathLike[str], format_name: str, kind: str) -> Iterator[dict[str, Any]]:
     """The arrays of a file whose ``format`` is what is told; whatever is wrong with them within, too, is a ValueError.
 
     Raises:
@@ -40,36 +41,37 @@ def loaded(path: str | os.PathLike[str], told: str, kind: str) -> Iterator[dict[
     try:
         with naming_file(source), source.open("rb") as file:
             with zipfile.ZipFile(file) as archive:
-                size = sum(each.file_size for each in archive.infolist())
-            memory.require_memory(size, f"path: {str(path)!r}", "take a smaller one")
+                size = sum(entry.file_size for entry in archive.infolist())
+            memory.require_memory(size, f"{ref('path')}: {str(path)!r}", "take a smaller one")
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
-        _check_format(str(arrays["format"]), told)
+        _check_format(str(arrays["format"]), format_name)
         yield arrays
     except (OSError, MemoryError):
         raise
     except Exception as error:
         # Damaged archives make zipfile, zlib and NumPy raise all sorts of things.
-        raise ValueError(
-            f"path must be a file that {kind}.save wrote, got {str(path)!r}: {type(error).__name__}: {error}"
+        raise ArgumentValueError(
+            f"{ref('path')} must be a file that {kind}.save wrote, got {str(path)!r}: {type(error).__name__}: {error}"
         ) from error
 
 
-def _check_format(found: str, told: str) -> None:
-    if found != told:
-        raise ValueError(f"format is {found!r}, not {told!r}")
+def _check_format(actual: str, expected: str) -> None:
+    if actual != expected:
+        raise ValueError(f"format is {actual!r}, not {expected!r}")
 
 
-def check(owner: Any, **wanted: tuple[Any, tuple[int, ...]]) -> None:
+def check(owner: Any, **expected: tuple[Any, tuple[int, ...]]) -> None:
     """Refuse attributes that are not arrays of a type and a shape, or not finite; from now on they are read-only."""
-    for name, (dtype, shape) in wanted.items():
+    for name, (dtype, shape) in expected.items():
         array = getattr(owner, name)
         if not isinstance(array, np.ndarray) or array.dtype != dtype:
-            told = array.dtype.name if isinstance(array, np.ndarray) else type(array).__name__
-            raise TypeError(f"{name} must be an array of {np.dtype(dtype).name}, got {told}")
+            kind = array.dtype.name if isinstance(array, np.ndarray) else type(array).__name__
+            raise ArgumentTypeError(f"{ref(name)} must be an array of {np.dtype(dtype).name}, got {kind}")
         if array.shape != shape or 0 in shape:
-            raise ValueError(f"{name} must have shape {shape}, without an empty axis, got {array.shape}")
+            raise ArgumentValueError(f"{ref(name)} must have shape {shape}, without an empty axis, got {array.shape}")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise ValueError(f"{name} must be finite, got {int(np.count_nonzero(~np.isfinite(array)))} that are not")
+            count = int(np.count_nonzero(~np.isfinite(array)))
+            raise ArgumentValueError(f"{ref(name)} must be finite, got {count} NaN or infinite value(s)")
         array.setflags(write=False)
