@@ -56,7 +56,12 @@ class Lobe:
 
 
 @functools.singledispatch
-def lobes_of(light: Any, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:
+def lobes_of(
+    light: Any,
+    sigma_um: float | None = None,  # noqa: ARG001 (of the registered functions)
+    *,
+    single_lobe: bool = False,  # noqa: ARG001
+) -> list[Lobe]:
     """Return the lobes of a light; the file of each kind of light registers its own function.
 
     Args:
