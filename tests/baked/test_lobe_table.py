@@ -252,7 +252,7 @@ def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():
 
 def test_what_cannot_be_baked_is_refused():
     sine = wd.gratings.sinusoidal(2.0, 0.1)
-    with pytest.raises(ValueError, match="coherence must be of kind 'averaged' or 'source', .* got 'centred'"):
+    with pytest.raises(ValueError, match=r"coherence must be of kind 'averaged' or 'source', .* got 'centred'"):
         wd.bake(sine, coherence=wd.Coherence("centred"))
     with pytest.raises(ValueError, match="coherence must be of kind 'averaged'"):
         wd.bake_spectrum(sine, coherence=wd.Coherence("source"))

@@ -14,7 +14,7 @@ import numpy as np
 from annotated_types import Ge, Interval
 
 from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
-from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, mirror_power, normal_reflectance
+from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance, zeroth_order_power
 from warpdiff.core import files, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
@@ -238,7 +238,7 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     arrays.add("functions", "float32", fours.tobytes())
     wavenumbers, weights = colorimetry.uniform_quadrature(_WAVELENGTHS, lobes.illuminant)
     w = np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)
-    zeroth = np.stack([mirror_power(lobes, w, tau) for tau in wavenumbers.tolist()])
+    zeroth = np.stack([zeroth_order_power(lobes, w, tau) for tau in wavenumbers.tolist()])
     arrays.add("zeroth", "float32", zeroth.astype(np.float32).tobytes())
     return {
         "lobes": {
