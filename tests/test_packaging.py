@@ -18,7 +18,7 @@ import pytest
 
 import warpdiff as wd
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ("warpdiff", "kernels", "tests", "bench")
 
 if not (ROOT / "pyproject.toml").is_file():
@@ -40,10 +40,10 @@ if source != target:
 CHECK = f"""{PRELUDE}
 from pathlib import Path
 import warpdiff as wd
-import warpdiff.kernels.coefficient_sum as spectral
+import warpdiff.kernels.coefficient_sum as kernels
 installed = "warpdiff/" if source == target else ""
 expected = {{
-    wd: "warpdiff/__init__.py", spectral: installed + "kernels/spectral_sum.py",
+    wd: "warpdiff/__init__.py", kernels: installed + "kernels/coefficient_sum.py",
 }}
 for module, path in expected.items():
     where = Path(source, path).resolve()
@@ -97,8 +97,8 @@ def check_installed(target: Path, source: Path, outside: Path) -> None:
     outside.mkdir()
     dependencies = [path for path in sys.path if Path(path).is_dir() and Path(path).resolve() != ROOT]
     arguments = [str(target), str(source), "|".join(dependencies)]
-    found = run([sys.executable, "-S", "-c", CHECK, *arguments], outside)
-    assert found.split() == ["as", PROJECT["version"], "warpdiff", PROJECT["version"]]
+    output = run([sys.executable, "-S", "-c", CHECK, *arguments], outside)
+    assert output.split() == ["as", PROJECT["version"], "warpdiff", PROJECT["version"]]
     assert not list(outside.iterdir())
 
 
@@ -115,7 +115,7 @@ def shipped(folder: str) -> set[str]:
 
 
 def check_wheel(wheel: Path) -> None:
-    """Everything is inside, and nothing else."""
+    """Check that a wheel holds the package and nothing else."""
     names = set(zipfile.ZipFile(wheel).namelist())
     info = f"warpdiff-{PROJECT['version']}.dist-info"
     expected = {f"warpdiff/{name}" for name in shipped("warpdiff")}
@@ -131,7 +131,7 @@ def test_sdist_and_its_wheel(tree, tmp_path):
     sdist = build("sdist", tree, tmp_path / "dist")
     shutil.unpack_archive(sdist, tmp_path)
     unpacked = tmp_path / f"warpdiff-{PROJECT['version']}"
-    for name in ("LICENSE", "README.md", "pyproject.toml", "tests/contracts/test_packaging.py", "warpdiff/py.typed"):
+    for name in ("LICENSE", "README.md", "pyproject.toml", "tests/test_packaging.py", "warpdiff/py.typed"):
         assert (unpacked / name).is_file(), f"{name} is not in the sdist"
     for folder in ("warpdiff", "kernels", "bench"):
         missing = {name for name in shipped(folder) if not (unpacked / folder / name).is_file()}
@@ -153,17 +153,17 @@ def test_editable(tree, tmp_path):
 @functools.cache
 def imported(path: Path) -> set[str]:
     """Top-level names that a file imports, wherever in it."""
-    found = set()
+    names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            found |= {alias.name.partition(".")[0] for alias in node.names}
+            names |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            found.add(node.module.partition(".")[0])
-    return found
+            names.add(node.module.partition(".")[0])
+    return names
 
 
 def test_dependencies_are_what_is_imported():
-    names = {"warp": "warp-lang", "colour": "colour-science", "PIL": "pillow"}
+    names = {"warp": "warp-lang", "colour": "colour-science", "PIL": "pillow", "annotated_types": "annotated-types"}
     used = set().union(
         *(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
     )

@@ -54,7 +54,7 @@ def spectrum_file(fingers, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def lobes_file(fingers, tmp_path_factory):
-    baked = wd.bake(fingers, coherence=SUN, tolerance=4.0)
+    baked = wd.bake(fingers, coherence=SUN, delta_e=4.0)
     return baked.save(tmp_path_factory.mktemp("baked") / "lobes.npz")
 
 
@@ -174,7 +174,7 @@ def test_files_of_the_other_kind_are_refused(spectrum_file, lobes_file, fingers,
         bsdf_of(spectrum_file, "scalar_rgb")
     with pytest.raises(Exception, match=r"path must be a file that BakedSpectrum\.save wrote"):
         bsdf_of(lobes_file, "scalar_spectral")
-    window = wd.bake(fingers, coherence=WINDOW, tolerance=8.0).save(tmp_path / "window.npz")
+    window = wd.bake(fingers, coherence=WINDOW, delta_e=8.0).save(tmp_path / "window.npz")
     with pytest.raises(Exception, match="solid angle changes with the wavelength"):
         bsdf_of(window, "scalar_rgb")
 

@@ -1,14 +1,13 @@
-"""A BSDF plug-in for Mitsuba 3, ``warpdiff``: path tracing with baked lobes.
+"""BSDF plug-in ``warpdiff`` for Mitsuba 3: path tracing with baked lobes.
 
 In spectral variants each wavelength of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u, v)/λ and
 κ = w/λ; in RGB variants colours (``BakedLobes``) at (u, v) and w. Either is the absolute BRDF of ``warpdiff.brdf``,
 
     f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D,
 
-D the density of the reflected power over (u, v), which adds up to 1: 4πσ²/λ² ⟨|P|²⟩ under a window, and of a source's
-lobes, of spread s, ⟨|P|²⟩ / 2πs². What leaves a
-surface may exceed what falls on it a little, as scalar diffraction does not conserve energy: by as much as
-``warpdiff.order_efficiencies`` adds up to.
+D the density of the reflected power over (u, v), which adds up to 1: 4πσ²/λ² ⟨|P|²⟩ for a window, and ⟨|P|²⟩ / 2πs² for
+the lobes of a source with the spread s. Scalar diffraction does not conserve energy, so the reflected power may exceed
+the incident power: the BSDF reflects the sum of the efficiencies of ``warpdiff.order_efficiencies``.
 
 Directions are sampled through (u, v): q from cells in proportion to their power, or from the mean plane's Gaussian,
 then ωo = −ωi − λ q, with dω = λ²/cos θo dq. Of a ray's wavelengths one is drawn, and the density is the mean over all
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
+from warpdiff.core.wording import ArgumentValueError, ref
 
 NAME = "warpdiff"
 # Of the densities directions are drawn from: the share that is even over the disc, so that no lobe is ever missed, and
@@ -36,30 +36,30 @@ _LEAST_COSINE = 1e-4
 
 
 def register_mitsuba_bsdf(name: str = NAME) -> None:
-    """Register the plug-in with Mitsuba, for the variant that is set.
+    """Register the plug-in with Mitsuba, for its current variant.
 
-    A scene then has ``{"type": "warpdiff", "filename": "lobes.npz"}`` for a BSDF, with ``ior`` (1.5) and ``masking``
-    (True) as in :func:`warpdiff.shade`. In spectral variants the file is one of ``BakedSpectrum.save``, in RGB variants
-    one of ``BakedLobes.save``, baked for a source. The tangent is ∂P/∂u of the mesh's texture
-    coordinates. The surface is seen from outside; a ``twosided`` BSDF around it is seen from both sides.
+    A BSDF of a scene is then ``{"type": "warpdiff", "filename": "lobes.npz"}``, with the options ``ior`` (1.5) and
+    ``masking`` (True) of :func:`warpdiff.shade`. Spectral variants read a file of ``BakedSpectrum.save``, RGB variants
+    a file of ``BakedLobes.save``, baked for a source. The tangent is ∂P/∂u of the mesh's texture coordinates. Only the
+    outside of the surface reflects; a ``twosided`` BSDF around the plug-in reflects on both sides.
 
     Args:
-        name: Of the plug-in.
+        name: Name of the plug-in, an identifier.
 
     Raises:
         ImportError: Mitsuba is not installed: ``pip install 'warpdiff[mitsuba]'``.
-        RuntimeError: No variant is set, or one that has neither colours nor spectra, or polarisation.
+        RuntimeError: The variant is not set, is monochromatic, or polarised.
     """
     if not isinstance(name, str) or not name.isidentifier():
-        raise ValueError(f"name must be one that a plug-in can have, of letters and digits, got {name!r}")
+        raise ArgumentValueError(f"{ref('name')} must be an identifier, of letters, digits and '_', got {name!r}")
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise ImportError(f"Mitsuba 3 is not there: pip install 'warpdiff[mitsuba]' ({error})") from error
+        raise ImportError(f"Mitsuba 3 is not installed: pip install 'warpdiff[mitsuba]' ({error})") from error
     variant = mi.variant()
     if variant is None or "mono" in variant or "polarized" in variant:
         raise RuntimeError(
-            f"Mitsuba's variant must be one of RGB or spectra without polarisation, got {variant}: call "
+            f"Mitsuba's variant must be RGB or spectral, without polarisation, got {variant}: call "
             "mitsuba.set_variant('llvm_ad_spectral') or another one first"
         )
     mi.register_bsdf(name, _bsdf_class(_spectrum if mi.is_spectral else _colours))
@@ -107,8 +107,8 @@ class _Table:
         # What lies between cells is looked up linearly: neighbours are drawn as often as the brightest of them.
         for axis in (0, 1):
             power = np.maximum.reduce([np.roll(power, step, axis) for step in (-1, 0, 1)])
-        axis_ = (np.arange(self.size) + 0.5) / self.size * 2.0 - 1.0
-        inside = np.hypot(*np.meshgrid(axis_, axis_)) <= 1.0 + 2.0 / self.size
+        centres = (np.arange(self.size) + 0.5) / self.size * 2.0 - 1.0
+        inside = np.hypot(*np.meshgrid(centres, centres)) <= 1.0 + 2.0 / self.size
         even = inside / inside.sum()
         total = power.sum()
         share = power / total if total > 0.0 else even
@@ -181,11 +181,13 @@ def _colours(filename: str) -> _Table:
 
     baked = wd.BakedLobes.load(filename)
     if baked.has_material:
-        raise ValueError(f"filename: {filename!r} holds lobes of a material: bake without one, and set ior")
+        raise ArgumentValueError(
+            f"{ref('filename')}: {filename!r} holds lobes of a material: bake without one, and set {ref('ior')}"
+        )
     if baked.coherence.kind != "source":
-        raise ValueError(
-            f"filename: {filename!r} holds lobes of a window, whose solid angle changes with the wavelength: bake them "
-            "with coherence=warpdiff.Coherence('source'), or take a spectral variant and a BakedSpectrum"
+        raise ArgumentValueError(
+            f"{ref('filename')}: {filename!r} holds lobes of a window, whose solid angle changes with the wavelength: "
+            "bake them with coherence=warpdiff.Coherence('source'), or use a spectral variant and a BakedSpectrum"
         )
     to_rgb = np.array([mi.xyz_to_srgb(mi.Color3f(*axis)) for axis in np.eye(3).tolist()]).reshape(3, 3).T
     deviation = baked.coherence.spread
@@ -234,8 +236,8 @@ def _bsdf_class(table_of: Any) -> Any:
 
         def _mirror_share(self, cos_i: Any, scale: Any) -> Any:
             """How often the mean plane's lobe is drawn: as it is seen in the mirror direction."""
-            seen = self._table.zeroth_at(2.0 * cos_i / scale)
-            return dr.clip(seen[1] if len(seen) == 3 else seen[0], _LEAST_MIRROR, _MOST_MIRROR)
+            power = self._table.zeroth_at(2.0 * cos_i / scale)
+            return dr.clip(power[1] if len(power) == 3 else power[0], _LEAST_MIRROR, _MOST_MIRROR)
 
         def _density(self, si: Any, wo: Any) -> Any:
             """Density of directions that are drawn."""
@@ -244,8 +246,8 @@ def _bsdf_class(table_of: Any) -> Any:
             for scale in scales:
                 x, y = -(si.wi.x + wo.x) / scale, -(si.wi.y + wo.y) / scale
                 share = self._mirror_share(si.wi.z, scale)
-                drawn = share * table.gaussian(x, y) + (1.0 - share) * table.cell_density(x, y)
-                total += drawn / (scale * scale)
+                density = share * table.gaussian(x, y) + (1.0 - share) * table.cell_density(x, y)
+                total += density / (scale * scale)
             return total * wo.z / len(scales)
 
         def _value(self, si: Any, wo: Any) -> Any:
@@ -257,7 +259,7 @@ def _bsdf_class(table_of: Any) -> Any:
             factor = self._reflectance(cos_d) * overlap * overlap / (wi.z * w * w)
             if self._masking:
                 factor *= dr.minimum(1.0, dr.minimum(wi.z, wo.z) * w * dr.sqrt(2.0 / overlap) / cos_d)
-            found = []
+            values = []
             for scale in self._scales(si):
                 x, y, at = -half.x / scale, -half.y / scale, w / scale
                 coefficients, functions = table.coefficients(x, y), table.functions_at(at)
@@ -269,10 +271,10 @@ def _bsdf_class(table_of: Any) -> Any:
                         power += coefficients[channels * k + channel] * functions[k]
                     # A spectrum has no negative part; colours of narrow bands have.
                     power = dr.maximum(power, 0.0) if spectral else power
-                    found.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
-            return mi.Spectrum(*found) if spectral else mi.Color3f(*found)
+                    values.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
+            return mi.Spectrum(*values) if spectral else mi.Color3f(*values)
 
-        def _is_seen(self, si: Any, wo: Any, active: Any) -> Any:
+        def _is_visible(self, si: Any, wo: Any, active: Any) -> Any:
             return active & (si.wi.z > _LEAST_COSINE) & (wo.z > _LEAST_COSINE)
 
         def sample(self, _ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
@@ -282,8 +284,8 @@ def _bsdf_class(table_of: Any) -> Any:
             scale = scales[-1]
             for k in range(len(scales) - 1):
                 scale = dr.select((at >= k) & (at < k + 1), scales[k], scale)
-            left = at - dr.floor(at)
-            is_mirror = left < self._mirror_share(si.wi.z, scale)
+            remainder = at - dr.floor(at)
+            is_mirror = remainder < self._mirror_share(si.wi.z, scale)
             lobe = mi.warp.square_to_std_normal(sample2)
             place, _, within = table.distribution.sample(sample2)
             cell = 2.0 * table.largest / table.size
@@ -292,22 +294,22 @@ def _bsdf_class(table_of: Any) -> Any:
             wo_x, wo_y = -si.wi.x - scale * x, -si.wi.y - scale * y
             up2 = 1.0 - wo_x * wo_x - wo_y * wo_y
             wo = mi.Vector3f(wo_x, wo_y, dr.sqrt(dr.maximum(up2, 0.0)))
-            seen = self._is_seen(si, wo, active)
-            density = dr.select(seen, self._density(si, wo), 0.0)
-            seen &= density > 0.0
+            visible = self._is_visible(si, wo, active)
+            density = dr.select(visible, self._density(si, wo), 0.0)
+            visible &= density > 0.0
             result = dr.zeros(mi.BSDFSample3f) if dr.is_jit_v(mi.Float) else mi.BSDFSample3f()
             result.wo, result.pdf, result.eta = wo, density, 1.0
             result.sampled_component = 0
             result.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-            return result, dr.select(seen, self._value(si, wo) / dr.select(seen, density, 1.0), 0.0)
+            return result, dr.select(visible, self._value(si, wo) / dr.select(visible, density, 1.0), 0.0)
 
         def eval(self, _ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             """The BRDF times cos θo."""
-            return dr.select(self._is_seen(si, wo, active), self._value(si, wo), 0.0)
+            return dr.select(self._is_visible(si, wo, active), self._value(si, wo), 0.0)
 
         def pdf(self, _ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             """Density of directions that ``sample`` draws [1/sr]."""
-            return dr.select(self._is_seen(si, wo, active), self._density(si, wo), 0.0)
+            return dr.select(self._is_visible(si, wo, active), self._density(si, wo), 0.0)
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             """Both."""
