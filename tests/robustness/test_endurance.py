@@ -16,7 +16,7 @@ import warpdiff as wd
 
 if not IS_SOAK:
     pytest.skip("runs by make soak", allow_module_level=True)
-CONTRACTS = Path(__file__).parents[1] / "contracts"
+FOLDER = Path(__file__).parent
 MOST_GROWTH = 100 << 20
 
 
@@ -69,7 +69,7 @@ def test_processes_that_begin_at_once_draw_the_same(tries, tmp_path):
     tries.number = 8
     running = [
         subprocess.Popen(
-            [sys.executable, "-c", PICTURE], cwd=CONTRACTS, env=os.environ | folders, stdout=subprocess.PIPE
+            [sys.executable, "-c", PICTURE], cwd=FOLDER, env=os.environ | folders, stdout=subprocess.PIPE
         )
         for _ in range(8)
     ]
