@@ -34,7 +34,7 @@ PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
     "begin = time.perf_counter(); "
-    "plan = wd.plan(scan, method='low-rank/table', coherence=wd.Coherence(sys.argv[2])); "
+    "plan = wd.plan(scan, method='low-rank', integration='table', coherence=wd.Coherence(sys.argv[2])); "
     "taken = time.perf_counter() - begin; "
     "peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024; "
     "print(f'| {sys.argv[2]}: coefficients, search and table | {taken:.2f} | {peak:.0f} |')"

@@ -38,14 +38,14 @@ FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
 # Of ours by form; the first form's are powers, too.
 METHODS = {
-    "averaged": ("low-rank/table", "low-rank", "power", "jacobi-anger", "taylor"),
-    "centred": ("low-rank/table", "low-rank", "jacobi-anger", "taylor"),
-    "source": ("low-rank/table", "low-rank", "jacobi-anger"),
+    "averaged": ("low-rank, table", "low-rank", "power", "jacobi-anger", "taylor"),
+    "centred": ("low-rank, table", "low-rank", "jacobi-anger", "taylor"),
+    "source": ("low-rank, table", "low-rank", "jacobi-anger"),
     "replicas": ("low-rank", "jacobi-anger", "taylor"),
 }
 STYLES = {
     AUTOMATIC: (figures.BLACK, "*", "automatic"),
-    "low-rank/table": (figures.BLUE, "o", "low-rank, table"),
+    "low-rank, table": (figures.BLUE, "o", "low-rank, table"),
     "low-rank": (figures.SKY, "o", "low-rank, sampled"),
     "power": (figures.GREEN, "o", "power, sampled"),
     "jacobi-anger": (figures.PURPLE, "o", "Jacobi–Anger, sampled"),
@@ -140,9 +140,10 @@ def plans(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Sett
     tolerances = TOLERANCES[:2] if setting.quick else TOLERANCES
     for method in (AUTOMATIC, *METHODS[coherence.kind]):
         for tolerance in tolerances:
-            name = "auto" if method == AUTOMATIC else method
+            name, _, integration = ("auto" if method == AUTOMATIC else method).partition(", ")
+            chosen = {"method": name, "integration": integration or "auto"}
             try:
-                plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, method=name, **options)
+                plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, **chosen, **options)
             except ValueError:
                 # Out of the method's reach.
                 continue
@@ -201,12 +202,13 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
 def _before(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Setting) -> Any:
     """Seconds before the first frame of a height field that was not seen before, kernels compiled."""
     few = seen.some(FEWEST)
-    for method in ("low-rank/table", "low-rank"):
+    for method in ("low-rank, table", "low-rank"):
         if method in METHODS[coherence.kind]:
             heightfield = scene.make()
             begin = time.perf_counter()
             options: dict[str, Any] = {"device": setting.device, "threads": setting.threads, "strict": False}
-            plan = wd.plan(heightfield, coherence=coherence, method=method, **options)
+            name, _, integration = method.partition(", ")
+            plan = wd.plan(heightfield, coherence=coherence, method=name, integration=integration or "auto", **options)
             ours(heightfield, plan, few, resolve_device(setting.device))(
                 few.scattering_vectors, few.gains, setting.threads
             )

@@ -38,33 +38,33 @@ def directions(rng):
 def test_native_look_ups_are_those_of_the_specification(coherence, footprints_are_given, rng):
     heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
     scattering_vectors, to_lights, gains, footprints = directions(rng)
-    plan = wd.plan(heightfield, coherence=coherence, method="low-rank/table", tolerance=5e-2)
+    plan = wd.plan(heightfield, coherence=coherence, method="low-rank", integration="table", tolerance=5e-2)
     plan = dataclasses.replace(plan, footprint=True)
     direction_range = DirectionRange.of(
         heightfield, coherence, scattering_vectors, to_lights, np.ones(COUNT, dtype=bool)
     )
     lookup = ColourLookup(heightfield, plan, direction_range, device=wp.get_device("cpu"), threads=2)
-    given = [
+    arrays = [
         wp.array(scattering_vectors, dtype=wp.vec3d, device="cpu"),
         wp.array(to_lights, dtype=wp.vec3f, device="cpu"),
         wp.array(gains, dtype=wp.float32, device="cpu"),
     ]
-    seen = wp.array(footprints, dtype=Footprint, device="cpu") if footprints_are_given else None
-    found = {}
+    spreads = wp.array(footprints, dtype=Footprint, device="cpu") if footprints_are_given else None
+    results = {}
     for kind in ("native", "plain"):
         xyz, unserved_gain = (
             wp.zeros(COUNT, dtype=wp.vec3f, device="cpu"),
             wp.zeros(COUNT, dtype=wp.float32, device="cpu"),
         )
-        look_up = lookup.steps(*given, IlluminatedMaterial("D65"), xyz, seen, unserved_gain)[0]
+        look_up = lookup.kernel_calls(*arrays, IlluminatedMaterial("D65"), xyz, spreads, unserved_gain)[0]
         if kind == "plain":
             w_basis_size = len(look_up.inputs[0].w_basis.dtype())
             kernel = lookup_specification.lookup(w_basis_size, coherence.kind == "source")
             look_up = dataclasses.replace(look_up, kernel=kernel)
         launch_pipeline([look_up], COUNT, device=wp.get_device("cpu"), threads=2)
-        found[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
-    (native, native_left), (plain, plain_left) = found["native"], found["plain"]
-    served = native_left == plain_left
+        results[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
+    (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
+    served = native_unserved == plain_unserved
     # Where rounding decides.
     assert np.mean(served) > 0.999
     size = np.linalg.norm(plain, axis=1)

@@ -60,14 +60,15 @@ def painted(tube):
 @pytest.fixture(scope="module")
 def plans(fingers):
     """Made once: any renderer and ``shade`` take the same."""
-    table = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=5e-2)
+    table = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=5e-2)
     source = wd.Coherence("source", angular_diameter_deg=4.0)
     return {
         "footprints": dataclasses.replace(table, footprint=True),
         "points": table,
         "sampled": wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=5e-2),
         "source": dataclasses.replace(
-            wd.plan(fingers, coherence=source, method="low-rank/table", tolerance=0.1, strict=False), footprint=True
+            wd.plan(fingers, coherence=source, method="low-rank", integration="table", tolerance=0.1, strict=False),
+            footprint=True,
         ),
     }
 

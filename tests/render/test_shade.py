@@ -441,7 +441,9 @@ def test_progress_may_render_or_fail(threads):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))
     camera = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), width=160, height=120)
-    plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
+    plan = wd.plan(
+        heightfield, coherence=wd.Coherence(sigma_um=3.25), method="low-rank", integration="table", tolerance=0.2
+    )
     expected = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads).xyz
     nested = []
 

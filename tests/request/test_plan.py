@@ -463,7 +463,7 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     heightfield = wd.HeightField.of_known_scale(
         surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um
     )
-    wd.plan(heightfield, method="low-rank/table", coherence=wd.Coherence(sigma_um=3.25))
+    wd.plan(heightfield, method="low-rank", integration="table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
     assert len(coefficient_table.table_cache(heightfield).fitted_to) == 0
 

@@ -39,9 +39,9 @@ def truth(heightfield, lights, views, coherence):
     return gains[:, None] * reference.colours(heightfield, scattering_vectors, lights, coherence, tolerance=1e-4)
 
 
-def picture_errors(found, exact):
+def picture_errors(result, exact):
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
-    return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+    return np.linalg.norm(result - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
 
 
 @pytest.mark.parametrize(
@@ -50,11 +50,13 @@ def picture_errors(found, exact):
 def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 160), hemisphere(rng, 160)
-    plan = wd.plan(fingers, lights, views, tolerance=tolerance, coherence=coherence, method="low-rank/table")
+    plan = wd.plan(
+        fingers, lights, views, tolerance=tolerance, coherence=coherence, method="low-rank", integration="table"
+    )
     assert plan.rings_per_octave > 0
     assert plan.error <= tolerance
-    found = wd.reflectance(fingers, lights, views, plan=plan)
-    errors = picture_errors(found, truth(fingers, lights, views, coherence))
+    result = wd.reflectance(fingers, lights, views, plan=plan)
+    errors = picture_errors(result, truth(fingers, lights, views, coherence))
     assert np.percentile(errors, 99.0) <= tolerance
     assert np.percentile(errors, 99.0) >= 0.05 * plan.error
 
@@ -115,17 +117,17 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
     at_kappas = rng.normal(size=(lanes, width)).astype(np.float32)
     excluded = (counts[0] // 2) * counts[1] + counts[1] // 2 if powers else -1
     log_low, highest = np.log(rng.uniform(1.2, 1.3)), 1.8
-    found = wp.empty(rays * nodes, dtype=sampler.row, device="cpu")
+    values = wp.empty(rays * nodes, dtype=sampler.row, device="cpu")
     inputs = [
         table, wp.array(at_kappas, dtype=sampler.row, device="cpu"), rays, nodes, log_low, divisions, highest, excluded,
         0, 0,
     ]  # fmt: skip
-    wp.launch(sampler.resample, dim=rays, inputs=inputs, outputs=[found], device="cpu")
+    wp.launch(sampler.resample, dim=rays, inputs=inputs, outputs=[values], device="cpu")
 
-    kept = rows.reshape(-1, parts, lanes).astype(float)
+    coefficients = rows.reshape(-1, parts, lanes).astype(float)
     if powers:
-        kept[excluded] = 0.0
-    kept = kept.reshape(*counts, parts, lanes)
+        coefficients[excluded] = 0.0
+    coefficients = coefficients.reshape(*counts, parts, lanes)
     offsets = (np.arange(-divisions - divisions // 2, (nodes + 1) * divisions - divisions // 2) + 0.5) / divisions
     t = np.exp(log_low + offsets * np.log(2.0) / nodes)
     angles = 2.0 * np.pi * np.arange(rays) / rays
@@ -134,22 +136,24 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
         q = t[k] * np.array([np.sin(angles[ray]), np.cos(angles[ray])]) * lengths
         near = [np.arange(-24, 25) + round(place) for place in q]
         of_rows, of_columns = (
-            np.exp(-falloff / length**2 * (each - place) ** 2)
-            for each, place, length in zip(near, q, lengths, strict=True)
+            np.exp(-falloff / length**2 * (neighbours - place) ** 2)
+            for neighbours, place, length in zip(near, q, lengths, strict=True)
         )
-        around = kept[np.ix_(*((each + count // 2) % count for each, count in zip(near, counts, strict=True)))]
+        around = coefficients[
+            np.ix_(*((neighbours + count // 2) % count for neighbours, count in zip(near, counts, strict=True)))
+        ]
         sums = np.einsum("y,x,yxpl->pl", of_rows, of_columns, around)
         value = sums[0] if powers else np.sum((sums @ at_kappas) ** 2, axis=0)
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
     # Neighbours of less weight than exp(-20) are left out.
-    np.testing.assert_allclose(found.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
+    np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
 @pytest.mark.parametrize("octaves", [2, 3])
-@pytest.mark.parametrize(("nodes", "functions"), [(4, 4), (7, 12), (8, 20)])
-def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, rng):
+@pytest.mark.parametrize(("nodes", "w_basis_size"), [(4, 4), (7, 12), (8, 20)])
+def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, octaves, rng):
     """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends."""
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -159,21 +163,21 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, 
     if octaves == 2:
         # Behind the last octave lies another's memory.
         rows[starts[2] :] = np.nan
-    matrices = rng.normal(size=(taps, terms, functions)).astype(np.float32)
+    matrices = rng.normal(size=(taps, terms, w_basis_size)).astype(np.float32)
     weights = rng.normal(size=(taps, 3)).astype(np.float32)
-    projector = kernels.projector(lanes, functions)
+    projector = kernels.projector(lanes, w_basis_size)
     length = nodes + taps - 1 + FILTER_REACH
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
-    found = wp.zeros(rays[1] * nodes, dtype=lookup(functions).row, device="cpu")
+    colours = wp.zeros(rays[1] * nodes, dtype=lookup(w_basis_size).row, device="cpu")
     groups = rays[1] // projector.abreast
     inputs = [
         wp.array(rows, dtype=row_t, device="cpu"), wp.array(starts[:octaves], dtype=wp.int32, device="cpu"),
         wp.array(rays[:octaves], dtype=wp.int32, device="cpu"),
-        wp.array(matrices.reshape(-1, functions), dtype=projector.w_basis, device="cpu"),
+        wp.array(matrices.reshape(-1, w_basis_size), dtype=projector.w_basis, device="cpu"),
         wp.array(weights, dtype=wp.vec3f, device="cpu"), terms, nodes, 0, length,
         wp.empty(rays[1] * length, dtype=row_t, device="cpu"), 0, groups,
     ]  # fmt: skip
-    wp.launch(projector.project, dim=1, inputs=inputs, outputs=[found], device="cpu")
+    wp.launch(projector.project, dim=1, inputs=inputs, outputs=[colours], device="cpu")
 
     own, following, further = (
         rows[start : start + count * nodes].reshape(count, nodes, lanes).astype(float)
@@ -190,13 +194,13 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, functions, octaves, 
     away = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
     splines = np.einsum("jk,rkl->rjl", np.sqrt(2.0) * (2.0 * np.sqrt(2.0) - 3.0) ** away, sequence)
     windows = np.stack([splines[:, k : k + taps, :terms] for k in range(nodes)], axis=1)
-    expected = np.einsum("ic,ilm,rkil->rkcm", weights, matrices, windows).reshape(-1, 3 * functions)
-    np.testing.assert_allclose(found.numpy(), expected, atol=2e-6 * np.abs(expected).max())
+    expected = np.einsum("ic,ilm,rkil->rkcm", weights, matrices, windows).reshape(-1, 3 * w_basis_size)
+    np.testing.assert_allclose(colours.numpy(), expected, atol=2e-6 * np.abs(expected).max())
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
     """Look-ups against the same sums in float64, where octaves meet and a turn ends, too."""
-    plan = wd.plan(fingers, coherence=SHORT, method="low-rank/table", tolerance=0.1)
+    plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options)[1]
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
@@ -209,13 +213,13 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     angles = np.where(rng.random(400) < 0.8, rng.uniform(0.0, 1.0, 400), rng.uniform(-1e-3, 1e-3, 400)) * 2.0 * np.pi
     uv = np.exp2(logs / table.rings_per_octave)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     scattering_vectors = np.column_stack([uv, rng.uniform(-1.9, -1.0, 400)])
-    found = wp.zeros(400, dtype=wp.vec3f, device="cpu")
+    xyz = wp.zeros(400, dtype=wp.vec3f, device="cpu")
     arrays = [
         wp.array(scattering_vectors, dtype=wp.vec3d),
         wp.empty(400, dtype=wp.vec3f),
         wp.ones(400, dtype=wp.float32),
     ]
-    ColourLookup(fingers, plan, plan.direction_range, **options).add(*arrays, IlluminatedMaterial("D65"), found)
+    ColourLookup(fingers, plan, plan.direction_range, **options).accumulate(*arrays, IlluminatedMaterial("D65"), xyz)
 
     turns = (angles / (2.0 * np.pi)) % 1.0
     places = logs + table.ring_of_one
@@ -229,9 +233,9 @@ def test_points_are_splines_through_the_rows(fingers, rng):
         summed += weight[:, None, None] * row.reshape(len(row), 3, -1)
     steps = (-scattering_vectors[:, 2] - table.least_w) * table.per_w
     entries = np.arange(table.w_basis.shape[0])
-    at_w = np.stack([np.interp(steps, entries, each) for each in table.w_basis.numpy().T], axis=1)
+    at_w = np.stack([np.interp(steps, entries, function) for function in table.w_basis.numpy().T], axis=1)
     expected = np.maximum(np.einsum("nck,nk->nc", summed, at_w), 0.0)
-    assert np.max(picture_errors(found.numpy(), expected)) < 5e-4
+    assert np.max(picture_errors(xyz.numpy(), expected)) < 5e-4
 
 
 def test_a_mirror_has_its_colour():
@@ -239,8 +243,8 @@ def test_a_mirror_has_its_colour():
     plan = wd.plan(flat, method="low-rank")
     up = np.array([0.0, 0.0, 1.0])
     tabled = dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=1.3)
-    found = wd.reflectance(flat, up, up, plan=tabled, ior=np.inf)
-    np.testing.assert_allclose(found, colorimetry.colour_products().sum(axis=0), rtol=2e-3)
+    result = wd.reflectance(flat, up, up, plan=tabled, ior=np.inf)
+    np.testing.assert_allclose(result, colorimetry.colour_products().sum(axis=0), rtol=2e-3)
     tilted = np.array([np.sin(0.5), 0.0, np.cos(0.5)])
     mirrored = tilted * [-1.0, 1.0, 1.0]
     sampled = wd.reflectance(flat, tilted, mirrored, plan=plan)
@@ -272,24 +276,24 @@ def test_functions_of_w_serve_all_terms():
         wd.plan(wd.HeightField(np.zeros((8, 8)), 0.08), method="low-rank"), rings_per_octave=16, azimuths_per_width=1.1
     )
     terms, layout = colour_curves.SpectrumBasis(basis_at, kappas, np.ones(6), 0.2), MipLayout.for_plan(plan, 4.0)
-    found = colour_curves.make_projection(plan, terms, IlluminatedMaterial("D65"), layout)
+    projection = colour_curves.make_projection(plan, terms, IlluminatedMaterial("D65"), layout)
     weights = colour_curves.colour_weights(16, IlluminatedMaterial("D65"))
     node = 12
     per_um = 1e3 / 780.0 * 2.0 ** ((node - 1) / 16)
-    inside = (found.ws * per_um > kappas[0]) & (found.ws * per_um < kappas[1])
+    inside = (projection.ws * per_um > kappas[0]) & (projection.ws * per_um < kappas[1])
     for term in range(6):
         for c in range(3):
-            given = weights[node, c] * basis_at(found.ws * per_um)[:, term]
-            back = found.weights[node, c] * (found.w_basis @ found.octaves[0][0].matrices[node, term])
-            assert np.max(np.abs(given - back)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
+            expected = weights[node, c] * basis_at(projection.ws * per_um)[:, term]
+            actual = projection.weights[node, c] * (projection.w_basis @ projection.octaves[0][0].matrices[node, term])
+            assert np.max(np.abs(expected - actual)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 
 def test_the_number_of_threads_does_not_matter(fingers, rng):
     lights, views = hemisphere(rng, 500), hemisphere(rng, 500)
-    plan = wd.plan(fingers, method="low-rank/table", tolerance=1e-1, coherence=SHORT)
+    plan = wd.plan(fingers, method="low-rank", integration="table", tolerance=1e-1, coherence=SHORT)
     one = wd.reflectance(fingers, lights, views, plan=plan, threads=1)
-    again = wd.HeightField(fingers.heights_um, fingers.pitch_um)
-    np.testing.assert_array_equal(one, wd.reflectance(again, lights, views, plan=plan, threads=3))
+    copy = wd.HeightField(fingers.heights_um, fingers.pitch_um)
+    np.testing.assert_array_equal(one, wd.reflectance(copy, lights, views, plan=plan, threads=3))
 
 
 def test_many_directions_take_a_table_and_few_do_not(fingers):
@@ -306,33 +310,33 @@ def test_many_directions_take_a_table_and_few_do_not(fingers):
 
 def test_a_table_that_cannot_keep_its_tolerance_is_refused(fingers, rng):
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
-    arguments = {"tolerance": 1e-4, "method": "low-rank/table", "coherence": SHORT}
-    with pytest.raises(ValueError, match="nodes an octave are too few"):
+    arguments = {"tolerance": 1e-4, "method": "low-rank", "integration": "table", "coherence": SHORT}
+    with pytest.raises(ValueError, match="rings per octave are too few"):
         wd.reflectance(fingers, lights, views, **arguments)
-    with pytest.warns(wd.WarpdiffWarning, match="nodes an octave are too few"):
+    with pytest.warns(wd.WarpdiffWarning, match="rings per octave are too few"):
         wd.reflectance(fingers, lights, views, strict=False, **arguments)
 
 
 @pytest.mark.parametrize(
     ("method", "coherence"),
     [
-        ("jacobi-anger/table", wd.Coherence("source", angular_diameter_deg=0.5)),
-        ("low-rank/table", wd.Coherence("replicas", periods=(2, 2))),
-        ("jacobi-anger/table", wd.Coherence()),
-        ("power/table", wd.Coherence("centred")),
+        ("jacobi-anger", wd.Coherence("source", angular_diameter_deg=0.5)),
+        ("low-rank", wd.Coherence("replicas", periods=(2, 2))),
+        ("jacobi-anger", wd.Coherence()),
+        ("power", wd.Coherence("centred")),
     ],
     ids=str,
 )
 def test_forms_without_a_table_say_so(fingers, method, coherence):
     up = (0.0, 0.0, 1.0)
-    with pytest.raises(ValueError, match=f"method='{method}' .* use one of"):
-        wd.reflectance(fingers, up, up, method=method, coherence=coherence)
+    with pytest.raises(ValueError, match=f"method='{method}' .*: use (one of|integration=)"):
+        wd.reflectance(fingers, up, up, method=method, integration="table", coherence=coherence)
 
 
 def test_a_spectrum_has_no_table(fingers):
     up = (0.0, 0.0, 1.0)
-    with pytest.raises(ValueError, match="integrates over λ"):
-        wd.spectral_reflectance(fingers, up, up, [500.0], method="low-rank/table")
+    with pytest.raises(ValueError, match="integration must not be 'table' for a spectrum"):
+        wd.spectral_reflectance(fingers, up, up, [500.0], method="low-rank", integration="table")
 
 
 @pytest.mark.parametrize("size", [(64, 1), (1, 64)])
@@ -344,7 +348,7 @@ def test_one_dimensional_surfaces(size, rng):
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)
-    found = wd.reflectance(
+    result = wd.reflectance(
         heightfield, lights, views, plan=dataclasses.replace(plan, rings_per_octave=64, azimuths_per_width=2.1)
     )
-    assert np.percentile(picture_errors(found, sampled), 90.0) < 2e-2
+    assert np.percentile(picture_errors(result, sampled), 90.0) < 2e-2

@@ -30,12 +30,12 @@ def fingers():
 
 @pytest.fixture(scope="module")
 def plan(fingers):
-    return wd.plan(fingers, tolerance=1e-1, coherence=SOURCE, method="low-rank/table")
+    return wd.plan(fingers, tolerance=1e-1, coherence=SOURCE, method="low-rank", integration="table")
 
 
-def relative(found, exact):
+def relative(result, exact):
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
-    return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+    return np.linalg.norm(result - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
 
 
 def test_a_table_keeps_its_tolerance(fingers, plan, rng):
@@ -44,16 +44,16 @@ def test_a_table_keeps_its_tolerance(fingers, plan, rng):
     # As measured; the safety in it is no reason to refuse.
     assert plan.error <= plan_search.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
-    found = wd.reflectance(fingers, lights, views, plan=plan)
+    result = wd.reflectance(fingers, lights, views, plan=plan)
     gains = reflectance_factors.gain(
         lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True, per_light_cosine=True
     )
     exact = gains[:, None] * reference.colours(fingers, -lights - views, lights, SOURCE, tolerance=1e-3)
-    errors = relative(found, exact)
+    errors = relative(result, exact)
     assert np.median(errors) < 5e-3
     assert np.percentile(errors, 95.0) <= 1e-1
     # At a tolerance of 1e-1 nodes are few.
-    assert np.median(found[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
+    assert np.median(result[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
 
 
 def test_more_nodes_err_less(fingers, plan, rng):
@@ -82,8 +82,8 @@ def test_a_mirror_shows_the_source(incidence_deg):
         to_view = np.array([x, y, np.sqrt(1.0 - x**2 - y**2)])
         exact = np.exp(-0.5 * ((away[0] / np.cos(theta)) ** 2 + away[1] ** 2) / s**2)
         gain = reflectance_factors.gain(to_light[None], to_view[None], normal=1.0, masking=True, per_light_cosine=True)
-        found = wd.reflectance(flat, to_light, to_view, plan=tabled, ior=np.inf)
-        np.testing.assert_allclose(found, exact * gain[0] * colorimetry.colour_products().sum(axis=0), rtol=2e-3)
+        result = wd.reflectance(flat, to_light, to_view, plan=tabled, ior=np.inf)
+        np.testing.assert_allclose(result, exact * gain[0] * colorimetry.colour_products().sum(axis=0), rtol=2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -147,8 +147,8 @@ def test_what_is_too_wide_or_too_narrow_is_sampled(fingers, plan, rng):
         lights, views = all_lights[inside], all_views[inside]
         views[:, 2] = np.sqrt(1.0 - np.sum(views**2, axis=1))
         exact = wd.reflectance(fingers, lights, views, coherence=SOURCE, method="low-rank", tolerance=1e-3)
-        found = wd.reflectance(fingers, lights, views, plan=plan)
-        np.testing.assert_allclose(found, exact, atol=2e-3 * exact.max(), rtol=2e-2)
+        result = wd.reflectance(fingers, lights, views, plan=plan)
+        np.testing.assert_allclose(result, exact, atol=2e-3 * exact.max(), rtol=2e-2)
 
 
 def test_what_no_truth_resolves_does_not_judge():
@@ -167,7 +167,7 @@ def test_a_table_that_is_too_large_is_refused(rng):
     sharp = wd.Coherence("source", angular_diameter_deg=0.1)
     lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
     with pytest.raises(ValueError, match="takes more than 300 MB for tolerance"):
-        wd.plan(large, lights, views, coherence=sharp, tolerance=1e-2, method="low-rank/table")
+        wd.plan(large, lights, views, coherence=sharp, tolerance=1e-2, method="low-rank", integration="table")
 
 
 def test_lines_beyond_a_turn(fingers, plan):
@@ -176,9 +176,9 @@ def test_lines_beyond_a_turn(fingers, plan):
     for degrees in (-1e-3, 1e-3, 180.0 - 1e-3, 180.0 + 1e-3):
         u, v = 0.6 * np.cos(np.radians(degrees)), 0.6 * np.sin(np.radians(degrees))
         views.append([-u, -v, np.sqrt(1.0 - 0.36)])
-    found = wd.reflectance(fingers, (0.0, 0.0, 1.0), views, plan=plan)
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-2)
-    np.testing.assert_allclose(found[2], found[3], rtol=1e-2)
+    result = wd.reflectance(fingers, (0.0, 0.0, 1.0), views, plan=plan)
+    np.testing.assert_allclose(result[0], result[1], rtol=1e-2)
+    np.testing.assert_allclose(result[2], result[3], rtol=1e-2)
 
 
 def test_footprints_widen_the_source(fingers, plan):
@@ -200,7 +200,7 @@ def test_footprints_widen_the_source(fingers, plan):
         count = len(uv)
         scattering_vectors = np.column_stack([uv, np.full(count, -1.4)])
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
-        lookup.add(
+        lookup.accumulate(
             wp.array(scattering_vectors, dtype=wp.vec3d, device=device),
             wp.array(np.tile(to_light, (count, 1)), dtype=wp.vec3f, device=device),
             wp.ones(count, dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz,
@@ -211,18 +211,18 @@ def test_footprints_widen_the_source(fingers, plan):
     for uv in ([0.5, 0.4], [-0.9, 0.1], [0.2, -0.7]):
         mean = np.einsum("ab,abc->c", share, colours((uv + offsets).reshape(-1, 2), None).reshape(24, 24, 3))
         spread = wp.array([footprint.ravel()], dtype=Footprint, device=device)
-        found = colours(np.array([uv]), spread)[0]
-        np.testing.assert_allclose(found, mean, rtol=3e-2, atol=1e-2 * mean.max())
+        result = colours(np.array([uv]), spread)[0]
+        np.testing.assert_allclose(result, mean, rtol=3e-2, atol=1e-2 * mean.max())
 
 
 def test_progress_goes_on_to_the_end_once(fingers, plan, rng):
     """What the table leaves to sampling does not begin it anew."""
     lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
-    told = []
-    wd.reflectance(fingers, lights, views, plan=plan, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert told.count(1.0) == 1
+    shares = []
+    wd.reflectance(fingers, lights, views, plan=plan, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert shares.count(1.0) == 1
 
 
 def test_pictures_of_sources_have_footprints(fingers):
@@ -238,5 +238,5 @@ def test_pictures_of_sources_have_footprints(fingers):
     assert errors[0] < 6e-2
     assert errors[0] < 0.3 * errors[1]
     for threads in (1, 3):
-        again = wd.shade(tube, fingers, LIGHT, view, plan=image.plan, threads=threads)
-        np.testing.assert_array_equal(again.xyz, image.xyz)
+        repeated = wd.shade(tube, fingers, LIGHT, view, plan=image.plan, threads=threads)
+        np.testing.assert_array_equal(repeated.xyz, image.xyz)
