@@ -181,7 +181,7 @@ class Automatic:
     def shade(self) -> None:
         """Shade the sample."""
         self.frame.xyz.zero_()
-        self._lookup.add(*self.frame.on_device, IlluminatedMaterial("D65"), self.frame.xyz, slice_size=SLICE)
+        self._lookup.accumulate(*self.frame.on_device, IlluminatedMaterial("D65"), self.frame.xyz, slice_size=SLICE)
 
     def on(self, frame: Frame) -> Automatic:
         """Shade other pixels of the frame."""

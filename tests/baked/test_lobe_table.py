@@ -40,14 +40,14 @@ def test_colours_keep_the_difference_that_was_asked_for(fingers, lobes):
     rng = np.random.default_rng(91)
     lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
     luminance = lobes.reflectance(lights, views)[:, 1].astype(float)
-    some = np.concatenate([np.arange(150), rng.choice(20_000, 150, replace=False, p=luminance / luminance.sum())])
-    lights, views = lights[some], views[some]
+    places = np.concatenate([np.arange(150), rng.choice(20_000, 150, replace=False, p=luminance / luminance.sum())])
+    lights, views = lights[places], views[places]
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     exact = gains[:, None] * reference.colours(fingers, -lights - views, lights, WINDOW, tolerance=1e-3)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 99.0)))[:, None]
-    found = colorimetry.colour_difference(exposed * lobes.reflectance(lights, views), exposed * exact)
-    assert np.percentile(found, 99.0) <= TOLERANCE
-    assert np.median(found) <= 0.25 * TOLERANCE
+    differences = colorimetry.colour_difference(exposed * lobes.reflectance(lights, views), exposed * exact)
+    assert np.percentile(differences, 99.0) <= TOLERANCE
+    assert np.median(differences) <= 0.25 * TOLERANCE
     assert 0.0 < lobes.error <= TOLERANCE
 
 
@@ -67,27 +67,27 @@ def test_a_spectrum_is_within_the_colours_and_in_the_file(fingers, tmp_path):
 def test_gold_is_within_the_colours_and_in_the_file(fingers, tmp_path):
     """Against the float64 reference, whose reflectances are by characteristic matrices."""
     gold = wd.Material.metal("Au")
-    found = wd.bake(fingers, coherence=WIDE, material=gold, delta_e=3.0)
+    baked = wd.bake(fingers, coherence=WIDE, material=gold, delta_e=3.0)
     rng = np.random.default_rng(92)
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     # Some in the mirror direction, where the mean plane is seen.
     views[::10] = lights[::10] * [-1.0, -1.0, 1.0]
     exact = reference.reference_reflectance(fingers, lights, views, WIDE, tolerance=1e-3, material=gold)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 90.0)))[:, None]
-    differences = colorimetry.colour_difference(exposed * found.reflectance(lights, views), exposed * exact)
+    differences = colorimetry.colour_difference(exposed * baked.reflectance(lights, views), exposed * exact)
     assert np.percentile(differences, 98.0) <= 3.0
-    again = wd.BakedLobes.load(found.save(tmp_path / "gold.npz"))
-    np.testing.assert_array_equal(again.reflectance(lights, views), found.reflectance(lights, views))
-    assert "with a material" in str(again)
+    loaded = wd.BakedLobes.load(baked.save(tmp_path / "gold.npz"))
+    np.testing.assert_array_equal(loaded.reflectance(lights, views), baked.reflectance(lights, views))
+    assert "with a material" in str(loaded)
     with pytest.raises(ValueError, match="ior must be None for lobes that were baked with a material"):
-        found.reflectance(lights, views, ior=1.5)
+        baked.reflectance(lights, views, ior=1.5)
     with pytest.raises(ValueError, match=r"material must be opaque, got n = 1\.5"):
         wd.bake(fingers, coherence=WINDOW, material=wd.Material.dielectric(1.5))
 
 
 def test_a_flat_mirror_is_its_closed_form():
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
-    found = wd.bake(flat, coherence=WINDOW)
+    baked = wd.bake(flat, coherence=WINDOW)
     # Around the mirror direction, where there is something to see.
     views = np.array([math.sin(0.3), 0.0, math.cos(0.3)]) + np.random.default_rng(5).normal(0.0, 0.03, (200, 3))
     views /= np.linalg.norm(views, axis=1, keepdims=True)
@@ -99,7 +99,7 @@ def test_a_flat_mirror_is_its_closed_form():
         reflectance_factors.gain(np.broadcast_to(light, views.shape), views, normal=0.04, masking=True)[:, None]
         * colours
     )
-    np.testing.assert_allclose(found.reflectance(light, views), exact, rtol=2e-3, atol=1e-4 * exact.max())
+    np.testing.assert_allclose(baked.reflectance(light, views), exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
 def test_more_is_kept_where_less_may_differ(fingers, lobes):
@@ -111,12 +111,12 @@ def test_more_is_kept_where_less_may_differ(fingers, lobes):
 def test_lobes_of_a_source_are_those_of_light_from_above():
     bumps = wd.gratings.bumps(height_um=0.1)
     sun = wd.Coherence("source", angular_diameter_deg=6.0)
-    found = wd.bake(bumps, coherence=sun, delta_e=6.0)
+    baked = wd.bake(bumps, coherence=sun, delta_e=6.0)
     views = hemisphere(np.random.default_rng(7), 300)
     above = np.array([0.0, 0.0, 1.0])
     exact = wd.reflectance(bumps, above, views, coherence=sun, method="low-rank", tolerance=3e-3)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 99.0)))[:, None]
-    differences = colorimetry.colour_difference(exposed * found.reflectance(above, views), exposed * exact)
+    differences = colorimetry.colour_difference(exposed * baked.reflectance(above, views), exposed * exact)
     assert np.percentile(differences, 95.0) <= 6.0
 
 
@@ -144,7 +144,7 @@ def test_a_spectrum_is_that_of_the_directions(fingers, spectrum):
     cell = np.floor(place).astype(int)
     t = place - cell
     kappas = np.linspace(spectrum.least_kappa, spectrum.largest_kappa, len(spectrum.functions))
-    at_kappa = [np.interp(-uvw[:, 2], kappas, each) for each in spectrum.functions.T]
+    at_kappa = [np.interp(-uvw[:, 2], kappas, function) for function in spectrum.functions.T]
     power = np.zeros(len(uvw))
     for i in (0, 1):
         for j in (0, 1):
@@ -162,26 +162,26 @@ def test_a_spectrum_is_that_of_the_directions(fingers, spectrum):
 def test_the_powers_of_a_sine_add_up_to_what_bessel_functions_leave():
     """Σ over the cells of 4πσ² times the power is the sum of the orders but for the zeroth, J₀² … of them all."""
     sine = wd.gratings.sinusoidal(2.0, 0.2)
-    found = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
-    kappas = np.linspace(found.least_kappa, found.largest_kappa, len(found.functions))
+    baked = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
+    kappas = np.linspace(baked.least_kappa, baked.largest_kappa, len(baked.functions))
     orders = np.arange(-10, 11)
-    inside = (np.abs(orders / 2.0) < found.largest_q) & (orders != 0)
+    inside = (np.abs(orders / 2.0) < baked.largest_q) & (orders != 0)
     for kappa in (1.0, 3.0):
-        functions = np.array([np.interp(kappa, kappas, f) for f in found.functions.T])
+        functions = np.array([np.interp(kappa, kappas, f) for f in baked.functions.T])
         # A grating of one row has one order along y, at 0.
-        total = 4.0 * math.pi * 9.0 * float((found.powers @ functions).sum()) * (2.0 * found.largest_q / 256) ** 2
+        total = 4.0 * math.pi * 9.0 * float((baked.powers @ functions).sum()) * (2.0 * baked.largest_q / 256) ** 2
         argument = 2.0 * math.pi * kappa * 0.1
         assert total == pytest.approx(float(np.sum(jv(orders[inside], argument) ** 2)), rel=2e-3)
-        assert np.interp(kappa, kappas, found.zeroth) == pytest.approx(float(jv(0, argument) ** 2), abs=1e-4)
+        assert np.interp(kappa, kappas, baked.zeroth) == pytest.approx(float(jv(0, argument) ** 2), abs=1e-4)
 
 
 @pytest.mark.parametrize("name", ["lobes", "spectrum"])
 def test_files_hold_all_of_it(name, request, tmp_path):
     baked = request.getfixturevalue(name)
     path = baked.save(tmp_path / "a.npz")
-    again = type(baked).load(path)
+    loaded = type(baked).load(path)
     for field in dataclasses.fields(baked):
-        one, other = getattr(baked, field.name), getattr(again, field.name)
+        one, other = getattr(baked, field.name), getattr(loaded, field.name)
         assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other, field.name
     assert list(tmp_path.iterdir()) == [path]
 
@@ -229,8 +229,8 @@ def test_bytes_err_by_half_a_step_of_their_own_largest():
     values = (rng.normal(size=(500, 3, 4)) * 10.0 ** rng.uniform(-7.0, 0.0, (500, 1, 1))).astype(np.float32)
     largest = np.abs(values).max(axis=2, keepdims=True)
     for dtype in (np.int8, np.int16):
-        found = quantisation.dequantise(*quantisation.quantise(values, dtype))
-        assert np.all(np.abs(found - values) <= 0.5 / np.iinfo(dtype).max * 1.1 * largest)
+        decoded = quantisation.dequantise(*quantisation.quantise(values, dtype))
+        assert np.all(np.abs(decoded - values) <= 0.5 / np.iinfo(dtype).max * 1.1 * largest)
 
 
 def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():

@@ -11,8 +11,8 @@ def test_polynomials_are_reproduced_exactly(count, rng):
     low, high = -0.5, 3.0
     nodes, at = chebyshev.nodes(low, high, count), np.linspace(low, high, 33)
     polynomial = np.polynomial.Polynomial(rng.normal(size=count))
-    found = chebyshev.cardinals(at, low, high, count) @ polynomial(nodes)
-    np.testing.assert_allclose(found, polynomial(at), atol=1e-10 * np.abs(polynomial(at)).max())
+    result = chebyshev.cardinals(at, low, high, count) @ polynomial(nodes)
+    np.testing.assert_allclose(result, polynomial(at), atol=1e-10 * np.abs(polynomial(at)).max())
     np.testing.assert_allclose(chebyshev.cardinals(nodes, low, high, count), np.eye(count), atol=1e-12)
 
 

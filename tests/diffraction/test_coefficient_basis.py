@@ -33,12 +33,12 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
     return coefficient_basis.fitted(heightfield, method, series, kappas, adds_powers=adds_powers), block
 
 
-def basis_at(found, kappas):
+def basis_at(coefficients, kappas):
     """The table's basis by the kernels' cubic."""
-    steps = (kappas - found.kappa_low) / found.step
-    entry = np.minimum(steps.astype(int), len(found.basis) - 4)
+    steps = (kappas - coefficients.kappa_low) / coefficients.step
+    entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]
-    b = [found.basis[entry + k] for k in range(4)]
+    b = [coefficients.basis[entry + k] for k in range(4)]
     return (
         -t * (1 - t) * (2 - t) / 6 * b[0]
         + (1 + t) * (1 - t) * (2 - t) / 2 * b[1]
@@ -62,9 +62,9 @@ def transforms(heightfield, block, kappas):
 )
 def test_rows_times_basis_are_the_coefficients(method, adds_powers, height_range_um, kappas):
     heightfield = surface(height_range_um)
-    found, block = build(heightfield, method, kappas, adds_powers=adds_powers, terms=70)
+    coefficients, block = build(heightfield, method, kappas, adds_powers=adds_powers, terms=70)
     at = np.linspace(*kappas, 23)
-    values = np.einsum("yxpn,kn->kyxp", found.rows.astype(float), basis_at(found, at))
+    values = np.einsum("yxpn,kn->kyxp", coefficients.rows.astype(float), basis_at(coefficients, at))
     exact = transforms(heightfield, block, at)
     if adds_powers:
         values, exact = values[..., 0], np.abs(exact) ** 2
@@ -83,7 +83,7 @@ def test_what_a_basis_leaves_out(method, adds_powers, kappas):
     if method == "power" and not adds_powers:
         pytest.skip("a series of powers has no amplitudes")
     heightfield = surface(0.6)
-    found, block = build(heightfield, method, kappas, adds_powers=adds_powers)
+    coefficients, block = build(heightfield, method, kappas, adds_powers=adds_powers)
     at = np.linspace(*kappas, 31)
     exact = transforms(heightfield, block, at)
     exact = np.abs(exact)[..., None] ** 2 if adds_powers else np.stack([exact.real, exact.imag], axis=-1)
@@ -91,12 +91,14 @@ def test_what_a_basis_leaves_out(method, adds_powers, kappas):
     weights = weights[:, None, None, None]
     scales = np.abs(exact * weights).max(axis=(0, 3))
     for tolerance in (1e-1, 1e-2, 1e-3, 1e-4):
-        terms = found.terms_within(tolerance)
-        values = np.einsum("yxpn,kn->kyxp", found.rows[..., :terms].astype(float), basis_at(found, at)[:, :terms])
+        terms = coefficients.terms_within(tolerance)
+        values = np.einsum(
+            "yxpn,kn->kyxp", coefficients.rows[..., :terms].astype(float), basis_at(coefficients, at)[:, :terms]
+        )
         error = np.abs((values - exact) * weights).max(axis=(0, 3)) / scales
         # A percentile of a sample, at nodes in κ: others lie a little above.
         assert np.percentile(error, 99.5) <= 2.0 * tolerance
-        assert found.truncation_errors[terms] <= tolerance < found.truncation_errors[terms - 1]
+        assert coefficients.truncation_errors[terms] <= tolerance < coefficients.truncation_errors[terms - 1]
 
 
 def test_the_fitted_basis_is_the_smallest():
@@ -117,8 +119,10 @@ def test_the_fitted_basis_is_the_smallest():
 def test_flat_and_thin_fields(shape, method, rng):
     for heights in (np.zeros(shape), np.full(shape, -3.0), rng.uniform(0.0, 0.3, shape)):
         heightfield = wd.HeightField(heights, 0.08)
-        found, block = build(heightfield, method, (0.5, 5.3), adds_powers=True)
-        values = np.einsum("yxpn,kn->kyxp", found.rows.astype(float), basis_at(found, np.array([0.5, 3.0, 5.3])))
+        coefficients, block = build(heightfield, method, (0.5, 5.3), adds_powers=True)
+        values = np.einsum(
+            "yxpn,kn->kyxp", coefficients.rows.astype(float), basis_at(coefficients, np.array([0.5, 3.0, 5.3]))
+        )
         powers = values[..., 0] if values.shape[-1] == 1 else np.sum(values**2, axis=-1)
         exact = np.abs(transforms(heightfield, block, (0.5, 3.0, 5.3))) ** 2
         # Uncentred heights cancel in float32: e^5 times its rounding.
@@ -129,14 +133,17 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
     """Or the first terms of one basis would be taken for those of another."""
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
-    found = [
-        coefficient_table.coefficients_for(
-            heightfield, "low-rank", wd.Coherence(), plan.direction_range,
-            coefficient_table.neighbour_extent(dataclasses.replace(plan, least_weight=weight), heightfield), terms=1, threads=1,
-        )[0]
+    extents = [
+        coefficient_table.neighbour_extent(dataclasses.replace(plan, least_weight=weight), heightfield)
         for weight in (0.5, 1e-3, 1e-13)
-    ]  # fmt: skip
-    assert found[0] is found[1] is found[2]
+    ]
+    coefficients = [
+        coefficient_table.coefficients_for(
+            heightfield, "low-rank", wd.Coherence(), plan.direction_range, extent, terms=1, threads=1
+        )[0]
+        for extent in extents
+    ]
+    assert coefficients[0] is coefficients[1] is coefficients[2]
 
 
 @pytest.mark.parametrize("taps", [4, 6, 8])
@@ -155,11 +162,11 @@ def test_interpolation_between_orders(taps, samples, rng):
     exact = np.array([np.mean(values * np.exp(2j * np.pi * t * place)) for t in positions])
     base = np.floor(positions).astype(int)
     weights = np.stack(
-        [np.polyval(each, positions - base - 0.5) for each in gridding_kernel.tap_polynomials(taps)], axis=1
+        [np.polyval(polynomial, positions - base - 0.5) for polynomial in gridding_kernel.tap_polynomials(taps)], axis=1
     )
     neighbours = base[:, None] - taps // 2 + 1 + np.arange(taps)
-    found = np.sum(weights * fine[neighbours % (2 * samples)], axis=1)
-    assert np.abs(found - exact).max() < {4: 1e-3, 6: 1e-5, 8: 1e-7}[taps]
+    interpolated = np.sum(weights * fine[neighbours % (2 * samples)], axis=1)
+    assert np.abs(interpolated - exact).max() < {4: 1e-3, 6: 1e-5, 8: 1e-7}[taps]
 
 
 def test_interpolation_kernel_and_its_transform():
@@ -177,11 +184,11 @@ def test_what_a_shallow_surface_scatters_several_times(method):
     """Nothing oscillates with κ, but powers of the n-th order grow as κ²ⁿ: right in proportion to themselves."""
     x = np.arange(64) / 64.0
     heightfield = wd.HeightField(5e-3 * np.sin(2.0 * np.pi * x)[None, :], 0.05)
-    found, block = build(heightfield, method, (1.28, 2.63), adds_powers=True, terms=20)
+    coefficients, block = build(heightfield, method, (1.28, 2.63), adds_powers=True, terms=20)
     at = np.linspace(1.28, 2.63, 41)
-    values = np.einsum("xn,kn->kx", found.rows[0, :, 0].astype(float), basis_at(found, at))
+    values = np.einsum("xn,kn->kx", coefficients.rows[0, :, 0].astype(float), basis_at(coefficients, at))
     exact = np.abs(transforms(heightfield, block, at)[:, 0]) ** 2
     _, order = block.orders()
     for n in (1, 2):
-        some = np.abs(order) == n
-        np.testing.assert_allclose(values[:, some], exact[:, some], rtol=1e-5 * n**4)
+        of_order = np.abs(order) == n
+        np.testing.assert_allclose(values[:, of_order], exact[:, of_order], rtol=1e-5 * n**4)

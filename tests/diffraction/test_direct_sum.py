@@ -107,11 +107,11 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
     options = {"coherence": coherence, "method": method}
     plan = wd.plan(heightfield, lights[ends], views[ends], tolerance=1e-4, **options)
     assert not plan.is_measured
-    found = wd.spectral_reflectance(
+    result = wd.spectral_reflectance(
         heightfield, lights, views, 1e3 * WAVELENGTHS_UM, plan=plan, masking=False, device=device
     )
     bar = 1e-4 * np.maximum(exact.max(axis=1, keepdims=True), 1e-4 * exact.max())
-    return float(np.max(np.abs(found - exact) / bar))
+    return float(np.max(np.abs(result - exact) / bar))
 
 
 @pytest.fixture(scope="module")
@@ -158,8 +158,8 @@ def test_wide_neighbourhoods(kind, sigma_um, rng):
     lights, views = hemisphere(rng, 16), hemisphere(rng, 16)
     options = {"coherence": wd.Coherence(kind, sigma_um), "tolerance": 1e-4}
     exact = wd.spectral_reflectance(heightfield, lights, views, [420.0, 650.0], method="direct", **options)
-    found = wd.spectral_reflectance(heightfield, lights, views, [420.0, 650.0], **options)
-    np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-4 * np.percentile(exact, 99.0))
+    result = wd.spectral_reflectance(heightfield, lights, views, [420.0, 650.0], **options)
+    np.testing.assert_allclose(result, exact, rtol=1e-3, atol=1e-4 * np.percentile(exact, 99.0))
 
 
 def test_moved_window_through_the_kernel(rng):
@@ -169,8 +169,8 @@ def test_moved_window_through_the_kernel(rng):
         coherence = wd.Coherence("centred", 2.0, centre_um=centre)
         options = {"coherence": coherence, "tolerance": 1e-4}
         exact = wd.spectral_reflectance(heightfield, lights, views, 550.0, method="direct", **options)
-        found = wd.spectral_reflectance(heightfield, lights, views, 550.0, **options)
-        np.testing.assert_allclose(found, exact, rtol=2e-3, atol=1e-4 * exact.max())
+        result = wd.spectral_reflectance(heightfield, lights, views, 550.0, **options)
+        np.testing.assert_allclose(result, exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
 # Each with the size of its patch [µm] and its number of directions: direct sums of what is sharp take thousands of
@@ -193,8 +193,8 @@ def test_colour_within_its_tolerance(kind, rng):
     exact = wd.reflectance(heightfield, lights, views, coherence=coherence, method="direct", tolerance=1e-3)
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
     for tolerance in (1e-1, 1e-2, 1e-3):
-        found = wd.reflectance(heightfield, lights, views, coherence=coherence, tolerance=tolerance)
-        error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        result = wd.reflectance(heightfield, lights, views, coherence=coherence, tolerance=tolerance)
+        error = np.linalg.norm(result - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
         assert np.percentile(error, 99.0) <= tolerance
 
 

@@ -50,7 +50,7 @@ def test_pictures_have_the_factors_of_single_directions(square):
     options |= {"energy": "normalised", "footprint": False}
     lamp = wd.PointLight(1e4 * np.array(light), power=1e8)
     lights = wd.DirectionalLight(light), lamp
-    images = [wd.shade(square, heightfield, each, seen_from(view), **options) for each in lights]
+    images = [wd.shade(square, heightfield, light, seen_from(view), **options) for light in lights]
     renderer = wd.Renderer(square, heightfield, lights[1], seen_from(view), **options)
     renderer.draw(lights[0])
     for image in (*images, renderer.image()):
@@ -68,8 +68,8 @@ def test_normalised_maps_are_reciprocal_and_say_what_they_are():
         wd.reflectance_map(heightfield, light, size=24, **options | {"energy": form})
         for form in energy_normalisation.FORMS
     )
-    seen = stam.xyz[..., 1] > 0.0
-    ratio = normalised.xyz[seen, 1] / stam.xyz[seen, 1]
+    illuminated = stam.xyz[..., 1] > 0.0
+    ratio = normalised.xyz[illuminated, 1] / stam.xyz[illuminated, 1]
     assert ratio.max() - ratio.min() > 0.1
     assert 0.0 == stam.plan.energy_spread < normalised.plan.energy_spread
 

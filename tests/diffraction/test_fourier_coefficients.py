@@ -79,7 +79,7 @@ def test_coefficients_through_the_kernel(name, kind, method, device):
     coherence = wd.Coherence(kind, periods=(1, 7) if kind == "replicas" else None)
     heightfield = make(128)
     light = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
-    seen = 0
+    count = 0
     for order in range(-5, 6):
         for wavelength in (0.4, 0.55, 0.7):
             u = order * wavelength / PERIOD_UM
@@ -96,8 +96,8 @@ def test_coefficients_through_the_kernel(name, kind, method, device):
                 tolerance=1e-5, method=method, device=device,
             )  # fmt: skip
             assert rho[0] / gain == pytest.approx(closed(128, -total / wavelength, order), abs=1e-5)
-            seen += 1
-    assert seen >= 25
+            count += 1
+    assert count >= 25
 
 
 def test_parseval_on_two_dimensions():
@@ -122,11 +122,11 @@ def test_block_holds_the_transform(frequency, method, rng):
     kappa = -3.3
     terms = expansion.term_count(2.0 * np.pi * abs(kappa) * scale, 1e-14)
     series = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block)
-    found = series @ expansion.basis(2.0 * np.pi * kappa * scale, terms)
-    found = found * np.exp(2j * np.pi * kappa * offset)
-    whole = np.fft.ifft2(np.exp(2j * np.pi * kappa * heightfield.heights_um))
+    coefficients = series @ expansion.basis(2.0 * np.pi * kappa * scale, terms)
+    coefficients = coefficients * np.exp(2j * np.pi * kappa * offset)
+    transform = np.fft.ifft2(np.exp(2j * np.pi * kappa * heightfield.heights_um))
     s, r = block.orders()
-    np.testing.assert_allclose(found, whole[s[:, None], r[None, :]], atol=1e-13)
+    np.testing.assert_allclose(coefficients, transform[s[:, None], r[None, :]], atol=1e-13)
     needed = [int(frequency * length) + extra for length, extra in zip(heightfield.size_um, (1, 2), strict=True)]
     for index, n in zip((s, r), needed, strict=True):
         assert set(range(-n, n + 1)) <= set(index) or len(set(index)) in heightfield.shape

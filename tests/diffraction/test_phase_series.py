@@ -133,9 +133,7 @@ def test_the_published_number_of_terms_breaks(surfaces):
 def test_a_broken_series_is_refused_or_named(surfaces, method, height):
     arguments = surfaces[height].arguments
     for call in (wd.spectral_reflectance, lambda *a, **k: wd.reflectance(*a[:3], **k)):
-        with pytest.raises(
-            ValueError, match=r"Taylor series cannot meet tolerance=0\.01: (float32|\d+ terms).*strict"
-        ):
+        with pytest.raises(ValueError, match=r"Taylor series cannot meet tolerance=0\.01: (float32|\d+ terms).*strict"):
             call(*arguments, coherence=WINDOW, method=method)
         with pytest.warns(wd.WarpdiffWarning, match=r"Taylor series cannot meet.*height range") as caught:
             values = call(*arguments, coherence=WINDOW, method=method, strict=False)

@@ -111,9 +111,9 @@ def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
 
 def entry_points(ptx: str) -> set[str]:
     """Names of the kernels in PTX, without their hashes and their enclosing function's name."""
-    found = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
+    entries = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
     assert "_cuda_kernel_backward" not in ptx, "enable_backward is to be off"
-    return {name.rpartition("locals__")[2] for name in found}
+    return {name.rpartition("locals__")[2] for name in entries}
 
 
 def test_every_kernel_module_is_compiled_here():
@@ -127,7 +127,7 @@ def test_every_kernel_module_is_compiled_here():
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
-    "module", [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists], ids=lambda each: each.__name__
+    "module", [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists], ids=lambda item: item.__name__
 )
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
@@ -172,16 +172,16 @@ def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
         wd.Coherence("source", angular_diameter_deg=2.0),
         wd.Coherence("replicas", periods=(2, 5)),
     ],
-    ids=lambda each: each.kind,
+    ids=lambda item: item.kind,
 )
 def test_reflectance_is_that_of_the_cpu(coherence, cuda, rng):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     plan = wd.plan(heightfield, coherence=coherence)
     expected = wd.reflectance(heightfield, lights, views, plan=plan, device="cpu")
-    found = wd.reflectance(heightfield, lights, views, plan=plan, device=cuda)
+    result = wd.reflectance(heightfield, lights, views, plan=plan, device=cuda)
     scale = np.maximum(np.linalg.norm(expected, axis=1), 1e-3 * np.percentile(expected[:, 1], 99.0))
-    assert np.max(np.linalg.norm(found - expected, axis=1) / scale) < 1e-3
+    assert np.max(np.linalg.norm(result - expected, axis=1) / scale) < 1e-3
 
 
 def test_shade_is_that_of_the_cpu(cuda):
@@ -191,13 +191,13 @@ def test_shade_is_that_of_the_cpu(cuda):
     light = wd.DirectionalLight((0.3, 0.5, 1.0))
     view = wd.View((0.0, 0.0, 8.0), (0.0, 0.0, 0.0), width=64, height=48)
     expected = wd.shade(mesh, heightfield, light, view, coherence=coherence)
-    found = wd.shade(mesh, heightfield, light, view, device=cuda, plan=expected.plan)
+    result = wd.shade(mesh, heightfield, light, view, device=cuda, plan=expected.plan)
     # A ray that grazes an edge may fall on either side of it.
-    assert np.mean(found.mask != expected.mask) < 0.01
-    both = found.mask & expected.mask
+    assert np.mean(result.mask != expected.mask) < 0.01
+    both = result.mask & expected.mask
     floor = 1e-3 * np.percentile(expected.xyz[both][:, 1], 99.0)
     scale = np.maximum(np.linalg.norm(expected.xyz[both], axis=1), floor)
-    assert np.percentile(np.linalg.norm(found.xyz[both] - expected.xyz[both], axis=1) / scale, 99.0) < 1e-2
+    assert np.percentile(np.linalg.norm(result.xyz[both] - expected.xyz[both], axis=1) / scale, 99.0) < 1e-2
 
 
 def test_replayed_pictures_are_those_of_shade(cuda):
@@ -213,7 +213,7 @@ def test_replayed_pictures_are_those_of_shade(cuda):
         light = wd.DirectionalLight((0.1 + angle, 0.9, 1.2))
         view = dataclasses.replace(view, eye=(3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)))
         assert renderer.draw(light, view).device.is_cuda
-        found = renderer.image()
+        result = renderer.image()
         expected = wd.shade(mesh, heightfield, light, view, plan=renderer.plan, device=cuda)
-        np.testing.assert_array_equal(found.xyz, expected.xyz)
-        np.testing.assert_array_equal(found.illuminated, expected.illuminated)
+        np.testing.assert_array_equal(result.xyz, expected.xyz)
+        np.testing.assert_array_equal(result.illuminated, expected.illuminated)

@@ -89,7 +89,7 @@ def test_rays_are_a_circle(fingers, angle_deg):
     plan = dataclasses.replace(plan, footprint=True)
     device = wp.get_device("cpu")
     lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
-    found = []
+    result = []
     for degrees in (angle_deg, angle_deg + 0.05):
         angle = np.radians(degrees)
         uv = 0.6 * np.array([np.cos(angle), np.sin(angle)])
@@ -97,9 +97,9 @@ def test_rays_are_a_circle(fingers, angle_deg):
         spread = to_first_order([[*(0.03 * uv[::-1] * [-1.0, 1.0]), 0.0, 0.0]])
         xyz = wp.zeros(1, dtype=wp.vec3f, device=device)
         gain = wp.ones(1, dtype=wp.float32, device=device)
-        lookup.add(scattering_vector, None, gain, IlluminatedMaterial("D65"), xyz, footprints=spread)
-        found.append(xyz.numpy()[0])
-    np.testing.assert_allclose(found[0], found[1], rtol=0.05)
+        lookup.accumulate(scattering_vector, None, gain, IlluminatedMaterial("D65"), xyz, footprints=spread)
+        result.append(xyz.numpy()[0])
+    np.testing.assert_allclose(result[0], result[1], rtol=0.05)
 
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
@@ -123,18 +123,18 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
     gains = np.where(rng.uniform(size=count) < 0.8, rng.uniform(size=count), 0.0)
     to_lights = wp.array(np.tile([0.3, 0.1, 0.9], (count, 1)), dtype=wp.vec3f, device=device)
     footprints = to_first_order(spreads) if blurred else None
-    given = wp.array(scattering_vectors, dtype=wp.vec3d, device=device)
+    uvw = wp.array(scattering_vectors, dtype=wp.vec3d, device=device)
     factors = wp.array(gains, dtype=wp.float32, device=device)
-    found = []
+    result = []
     for run in runs:
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
-        step = lookup.steps(given, to_lights, factors, IlluminatedMaterial("D65"), xyz, footprints)[0]
+        step = lookup.kernel_calls(uvw, to_lights, factors, IlluminatedMaterial("D65"), xyz, footprints)[0]
         step = dataclasses.replace(step, inputs=[*step.inputs[:-1], run], block=run)
         launch_pipeline([step], count, device=device, threads=1, slice_size=count)
-        found.append(xyz.numpy())
-    for each in found[1:]:
-        np.testing.assert_array_equal(each, found[0])
-    assert np.count_nonzero(found[0][:, 1]) > count / 2
+        result.append(xyz.numpy())
+    for other in result[1:]:
+        np.testing.assert_array_equal(other, result[0])
+    assert np.count_nonzero(result[0][:, 1]) > count / 2
 
 
 def colours(heightfield, plan, direction_range, uv, footprints):
@@ -144,7 +144,7 @@ def colours(heightfield, plan, direction_range, uv, footprints):
     scattering_vectors = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
     gains = wp.ones(len(uv), dtype=wp.float32, device=device)
     lookup = ColourLookup(heightfield, plan, direction_range, device=device, threads=2)
-    lookup.add(scattering_vectors, None, gains, IlluminatedMaterial("D65"), xyz, footprints=footprints)
+    lookup.accumulate(scattering_vectors, None, gains, IlluminatedMaterial("D65"), xyz, footprints=footprints)
     return xyz.numpy().astype(np.float64)
 
 
@@ -163,12 +163,12 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
     spreads = rng.uniform(0.3 * widest, widest, (count, 1)) * along + rng.uniform(-turn, turn, (count, 1)) * aside
 
     footprints = to_first_order(np.column_stack([spreads, np.zeros((count, 2))]))
-    found = colours(fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, along, footprints)
+    result = colours(fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, along, footprints)
     places, weights = np.polynomial.hermite_e.hermegauss(120)
-    seen = along[:, None] + places[:, None] * spreads[:, None]
-    of_points = colours(fingers, sampled, plan.direction_range, seen.reshape(-1, 2), None).reshape(count, -1, 3)
+    points = along[:, None] + places[:, None] * spreads[:, None]
+    of_points = colours(fingers, sampled, plan.direction_range, points.reshape(-1, 2), None).reshape(count, -1, 3)
     exact = np.einsum("p,npc->nc", weights / weights.sum(), of_points)
-    relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    relative = np.linalg.norm(result - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < median
     assert np.percentile(relative, 90.0) < most
 
@@ -186,14 +186,16 @@ def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers,
     across = wide[:, ::-1] * [-1.0, 1.0] / rng.uniform(1.0, 6.0, (count, 1))
     middles = distance * (np.cos(around) * wide + np.sin(around) * across)
     footprints = to_first_order(np.column_stack([wide, across]))
-    found = colours(heightfield, dataclasses.replace(plan, footprint=True), plan.direction_range, middles, footprints)
+    result = colours(heightfield, dataclasses.replace(plan, footprint=True), plan.direction_range, middles, footprints)
     places, weights = np.polynomial.hermite_e.hermegauss(80)
-    seen = (
+    points = (
         middles[:, None, None] + places[:, None, None] * wide[:, None, None] + places[:, None] * across[:, None, None]
     )
-    of_points = colours(heightfield, sampled, plan.direction_range, seen.reshape(-1, 2), None).reshape(count, 80, 80, 3)
+    of_points = colours(heightfield, sampled, plan.direction_range, points.reshape(-1, 2), None).reshape(
+        count, 80, 80, 3
+    )
     exact = np.einsum("p,q,npqc->nc", weights, weights, of_points) / weights.sum() ** 2
-    relative = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    relative = np.linalg.norm(result - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < 5e-3
     assert relative.max() < 5e-2
 
@@ -213,8 +215,8 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
     rays = np.stack([p1 - p0, p2 - p0, -along], axis=2)
     share1, share2, _ = np.linalg.solve(rays, (origin - p0)[..., None])[..., 0].T
     shares = np.stack([1.0 - share1 - share2, share1, share2], axis=1)
-    given = {"normals": surface.normals, "tangents": surface.tangents, "handedness": surface.handedness}
-    axes = shading_frame(face, shares, along, surface.vertices, surface.faces, **given, smooth=smooth)
+    uvw = {"normals": surface.normals, "tangents": surface.tangents, "handedness": surface.handedness}
+    axes = shading_frame(face, shares, along, surface.vertices, surface.faces, **uvw, smooth=smooth)
     halfway = np.asarray(light.to_light) - along
     return np.stack([np.sum(axis * halfway, axis=1) for axis in axes[:2]], axis=1)
 
@@ -234,12 +236,12 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     frame = Picture(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
     frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
     frame.scatter(0, 0)
-    rays, pixels, found = frame.rays, frame.gbuffer.pixels, frame.gbuffer.footprints
+    rays, pixels, result = frame.rays, frame.gbuffer.pixels, frame.gbuffer.footprints
     launch_pipeline([rays.footprints(frame.gbuffer, deviation)], 48 * 36, **rays.options)
     hit = np.flatnonzero(pixels.hit.numpy())
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
-    right, left, below, above = (seen_by(surface, camera, LIGHT, face, *each, smooth=smooth) for each in at)
+    right, left, below, above = (seen_by(surface, camera, LIGHT, face, *other, smooth=smooth) for other in at)
     expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
     # Where the normal is turned to the viewer, slopes have a kink.
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
@@ -247,7 +249,7 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
     assert np.count_nonzero(facing) > 200
     # The arrays hold −u and −v.
     size = np.linalg.norm(expected[facing], axis=1, keepdims=True)
-    error = np.abs(np.abs(found.numpy()[hit][facing]) - np.abs(expected[facing])) / size
+    error = np.abs(np.abs(result.numpy()[hit][facing]) - np.abs(expected[facing])) / size
     assert np.percentile(error, 99) < 2e-3
 
 
@@ -284,10 +286,10 @@ def test_few_rays_blur_a_line(is_line_spectrum, own, worst):
             for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
                 values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own
                 coefficients = np.linalg.solve(between, values)
-                found = weights[index, which, :count] @ coefficients[first : first + count]
+                result = weights[index, which, :count] @ coefficients[first : first + count]
                 away = on_rays[first] - places[0] - line
                 exact = np.exp(-0.5 * away**2 / variance) / np.sqrt(variance)
-                assert abs(found - exact) * np.sqrt(variance) < worst
+                assert abs(result - exact) * np.sqrt(variance) < worst
 
 
 def test_a_flat_surface_has_none(fingers):
@@ -295,5 +297,8 @@ def test_a_flat_surface_has_none(fingers):
     along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
     camera = wd.View.orthographic((0.3, 0, 2), (0, 0, 0), extent_y=0.5, width=16, height=12)
     plan = wd.shade(disc, fingers, LIGHT, camera, coherence=SHORT, tangents=along_x).plan
-    images = [wd.shade(disc, fingers, LIGHT, camera, plan=plan, tangents=along_x, footprint=on) for on in (True, False)]
+    images = [
+        wd.shade(disc, fingers, LIGHT, camera, plan=plan, tangents=along_x, footprint=footprint)
+        for footprint in (True, False)
+    ]
     np.testing.assert_allclose(images[0].xyz, images[1].xyz, rtol=2e-3)

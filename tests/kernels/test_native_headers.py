@@ -15,7 +15,7 @@ from warpdiff.kernels import compile_options
 
 HEADERS = sorted(compile_options.NATIVE.glob("*.h"))
 MODULES = sorted(compile_options.NATIVE.parent.glob("*.py"))
-COMPILER = next((found for name in ("c++", "g++", "clang++") if (found := shutil.which(name))), None)
+COMPILER = next((snippets for name in ("c++", "g++", "clang++") if (snippets := shutil.which(name))), None)
 
 
 def calls(path, name):
@@ -34,7 +34,7 @@ def text(node):
 
 def named(path):
     """Headers that modules of a file include, with what these include."""
-    names = [text(each) for call in calls(path, "options") for each in call.args]
+    names = [text(node) for call in calls(path, "options") for node in call.args]
     return {header for name in names for header in compile_options.headers(name)}
 
 
@@ -55,9 +55,9 @@ def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
 
 
 def test_a_native_function_in_python_is_one_call_of_a_header():
-    found = [text(each.args[0]) for path in MODULES for each in calls(path, "func_native")]
-    assert len(found) > 10
-    for snippet in found:
+    snippets = [text(node.args[0]) for path in MODULES for node in calls(path, "func_native")]
+    assert len(snippets) > 10
+    for snippet in snippets:
         assert re.fullmatch(r"(return )?warpdiff::(\w+)(<[\w, ]+>)?\(.*\);", snippet, re.DOTALL), snippet
         assert snippet.count("warpdiff::") == snippet.count(";") == 1, snippet
         name = re.search(r"warpdiff::(\w+)", snippet)[1]

@@ -233,15 +233,15 @@ def test_what_is_behind_the_eye_is_cut_off(make, samples, request):
     mesh, view = make(request)
     surface = prepare_surface(mesh, tangents=np.tile([0.3, 1.0, 0.2], (len(mesh.vertices), 1)))
     scene = SceneArrays(surface, device="cpu")
-    given = {"scene": scene, "sample": samples // 2, "samples": samples}
-    found, by_rays = (cast(surface, view, covers=covers, **given) for covers in (True, False))
+    options = {"scene": scene, "sample": samples // 2, "samples": samples}
+    result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
     # Rays through an edge may take either face, but something is met.
-    np.testing.assert_array_equal(found["hit"], by_rays["hit"])
-    same = found["face"] == by_rays["face"]
+    np.testing.assert_array_equal(result["hit"], by_rays["hit"])
+    same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
     for name in ("normal", "to_view"):
-        np.testing.assert_allclose(found[name][same], by_rays[name][same], atol=1e-5)
+        np.testing.assert_allclose(result[name][same], by_rays[name][same], atol=1e-5)
 
 
 def test_eyes_close_to_a_face_see_no_gap():
@@ -292,7 +292,7 @@ def test_cells_are_found_face_by_face(make, level, slices, request):
     sampling = Sampling()
     sampling.tiles = wp.array(chosen, dtype=wp.int32, device="cpu")
     sampling.places = pixel_filter.places_at(level, "cpu")
-    found = []
+    result = []
     by_rays = wp.empty_like(nearest)
     wp.launch(bvh.trace_bvh, 1, [camera, scene.with_hierarchy(), sampling, 0, count], [by_rays], device="cpu")
     for faces in (nearest, by_rays):
@@ -302,8 +302,8 @@ def test_cells_are_found_face_by_face(make, level, slices, request):
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
             inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
             wp.launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
-        found.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
-    (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = found
+        result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
+    (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
     # Rays through an edge may take either face.
     assert np.mean(face != face_by_rays) < 2e-3

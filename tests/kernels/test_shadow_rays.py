@@ -26,7 +26,7 @@ def unit(vector):
     return np.array(vector) / np.linalg.norm(vector)
 
 
-def given(mesh):
+def surface_of(mesh):
     """A surface whose tangents are of no account."""
     return prepare_surface(mesh, tangents=[[0.3, 0.5, 0.7]] * len(mesh.vertices))
 
@@ -86,18 +86,18 @@ def occluded(grid, light, origins, threads=1):
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
     pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
-    found = wp.empty(len(origins), dtype=wp.bool, device="cpu")
+    result = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
     launch(
         trace_shadow_rays,
         len(origins),
         [grid, places, 0, pixels],
-        [found],
+        [result],
         device=device,
         threads=threads,
         in_runs=True,
     )
-    return found.numpy()
+    return result.numpy()
 
 
 def scene_of(surface):
@@ -112,7 +112,7 @@ def grid_of(surface, scene, light, threads=1):
 @pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 def test_shadows_equal_brute_force(make, light, rng):
     light = unit(light)
-    surface = given(make())
+    surface = surface_of(make())
     scene = scene_of(surface)
     origins = points_on(surface, light, 600, rng)
     rays = np.tile(light, (len(origins), 1))
@@ -131,7 +131,7 @@ def test_faces_leave_no_gap_where_they_meet(rng):
         sheet = sheet.subdivide()
     inside = np.max(np.abs(sheet.vertices[:, :2]), axis=1) < 0.99
     sheet.vertices[inside] += rng.uniform(-0.01, 0.01, (np.count_nonzero(inside), 3))
-    surface = given(sheet)
+    surface = surface_of(sheet)
     scene = scene_of(surface)
     edges = sheet.edges_unique[inside[sheet.edges_unique].any(axis=1)]
     for light in (unit((0.1, 0.2, 0.9)), unit((0.0, 0.0, 1.0))):
@@ -148,7 +148,7 @@ def test_pixels_do_not_hide_those_beside_them(rng):
     for _ in range(4):
         sheet = sheet.subdivide()
     height = np.float32(0.1234567)
-    flat = given(sheet)
+    flat = surface_of(sheet)
     vertices = flat.vertices.copy()
     vertices[:, 2] = height
     surface = dataclasses.replace(flat, vertices=vertices)
@@ -159,27 +159,27 @@ def test_pixels_do_not_hide_those_beside_them(rng):
     both = np.repeat(above, 2, axis=0)
     both[1::2, 2] -= 0.1
     assert not np.any(occluded(grid, light, above))
-    found = occluded(grid, light, both)
-    assert not np.any(found[::2])
-    assert np.all(found[1::2])
+    result = occluded(grid, light, both)
+    assert not np.any(result[::2])
+    assert np.all(result[1::2])
 
 
 def test_lists_of_many_faces_hide_what_is_below(rng):
     # Sheets one above the other: more faces in a cell than are looked at together, and several pixels in it.
     sheets = [lid(2.0).subdivide().subdivide().apply_translation((0.0, 0.0, 0.01 * k)) for k in range(5)]
-    surface = given(trimesh.util.concatenate(sheets))
+    surface = surface_of(trimesh.util.concatenate(sheets))
     light = unit((0.0, 0.0, 1.0))
     scene = scene_of(surface)
     grid = grid_of(surface, scene, light)
     assert np.diff(grid.starts.numpy()).max() > 32
     places = rng.uniform(-0.3, 0.3, (500, 3)).astype(np.float32)
-    found = occluded(grid, light, places)
-    assert 0 < np.count_nonzero(found) < len(found)
-    np.testing.assert_array_equal(found, occluded(occluder_grid.no_grid(scene), light, places))
+    result = occluded(grid, light, places)
+    assert 0 < np.count_nonzero(result) < len(result)
+    np.testing.assert_array_equal(result, occluded(occluder_grid.no_grid(scene), light, places))
 
 
 def test_threads_make_the_same_grid(rng):
-    surface = given(meshes.tube(segments_along=96, segments_around=64))
+    surface = surface_of(meshes.tube(segments_along=96, segments_around=64))
     light = unit((0.3, 0.5, 0.8))
     origins = points_on(surface, light, 20_000, rng)
     alone, others = (grid_of(surface, scene_of(surface), light, threads) for threads in (1, 3))
@@ -193,12 +193,12 @@ def test_threads_make_the_same_grid(rng):
 def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
     light = unit((0.1, 0.2, 0.9))
     body = trimesh.creation.icosphere(subdivisions=4)
-    assert grid_of(given(body), scene_of(given(body)), light).starts is not None
-    stadium = given(trimesh.util.concatenate([body, lid(300.0).apply_translation((0.0, 0.0, -2.0))]))
+    assert grid_of(surface_of(body), scene_of(surface_of(body)), light).starts is not None
+    stadium = surface_of(trimesh.util.concatenate([body, lid(300.0).apply_translation((0.0, 0.0, -2.0))]))
     assert grid_of(stadium, scene_of(stadium), light).starts is None
     needles = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, 3, 3))
     needles[:, 1] = needles[:, 0] + 1e-3
-    bundle = given(trimesh.Trimesh(needles.reshape(-1, 3), np.arange(9000).reshape(-1, 3), process=False))
+    bundle = surface_of(trimesh.Trimesh(needles.reshape(-1, 3), np.arange(9000).reshape(-1, 3), process=False))
     assert grid_of(bundle, scene_of(bundle), light).starts is None
 
 
@@ -229,18 +229,18 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     monkeypatch.setattr(
         camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]
     )
-    found = wd.shade(mesh, heightfield, lights, view, **options)
+    result = wd.shade(mesh, heightfield, lights, view, **options)
     # One for each light, whatever the samples and tiles.
     assert all(grid.starts.shape[0] for grid in made)
-    asked = len(made)
+    grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
     monkeypatch.setattr(camera_rays.RasterizedRays, "shadow_grid", camera_rays.PixelRays.shadow_grid)
     expected = wd.shade(mesh, heightfield, lights, view, **options)
-    assert len(made) == asked
-    np.testing.assert_array_equal(found.xyz, expected.xyz)
-    np.testing.assert_array_equal(found.illuminated, expected.illuminated)
+    assert len(made) == grid_count
+    np.testing.assert_array_equal(result.xyz, expected.xyz)
+    np.testing.assert_array_equal(result.illuminated, expected.illuminated)
     unhidden = wd.shade(mesh, heightfield, lights, view, shadows=False, **options)
-    assert np.any(unhidden.xyz != found.xyz)
+    assert np.any(unhidden.xyz != result.xyz)
 
 
 def test_what_faces_away_may_have_a_part_from_which_the_light_is_hidden():

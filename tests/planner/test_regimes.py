@@ -293,7 +293,10 @@ def test_few_orders_do_not_make_a_patch():
     exact = direct_sum.window_power(heightfield, one_copy, scattering_vectors, np.array([0.5]))[:, 0]
     every, seven = (
         np.array(
-            [methods.nearest_orders_power(heightfield, each, 0.5, neighbour_extent) for each in scattering_vectors]
+            [
+                methods.nearest_orders_power(heightfield, scattering_vector, 0.5, neighbour_extent)
+                for scattering_vector in scattering_vectors
+            ]
         )
         for neighbour_extent in (heightfield.shape[1] // 2 - 1, 3)
     )

@@ -28,10 +28,12 @@ def check(case: Configuration, count: int = 400) -> None:
     result = judge.evaluate(case)
     chosen, weights = judge.drawn(result, np.random.default_rng(SEED))
     # Bright ones come first.
-    some = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
-    chosen, weights = chosen[some], weights[some]
-    found = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
-    assert found.value <= case.tolerance, f"{case}: {found.whole:.2e} of all, {found.bright:.2e} of bright directions"
+    places = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
+    chosen, weights = chosen[places], weights[places]
+    figure = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
+    assert figure.value <= case.tolerance, (
+        f"{case}: {figure.whole:.2e} of all, {figure.bright:.2e} of bright directions"
+    )
     assert not result.warned
 
 
@@ -92,26 +94,26 @@ def test_a_call_with_hardly_any_light_is_not_dark(bright, rng):
     views /= np.linalg.norm(views, axis=1)[:, None]
     case = call(heightfield, 1e-2, to_light=np.broadcast_to(UP, views.shape), to_view=views)
     result = judge.evaluate(case)
-    seen = np.flatnonzero(result.xyz[:, 1] > 1e-6)
-    assert len(seen) == bright
-    found = judge.figure(result.xyz[seen], judge.truth(case, result, seen))
-    assert found.bright <= case.tolerance
+    bright_directions = np.flatnonzero(result.xyz[:, 1] > 1e-6)
+    assert len(bright_directions) == bright
+    figure = judge.figure(result.xyz[bright_directions], judge.truth(case, result, bright_directions))
+    assert figure.bright <= case.tolerance
 
 
 @pytest.mark.parametrize("count", [slow(None), 100, slow(20_000)])
 def test_looser_tolerances_never_cost_more(count, rng):
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=3)
-    given = ()
+    directions = ()
     if count:
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
-        given = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
+        directions = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
     # The tight ones take seconds each where all of the hemisphere is asked for.
     tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
-    plans = [wd.plan(heightfield, *given, tolerance=t) for t in tolerances]
-    costs = [each.multiply_adds for each in plans]
+    plans = [wd.plan(heightfield, *directions, tolerance=t) for t in tolerances]
+    costs = [plan.multiply_adds for plan in plans]
     assert costs == sorted(costs)
-    rings = [each.rings_per_octave for each in plans if each.rings_per_octave]
+    rings = [plan.rings_per_octave for plan in plans if plan.rings_per_octave]
     assert rings == sorted(rings)
 
 
@@ -124,12 +126,12 @@ def test_the_judge_sees_an_error_in_a_hundredth_of_the_directions_and_in_the_bri
     exact = rng.uniform(0.5, 1.0, (5000, 3)) * np.where(np.arange(5000) < 500, 1.0, 1e-5)[:, None]
     wrong = np.array(exact)
     wrong[4900:] += 1e-4
-    found = judge.figure(wrong, exact)
-    assert (found.whole > 0.05, found.bright) == (True, 0.0)
+    figure = judge.figure(wrong, exact)
+    assert (figure.whole > 0.05, figure.bright) == (True, 0.0)
     wrong = np.array(exact)
     wrong[:10] *= 1.1
-    found = judge.figure(wrong, exact)
-    assert (found.whole, found.bright > 0.05) == (0.0, True)
+    figure = judge.figure(wrong, exact)
+    assert (figure.whole, figure.bright > 0.05) == (0.0, True)
 
 
 def test_directions_that_a_plan_read_are_not_judged(rng):

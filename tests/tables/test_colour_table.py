@@ -302,7 +302,7 @@ def test_many_directions_take_a_table_and_few_do_not(fingers):
     many = wd.reflectance_map(fingers, light, size=400, tolerance=1e-1, coherence=SHORT)
     assert few.plan.rings_per_octave == 0
     assert many.plan.rings_per_octave > 0
-    assert "polar table" in str(many.plan)
+    assert "polar colour table" in str(many.plan)
     exact = wd.reflectance_map(fingers, light, size=400, tolerance=1e-3, method="low-rank", coherence=SHORT)
     errors = picture_errors(many.xyz[many.mask], exact.xyz[exact.mask])
     assert np.percentile(errors, 99.0) <= 1e-1

@@ -166,7 +166,7 @@ def test_a_table_that_is_too_large_is_refused(rng):
     large = wd.gratings.fingers(size_um=25.6, seed=1)
     sharp = wd.Coherence("source", angular_diameter_deg=0.1)
     lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
-    with pytest.raises(ValueError, match="takes more than 300 MB for tolerance"):
+    with pytest.raises(ValueError, match="requires more than 300 MB for tolerance"):
         wd.plan(large, lights, views, coherence=sharp, tolerance=1e-2, method="low-rank", integration="table")
 
 

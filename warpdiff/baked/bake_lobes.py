@@ -230,7 +230,7 @@ class _Bakery:
         count = len(scattering_vectors)
         above = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1))
         xyz = wp.zeros(count, dtype=wp.vec3f, device=self._request.device)
-        self._lookup.add(
+        self._lookup.accumulate(
             wp.array(scattering_vectors, dtype=wp.vec3d, device=self._request.device),
             wp.array(above, dtype=wp.vec3f, device=self._request.device),
             wp.ones(count, dtype=wp.float32, device=self._request.device), self._request.illuminated[0], xyz,

@@ -74,7 +74,7 @@ def bake_spectrum(
         memory.require_memory(
             8.0 * size * size * terms, f"a spectrum of {size} × {size} cells", "take {side} of the size"
         )
-        reached = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))
+        reached = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
         kappas = np.linspace(reached.kappa_low, reached.kappa_high, _ENTRIES)
         along = 2.0 * math.pi * (window.sigma_um or 0.0)
         largest = direction_range.max_uv * 1e3 / direction_range.lambda_min_nm

@@ -315,7 +315,7 @@ class _Call:
             )
         lookup = ColourLookup(heightfield, self.plan, self._scope, **self._where)
         xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._request.device)
-        lookup.add(*self._on_device(), illuminated, xyz, progress=progress)
+        lookup.accumulate(*self._on_device(), illuminated, xyz, progress=progress)
         return np.asarray(xyz.numpy())
 
     def _on_device(self) -> tuple[wp.array, wp.array, wp.array]:

@@ -225,7 +225,7 @@ class Trial:
         results = []
         for illuminated in self._illuminated:
             xyz = wp.zeros(len(group), dtype=wp.vec3f, device=self._device)
-            lookup.add(*arrays, illuminated, xyz, slice_size=_DIRECTIONS_OF_SLICE)
+            lookup.accumulate(*arrays, illuminated, xyz, slice_size=_DIRECTIONS_OF_SLICE)
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 

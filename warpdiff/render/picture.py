@@ -404,7 +404,9 @@ class Picture:
                 inputs = [gbuffer.gains, gbuffer.pixels.face, self._materials_of_faces, index]
                 gains = gbuffer.material_gains
                 steps.append(KernelCall(light_samples.select_material, inputs, [gains], in_runs=True))
-            steps += lookup.steps(scattering_vectors, to_lights, gains, illuminated, colours, footprints, unserved_gain)
+            steps += lookup.kernel_calls(
+                scattering_vectors, to_lights, gains, illuminated, colours, footprints, unserved_gain
+            )
         return steps
 
     def _unserved_gain_buffer(self, lookup: ColourLookup) -> wp.array:

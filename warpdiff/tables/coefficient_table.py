@@ -91,7 +91,7 @@ class CoefficientRange:
     kappa_high: float
 
     @classmethod
-    def by(cls, direction_range: DirectionRange) -> CoefficientRange:
+    def covering(cls, direction_range: DirectionRange) -> CoefficientRange:
         """The coefficients that a range of directions reaches."""
         shortest = min(direction_range.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(direction_range.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
@@ -147,7 +147,7 @@ def coefficients_for(
         threads: Transforms to run side by side.
         to_fit: Whether they are a series that a basis is to be fitted to, and then of use to the truth at most.
     """
-    coefficient_range = CoefficientRange.by(direction_range)
+    coefficient_range = CoefficientRange.covering(direction_range)
     low, high = coefficient_range.kappa_low, coefficient_range.kappa_high
     check_cycles(heightfield, high)
     grid = grid_for(heightfield, coherence)

@@ -188,7 +188,7 @@ def _prepared(
     threads: int,
 ) -> tuple[_Source, Projection]:
     """Prepare layout, terms and projection, before any rows are made."""
-    coefficient_range = coefficient_table.CoefficientRange.by(plan.direction_range.joined(direction_range))
+    coefficient_range = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
     numbers = (
         plan.terms,
         plan.least_weight,

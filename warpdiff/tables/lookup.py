@@ -47,7 +47,7 @@ class ColourLookup:
             self._taps = footprint_taps(device.alias, is_line_spectrum=plan.coherence.kind == "source")
             self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
-    def add(
+    def accumulate(
         self,
         scattering_vectors: wp.array,
         to_lights: wp.array,
@@ -74,9 +74,9 @@ class ColourLookup:
             options: Of ``launch_pipeline``, ``slice_size`` and ``progress``.
         """
         options.setdefault("slice_size", self.slice_size)
-        steps = self.steps(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)
+        calls = self.kernel_calls(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)
         launch_pipeline(
-            steps, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
+            calls, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
         )
 
     def sky_table(self, illuminated: tuple[tuple[IlluminatedMaterial, ...], ...], directions: int) -> Any:
@@ -111,7 +111,7 @@ class ColourLookup:
         """Whether a table takes means over footprints."""
         return self._plan.uses_footprints
 
-    def steps(
+    def kernel_calls(
         self,
         scattering_vectors: wp.array,
         to_lights: wp.array,
@@ -121,15 +121,15 @@ class ColourLookup:
         footprints: wp.array | None = None,
         unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:
-        """The kernel calls of ``add``."""
+        """The kernel calls of ``accumulate``."""
         if not self._plan.rings_per_octave:
             return [self._sample(scattering_vectors, to_lights, gains, illuminated, xyz)]
         if unserved_gain is None:
             unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self._device)
-        steps = [self._look_up(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)]
+        calls = [self._look_up(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)]
         if self.needs_sampling:
-            steps.append(self._sample(scattering_vectors, to_lights, unserved_gain, illuminated, xyz))
-        return steps
+            calls.append(self._sample(scattering_vectors, to_lights, unserved_gain, illuminated, xyz))
+        return calls
 
     def _look_up(
         self,

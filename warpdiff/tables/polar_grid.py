@@ -239,5 +239,5 @@ def megabytes(plan: Plan) -> float:
 
 def layout_of(plan: Plan) -> MipLayout:
     """The layout of a plan's table, with its levels if it has any."""
-    layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.by(plan.direction_range).frequency)
+    layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.covering(plan.direction_range).frequency)
     return layout.with_mip_levels() if has_mip_levels(plan) else layout

@@ -117,8 +117,8 @@ def _cell_colours(
         # Table by table, as not all of them may be kept.
         for spectrum, each in enumerate(spectra):
             total_xyz, colours = (wp.zeros(count, dtype=wp.vec3f, device=device) for _ in lookups)
-            lookups[0].add(vectors, to_lights, gains, each, total_xyz, footprints=spreads, among=range(len(ws)))
-            lookups[1].add(vectors, to_lights, gains, each, colours, footprints=spreads)
+            lookups[0].accumulate(vectors, to_lights, gains, each, total_xyz, footprints=spreads, among=range(len(ws)))
+            lookups[1].accumulate(vectors, to_lights, gains, each, colours, footprints=spreads)
             cell_xyz = colours.numpy().reshape(scattering_vectors.shape)
             cell_xyz[0] = 2.0 * math.pi * _WIDE**2 * (total_xyz.numpy()[: len(ws)] - cell_xyz[0])
             result[material, ..., spectrum] = cell_xyz
