@@ -1,1 +1,1 @@
-"""Warp kernels: one Warp module a file, with the structs and functions that it needs."""
+"""Warp kernels: one Warp module per file, with its structs and functions."""

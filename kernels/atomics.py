@@ -1,4 +1,4 @@
-"""Atomic changes of numbers on all devices."""
+"""Atomic increment on all devices."""
 
 import warp as wp
 

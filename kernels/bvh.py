@@ -1,4 +1,4 @@
-"""Rays through a hierarchy of faces' boxes: on a GPU all of them, on the CPU some shadow rays."""
+"""Rays through a bounding volume hierarchy: all rays on a GPU, some shadow rays on the CPU."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Spectral integration: windowed Fourier coefficients near (u, v)/λ, summed over a set of wavelengths.
+"""Coefficient sum: windowed Fourier coefficients near (u, v)/λ, integrated over a set of wavelengths.
 
 One thread is one direction. At each wavelength the coefficients around q = (u, v)/λ are weighted by the Gaussian of the
 coherence, as powers or as amplitudes; of finitely many copies of the patch, amplitudes on a finer grid are weighted by

@@ -1,4 +1,4 @@
-"""Colours from a table: the integral over λ is done once, for every (u, v) and every function of w.
+"""Colour look-up: kernels of a table that holds the integral over λ for every (u, v) and function of w.
 
 As λ goes from red to blue, (u, v)/λ runs along a spoke of the frequency plane, over one octave. The power spectrum is
 taken on spokes, at rings of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in

@@ -1,4 +1,4 @@
-"""How kernels are compiled: flags, and the headers that hold their native functions."""
+"""Compile options of kernels: flags, and the headers with their native functions."""
 
 import functools
 import re

@@ -1,4 +1,4 @@
-"""From what rays see and a light to what the spectral kernels take: (u, v, w), gain and footprint."""
+"""Light samples: scattering vectors, gains and footprints of hits under a light."""
 
 import warp as wp
 

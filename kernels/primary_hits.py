@@ -1,4 +1,4 @@
-"""From pixels to points on a mesh: where their rays lie, what they meet, shading frames and base colours."""
+"""Primary hits: rays of pixels, their intersections with the mesh, shading frames and base colours."""
 
 import warp as wp
 

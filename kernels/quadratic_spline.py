@@ -1,4 +1,4 @@
-"""The quadratic B-spline between equally spaced nodes; plain numbers, without Warp, for kernels and their hosts."""
+"""Quadratic B-spline between equally spaced nodes: plain numbers without Warp, for kernels and hosts."""
 
 import math
 

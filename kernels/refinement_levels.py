@@ -1,4 +1,4 @@
-"""Levels of cells that pixels are split into, the pixels' filter, and what is believed of differences between levels.
+"""Refinement levels: subpixel cells, the pixel filter, and error factors between levels.
 
 Plain numbers, without Warp, for kernels and for those who launch them.
 """

@@ -1,4 +1,4 @@
-"""How a mesh lies where rays meet it: shading frames, and where shadow rays start."""
+"""Shading frames at hits, and the origins of shadow rays."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Whether a light is hidden, by a grid over the mesh as the light sees it: each cell lists the faces in its reach.
+"""Shadow rays: a grid over the mesh, seen from the light, whose cells list the faces in them.
 
 Positions across the light are whole numbers of 2^-24 radii. Their differences and products are exact in float64, so
 that the side of an edge on which a point lies is the same for both faces that meet there, however it is compiled: no

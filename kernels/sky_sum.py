@@ -1,4 +1,4 @@
-"""Colours under a sky: a sum over cells of (u, v), of each what the surface sends there times the sky that it shows.
+"""Sky sum: colours under a sky, summed over cells of (u, v), each times the radiance in its direction.
 
 A table holds what a surface's colours are on average over a cell, by w. A cell's light comes from a direction that each
 pixel has for itself, and the sky there is taken from maps that are blurred as much as the cell and the pixel's

@@ -1,4 +1,4 @@
-"""The power spectrum on spokes, and its integral over λ for every (u, v) and every function of w.
+"""Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
 
 Spokes are sampled at rings of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
 t = |(u, v)|/λ. A colour is a sum over an octave's rings, whose weights are the same wherever |(u, v)| takes the same

@@ -1,4 +1,4 @@
-"""A view, a surface, and what of it pixels see, as kernels take them.
+"""Structs of kernels: camera, mesh, samples, cells and hits.
 
 Positions are in units in which the mesh fills the unit sphere about the origin: there float32 is as fine for a mesh of
 a nanometre as for one of a kilometre, wherever either lies.

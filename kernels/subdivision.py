@@ -1,4 +1,4 @@
-"""Adaptive sampling: errors of pixels, cells splat to the pixels around, differences of levels, and what is split."""
+"""Adaptive subdivision: errors of pixels, splatting of cells, and selection of pixels for the next level."""
 
 import warp as wp
 

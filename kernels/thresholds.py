@@ -1,4 +1,4 @@
-"""Thresholds below which things count as nothing, for kernels and their hosts: plain numbers, without Warp."""
+"""Thresholds of kernels and hosts: plain numbers without Warp."""
 
 # Directions closer to the horizon than this (0.00006°) count as below it: the gain grows without bound there.
 HORIZON = 1e-6

@@ -1,4 +1,4 @@
-"""Lists of pixels to be split, made and worked off where the picture is: no host has a part in it."""
+"""Tile lists: pixels to subdivide, listed and counted on the device."""
 
 import warp as wp
 

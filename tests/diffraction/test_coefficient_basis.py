@@ -1,4 +1,4 @@
-"""Coefficients as functions of κ: each basis against transforms of exp(2πiκh), and what it says it leaves out."""
+"""Bases of Fourier coefficients against transforms of exp(2πiκh), and their truncation errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Energy: pictures and maps whose factors make perfect mirrors send back what comes in."""
+"""Energy normalisation: pictures and maps of perfect mirrors conserve energy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The series themselves in float32, where each breaks, and what the library then says."""
+"""Phase series in float32: where each one breaks, and the messages that say so."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Native code lies in headers: each is included and listed as what modules are built of; any compiler takes them."""
+"""Native headers: each is included, listed as a build dependency, and compiles with any compiler."""
 
 from __future__ import annotations
 

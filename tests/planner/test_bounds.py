@@ -1,4 +1,4 @@
-"""Calls too small to be searched for keep their tolerance by bounds alone: each broke it once."""
+"""Bounds: calls too small for a search meet their tolerance; each of these broke it once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regime by regime: the automatic choice keeps its tolerance where another computation breaks, or says why not."""
+"""Regimes: the automatic choice meets its tolerance where other computations break, or names the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tolerance is kept on directions that no plan has read: calls of ``tolerance_sweep``, and what failed."""
+"""Tolerance on directions that the plan has not used: calls of ``tolerance_sweep``, and former failures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of the power spectrum on rays, against the float64 reference, closed forms, and sampled integration."""
+"""Colour tables against the float64 reference, closed forms and sampled integration."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def sine():
     ("incidence_deg", "angle_deg"),
     [
         *((0.0, 0.0), (60.0, 35.0), (75.0, 55.0)),
-        *(slow(*each) for each in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0))),
+        *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0))),
     ],
 )
 def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
@@ -234,7 +234,7 @@ def test_pictures_of_sources_have_footprints(fingers):
     many = wd.shade(tube, fingers, LIGHT, view, plan=points, samples_per_pixel=100)
     one = wd.shade(tube, fingers, LIGHT, view, plan=points)
     inside = (many.coverage == 1.0) & image.illuminated
-    errors = [np.median(relative(each.xyz[inside], many.xyz[inside])) for each in (image, one)]
+    errors = [np.median(relative(case.xyz[inside], many.xyz[inside])) for case in (image, one)]
     assert errors[0] < 6e-2
     assert errors[0] < 0.3 * errors[1]
     for threads in (1, 3):

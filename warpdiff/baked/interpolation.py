@@ -1,4 +1,4 @@
-"""A polar grid over (u, v): rings of equal ratios, on each as many nodes as a lobe is narrow there.
+"""Interpolation of baked lobes: a polar grid over (u, v) with splines around and between its rings.
 
 As λ goes from red to blue, a lobe runs along a ray of (u, v) over one octave: colours change along it as slowly as the
 observer's curves do, in ln |(u, v)|, and across it as fast as a lobe is narrow. A Cartesian grid that resolves a lobe

@@ -277,7 +277,8 @@ class BakedLobes:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> BakedLobes:
-        kind, width = str(arrays["coherence"]), float(arrays["width"])
+        kind: Any = str(arrays["coherence"])
+        width = float(arrays["width"])
         is_source = kind == "source"
         coherence = Coherence(
             kind, sigma_um=None if is_source else width, angular_diameter_deg=width if is_source else None

@@ -1,4 +1,4 @@
-"""Whole numbers in place of floats: those that belong together share an exponent, and each has a byte or two.
+"""Quantisation: signed integers of one or two bytes with a shared exponent per group.
 
 An entry's error is half a step of its own largest number, however much larger others are. Exponents are eighths of an
 octave, of which a byte holds 32 octaves; what lies below them is 0.

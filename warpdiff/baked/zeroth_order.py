@@ -1,4 +1,4 @@
-"""The zeroth order, which the mean plane reflects: its power as a function of κ."""
+"""Zeroth order of a height field: its power as a function of κ."""
 
 from __future__ import annotations
 

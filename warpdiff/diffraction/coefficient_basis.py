@@ -1,4 +1,4 @@
-"""Coefficients as functions of κ: rows of numbers, one for each, times a basis that all of them share.
+"""Bases of the Fourier coefficients as functions of κ: a row of numbers per coefficient times a shared basis.
 
 ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``), whose rows
 are amplitudes. The other two are made from the last, for the range of κ that a scene reaches:

@@ -1,4 +1,4 @@
-"""The direct sum: ⟨|P|²⟩ in float64 from the height samples themselves, slow and certain.
+"""Direct sum of ⟨|P|²⟩ in float64 over the height samples: slow, without approximations.
 
 There is no expansion in κ, no FFT and no table: at every wavelength exp(2πiκh) is formed for all samples, and what is
 needed of its spectrum is an explicit sum over them: every coefficient within eight widths of the direction, or, for

@@ -1,4 +1,4 @@
-"""Energy: factors by which the orders of Stam's efficiencies send back what comes in, and stay reciprocal.
+"""Energy normalisation: reciprocal factors that make the sum of Stam's order efficiencies 1.
 
 With a perfect mirror, order m of light from ωi has the efficiency K = (1 + ωi·ωr)² |H|² / (cos θi cos θr w²), which is
 symmetric in light and view, but whose sum over orders, the directional albedo, is not 1: it exceeds 1 at grazing angles

@@ -1,4 +1,4 @@
-"""Fourier coefficients of exp(2πiκh) as a series in κ: what is computed once a height field, with NumPy alone.
+"""Fourier coefficients of exp(2πiκh) as a series in κ, computed once per height field with NumPy.
 
 H_rs(κ) = (1/N) Σ exp(2πiκh) exp(2πi(rx/Lx + sy/Ly)), which is ``numpy.fft.ifft2``. A series of the exponential in κ
 (``phase_series``; Single 2014, eq. 3.24) needs the transforms of polynomials of the heights only:

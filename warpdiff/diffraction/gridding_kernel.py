@@ -1,4 +1,4 @@
-"""The kernel that interpolates the spectrum of one copy of the patch between half orders (Kaiser and Bessel's window).
+"""Gridding kernel: Kaiser-Bessel interpolation of a patch's spectrum between half orders.
 
 The transform of a patch of length L is band-limited. Known at twice as many frequencies as it has samples, and with the
 samples divided by the kernel's transform beforehand, a sum over a few neighbours gives it anywhere (non-uniform FFT;

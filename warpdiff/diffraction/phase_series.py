@@ -1,4 +1,4 @@
-"""Series of exp(2πiκh) that separate κ from the heights: Taylor, as published and centred, and Jacobi-Anger.
+"""Series of exp(2πiκh) that separate κ from the heights: Taylor, centred Taylor and Jacobi-Anger.
 
 With g = (h − c)/a and x = 2πκa each is e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g): the polynomials p_n of the heights are
 transformed once, the basis b_n(x) is evaluated at each wavelength. What follows need not know which series it is.

@@ -1,4 +1,4 @@
-"""The cost model: multiply-adds of sampled wavelengths, of look-ups, and of making a table.
+"""Cost model: multiply-adds of sampled wavelengths, of look-ups and of making a table.
 
 What else they cost is counted in as many multiply-adds. ``Plan`` turns these into seconds.
 """

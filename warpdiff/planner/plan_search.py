@@ -1,4 +1,4 @@
-"""The cheapest numbers that keep a tolerance, found by trying them on some of a call's directions and judged on others.
+"""Plan search: the cheapest plan that meets a tolerance on a training set and on a validation set.
 
 Bounds hold for the worst surface and the worst direction, and ask for more work than most scenes need. A hundred of a
 call's own directions, computed a few dozen times over, tell how much that is, in the time of some ten thousand. Each

@@ -1,4 +1,4 @@
-"""Plans tried on a call's directions: what they make of pilots and of a jury, against what is true of these.
+"""Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
 A search may try what it likes on the pilots; the jury is not looked at before it judges what was found.
 """

@@ -1,4 +1,4 @@
-"""Which of a call's directions a plan is tried on: some that stand for the call, and all that may decide.
+"""Training and validation sets: samples of a call's directions, with edge cases.
 
 A uniform sample of a call misses what decides where little of it is bright. So geometry alone is looked at for
 thousands of directions; of these, a thousand are watched, uniform ones and all that are suspect (near the mirror

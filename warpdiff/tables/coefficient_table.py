@@ -1,4 +1,4 @@
-"""The coefficients of a height field on a device, as the spectral kernels read them; kept for the next call."""
+"""Fourier coefficients of a height field on a device, in the layout of the spectral kernels, with a cache."""
 
 from __future__ import annotations
 

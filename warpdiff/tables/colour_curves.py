@@ -1,4 +1,4 @@
-"""From rows of the power spectrum on spokes to colours: colour curves on splines, and the functions of w they share."""
+"""Colour curves: spline weights that turn rows of the power spectrum into colours, and shared functions of w."""
 
 from __future__ import annotations
 

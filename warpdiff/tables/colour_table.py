@@ -1,4 +1,4 @@
-"""Tables of colours in polar coordinates of (u, v), made or found again."""
+"""Colour tables in polar coordinates of (u, v): construction and cache."""
 
 from __future__ import annotations
 
@@ -256,9 +256,9 @@ def _source(
 def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
     """How much each term matters, relative to rows (my, mx, terms)."""
     flat = rows.reshape(-1, rows.shape[2])
-    some = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
-    norms = np.linalg.norm(some, axis=1, keepdims=True)
-    sizes = np.sqrt(np.mean((some / np.where(norms > 0.0, norms, 1.0)) ** 2, axis=0))
+    sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
+    norms = np.linalg.norm(sampled_rows, axis=1, keepdims=True)
+    sizes = np.sqrt(np.mean((sampled_rows / np.where(norms > 0.0, norms, 1.0)) ** 2, axis=0))
     return np.asarray(np.maximum(sizes, _LEAST_TERM_SIZE * sizes.max()))
 
 

@@ -1,4 +1,4 @@
-"""Taps of footprints: weights by which look-ups blur spokes and nodes of a colour table, and parts of footprints."""
+"""Weights of footprint look-ups: taps over azimuth samples and rings, and the parts of a long footprint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The spectrum of an endless surface, which is lines: one at the frequency of each coefficient."""
+"""Line spectrum of a periodic surface: one line at the frequency of each Fourier coefficient."""
 
 from __future__ import annotations
 

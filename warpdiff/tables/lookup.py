@@ -1,4 +1,4 @@
-"""Colours of deflections on a device, by the integration that a plan names."""
+"""Look-up of colours by scattering vector on a device, by the integration that a plan sets."""
 
 from __future__ import annotations
 

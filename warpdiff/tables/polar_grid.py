@@ -1,4 +1,4 @@
-"""Tables of colours in polar coordinates of (u, v): for what they serve, and where their nodes lie.
+"""Polar grid of colour tables: sizes, errors, and the layout of rings, azimuth samples and mip levels.
 
 The spectrum under a window, averaged or centred, is smooth: its Fourier transform is the surface's autocorrelation
 under exp(−r²/4σ²). A table that resolves it, in logarithmic polar coordinates, holds the integral over λ of any number

@@ -1,4 +1,4 @@
-"""Tables of what a surface sends from cells of (u, v): means over Gaussians that together are even, by w."""
+"""Tables for skies: mean colours over Gaussian cells of (u, v), by w, as a tree."""
 
 from __future__ import annotations
 
@@ -115,10 +115,10 @@ def _cell_colours(
     result = np.empty((len(illuminated), *scattering_vectors.shape, len(illuminated[0])), dtype=np.float32)
     for material, spectra in enumerate(illuminated):
         # Table by table, as not all of them may be kept.
-        for spectrum, each in enumerate(spectra):
+        for spectrum, light in enumerate(spectra):
             total_xyz, colours = (wp.zeros(count, dtype=wp.vec3f, device=device) for _ in lookups)
-            lookups[0].accumulate(vectors, to_lights, gains, each, total_xyz, footprints=spreads, among=range(len(ws)))
-            lookups[1].accumulate(vectors, to_lights, gains, each, colours, footprints=spreads)
+            lookups[0].accumulate(vectors, to_lights, gains, light, total_xyz, footprints=spreads, among=range(len(ws)))
+            lookups[1].accumulate(vectors, to_lights, gains, light, colours, footprints=spreads)
             cell_xyz = colours.numpy().reshape(scattering_vectors.shape)
             cell_xyz[0] = 2.0 * math.pi * _WIDE**2 * (total_xyz.numpy()[: len(ws)] - cell_xyz[0])
             result[material, ..., spectrum] = cell_xyz
@@ -188,7 +188,7 @@ def cells(most: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         spread = 0.5 * (low + high)
         fits = sum(_rings(math.exp(spread))[1]) <= most
         low, high = (low, spread) if fits else (spread, high)
-    radii, counts, distances = (np.array(each) for each in _rings(math.exp(high)))
+    radii, counts, distances = (np.array(array) for array in _rings(math.exp(high)))
     deviations = _WIDTH * distances
     nominal = 2.0 * math.pi * radii * distances / counts
     nominal[0] = math.pi * distances[0] ** 2 / 4.0
@@ -207,8 +207,8 @@ def cells(most: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         places.append(np.stack([radius * cosine, radius * sine, deviation * alike, areas[ring] * alike], axis=-1))
         footprints.append(deviation * np.stack([cosine, sine, -sine, cosine], axis=-1))
     result = np.concatenate(places).astype(np.float32), np.concatenate(footprints).astype(np.float32)
-    for each in result:
-        each.setflags(write=False)
+    for array in result:
+        array.setflags(write=False)
     return result
 
 
