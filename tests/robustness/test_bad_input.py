@@ -306,8 +306,8 @@ SINGLE = [
         TypeError,
         "lights must be a Directional.* or a non-empty sequence .* got None",
     ),
-    (lambda _: shade(light=(0, 0, 1)), TypeError, r"lights\[0\] must be a warpdiff.DirectionalLight, got int"),
-    (lambda _: shade(light=[LIGHT, UP]), TypeError, r"lights\[1\] must be a warpdiff.DirectionalLight, got list"),
+    (lambda _: shade(light=(0, 0, 1)), TypeError, r"lights\[0\] must be a warpdiff.Light, got int"),
+    (lambda _: shade(light=[LIGHT, UP]), TypeError, r"lights\[1\] must be a warpdiff.Light, got list"),
     (
         lambda _: shade(light=wd.DirectionalLight(UP, illuminant="D66")),
         ValueError,

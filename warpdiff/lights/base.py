@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 MOST_POWER = 1e12
 
 
+class Light:
+    """Base class of light sources; the file of each kind registers its function of :func:`lobes_of`."""
+
+
 @dataclass(frozen=True)
 class Lobe:
     """A part of a light: a Gaussian of directions, or one direction.

@@ -11,7 +11,7 @@ from annotated_types import Interval, Unit
 
 from warpdiff.core import validation
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Lobe, check_illuminant, lobes_of, orthonormal_pair
+from warpdiff.lights.base import MOST_POWER, Light, Lobe, check_illuminant, lobes_of, orthonormal_pair
 from warpdiff.lights.disc_lobes import lobes_of_disc
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 
 
 @dataclass(frozen=True)
-class DirectionalLight(Checked):
+class DirectionalLight(Checked, Light):
     """Light from infinitely far away, from a point or a disc in the sky.
 
     Attributes:

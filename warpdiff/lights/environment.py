@@ -16,9 +16,7 @@ from warpdiff.core.caching import LruCache
 from warpdiff.core.files import check_file
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.lights.base import MOST_POWER, Lobe, orthonormal_pair
-from warpdiff.lights.directional import DirectionalLight
-from warpdiff.lights.point import PointLight
+from warpdiff.lights.base import MOST_POWER, Light, Lobe, orthonormal_pair
 from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, linear, maps_of
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
@@ -42,7 +40,7 @@ _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Environment(Checked):
+class Environment(Checked, Light):
     """Light from all directions, given by a latitude-longitude image, +y up.
 
     The middle column points towards −z, and azimuth increases to the right, towards +x; row 0 is +y. A perfect mirror
@@ -186,9 +184,6 @@ def rotated(environment: Environment, rotation_deg: float, scale: float, directi
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _maps=environment._maps)
     return result
-
-
-Light = DirectionalLight | PointLight | Environment
 
 
 def lobes_of_sky(environment: Environment, sigma_um: float, tolerance: float) -> tuple[Lobe, ...]:

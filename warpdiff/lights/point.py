@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Interval, Unit
 
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Lobe, check_illuminant, lobes_of
+from warpdiff.lights.base import MOST_POWER, Light, Lobe, check_illuminant, lobes_of
 
 if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
 
 
 @dataclass(frozen=True)
-class PointLight(Checked):
+class PointLight(Checked, Light):
     """Light from a point in the scene, equal in all directions; it falls off with the square of the distance.
 
     Attributes:

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
-    from warpdiff.lights.base import Lobe
-    from warpdiff.lights.environment import Light
+    from warpdiff.lights.base import Light, Lobe
     from warpdiff.render.picture import Picture
     from warpdiff.request.keywords import PictureKeywords
     from warpdiff.scene.mesh_import import Surface

@@ -13,10 +13,8 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import lobes_of
-from warpdiff.lights.directional import DirectionalLight
-from warpdiff.lights.environment import Environment, Light, lobes_of_sky
-from warpdiff.lights.point import PointLight
+from warpdiff.lights.base import Light, Lobe, lobes_of
+from warpdiff.lights.environment import Environment, lobes_of_sky
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.strategy import directions_of, plan_for, warn_outside
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
-    from warpdiff.lights.base import Lobe
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.keywords import SinglePictureKeywords
@@ -284,8 +281,7 @@ def listed(lights: Any) -> list[Any]:
     if not isinstance(several, Sequence) or not several:
         raise ArgumentTypeError(
             f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of "
-            "them, "
-            f"got {lights!r}"
+            f"them, got {lights!r}"
         )
     return list(several)
 
@@ -304,8 +300,7 @@ def lobes_for(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) ->
                 )
             result += lobes_of_sky(light, coherence.sigma_um, tolerance)
             continue
-        if not isinstance(light, PointLight):
-            validation.instance(light, DirectionalLight, f"lights[{index}]")
+        validation.instance(light, Light, f"lights[{index}]")
         colorimetry.check_illuminant(light.illuminant, f"lights[{index}].illuminant")
         result += lobes_of(light, coherence.sigma_um, single_lobe=not refine)
     return result
