@@ -139,7 +139,7 @@ def test_reciprocity(rng):
 
 
 def test_orders_beyond_the_samples_are_told():
-    with pytest.warns(wd.WarpdiffWarning, match="orders up to 9 propagate along x, and 12 samples carry half as many"):
+    with pytest.warns(wd.WarpdiffWarning, match="orders up to 9 propagate along x, but 12 samples represent half as many"):
         wd.order_efficiencies(wd.gratings.sinusoidal(5.0, 0.1, samples=12), (0, 0, 1), 500.0)
 
 

@@ -60,7 +60,7 @@ def test_ranges(rough, rng):
 
 @pytest.mark.parametrize("below", [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
 def test_directions_below_the_horizon_ask_for_nothing(rough, below):
-    assert wd.plan(rough, [UP, below], UP) == wd.plan(rough, UP, UP)
+    assert vars(wd.plan(rough, [UP, below], UP)) == vars(wd.plan(rough, UP, UP))
     nothing = wd.plan(rough, below, UP)
     assert (nothing.max_uv, nothing.max_w) == (0.0, 0.0)
 
@@ -266,7 +266,7 @@ def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_th
             ) as refused:
                 call(heightfield, *given, method=method)
             assert call is wd.reflectance or how in str(refused.value)
-            with pytest.warns(wd.WarpdiffWarning, match="cannot reach tolerance=0.01"):
+            with pytest.warns(wd.WarpdiffWarning, match=r"cannot meet tolerance=0\.01"):
                 result = call(heightfield, *given, method=method, strict=False)
         assert np.all(np.isfinite(result))
         assert result.min() >= 0.0
@@ -301,7 +301,7 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
         "1/λ": lambda: wd.spectral_reflectance(rough, UP, UP, 200.0, plan=narrow),
     }
     for what, call in calls.items():
-        with pytest.warns(wd.WarpdiffWarning, match=f"beyond what it holds for: .*{what}"):
+        with pytest.warns(wd.WarpdiffWarning, match=f"beyond its valid range: .*{what}"):
             found = call()
         assert np.all(np.isfinite(found))
     with warnings.catch_warnings():
@@ -311,7 +311,7 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
 
 
 def test_windows_too_long_for_a_colour_are_refused(rough):
-    with pytest.raises(ValueError, match=r"sigma_um=20000 .* wavelengths"):
+    with pytest.raises(ValueError, match=r"sigma_um=20000\.0 .* wavelengths"):
         wd.plan(rough, coherence=wd.Coherence(sigma_um=2e4))
 
 
@@ -333,7 +333,7 @@ def test_a_coarse_pitch_is_said_to_alias(rough):
     with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
         wd.plan(coarse, method="direct")
     with pytest.warns(
-        wd.WarpdiffWarning, match="directions up to 1.5 are asked for: orders beyond repeat those within"
+        wd.WarpdiffWarning, match=r"directions reach 1\.5: higher orders alias onto lower ones"
     ):
         wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
