@@ -69,10 +69,9 @@ def sampled(
         luminance: How bright they are, about, shape (n,).
         floor: How bright a direction is that counts as bright.
     """
-    bright = np.where(luminance >= 0.5 * floor, candidates.weights, 0.0)
-    measure = candidates.weights / candidates.weights.sum() + _EDGE_CASE_SHARE * is_edge_case / max(
-        int(is_edge_case.sum()), 1
-    )
+    weights = candidates.weights
+    bright = np.where(luminance >= 0.5 * floor, weights, 0.0)
+    measure = weights / weights.sum() + _EDGE_CASE_SHARE * is_edge_case / max(int(is_edge_case.sum()), 1)
     measure = measure + _BRIGHT_SHARE * bright / max(float(bright.sum()), 1e-300)
     # In their order by brightness, every third may be a pilot, for either to have its share of what few there are.
     order = np.argsort(luminance, kind="stable")
@@ -81,9 +80,9 @@ def sampled(
     if len(order) <= _TRAINING + _VALIDATION:
         return _draw(candidates, order, measure, _TRAINING), candidates
     thirds = np.arange(len(order)) % 3
-    training_set, validation_set = order[thirds == 0], order[thirds > 0]
-    return _draw(candidates, training_set, measure, _TRAINING, 3.0), _draw(
-        candidates, validation_set, measure, _VALIDATION, 1.5
+    training, validation = order[thirds == 0], order[thirds > 0]
+    return _draw(candidates, training, measure, _TRAINING, 3.0), _draw(
+        candidates, validation, measure, _VALIDATION, 1.5
     )
 
 

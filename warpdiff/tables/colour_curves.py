@@ -138,7 +138,7 @@ def make_projection(
     return Projection(ws, w_basis.astype(np.float32), weights.astype(np.float32), octaves)
 
 
-def _curve_part(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     """The part of a material's reflectance that colour curves hold, a function of the wavelength alone."""
     # What reflects nothing, as air does, is black by its ratio to any colour.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
@@ -207,7 +207,7 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
-        return np.asarray(reflectance_at(material, wavelengths_nm, roots) / _curve_part(material, wavelengths_nm))
+        return np.asarray(reflectance_at(material, wavelengths_nm, roots) / _on_curve(material, wavelengths_nm))
 
     count = _FEWEST_ROOTS
     result = at_roots(count)
@@ -220,34 +220,30 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
 
 @functools.lru_cache(maxsize=64)
-def colour_weights(
-    rings_per_octave: int, illuminated: IlluminatedMaterial, *, lines: bool = False
-) -> NDArray[np.float64]:
+def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
     """Projections of colour curves on the splines of so many nodes an octave.
 
     Args:
-        rings_per_octave: Rings per octave.
+        rings: Rings per octave of the table.
         illuminated: The illuminant, and the material whose reflectance at a middle angle the curves hold.
         lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
 
     Returns:
-        Shape (ring_count(rings_per_octave), 3); times the spectrum's values from the ring before the red end on they
+        Shape (ring_count(rings), 3); times the spectrum's values from the ring before the red end on they
         add up to XYZ.
     """
     products = colour_products(illuminated)
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
-    result = _projected(products, rings_per_octave)
+    result = _projected(products, rings)
     # A spectrum without features keeps its colour to rounding.
-    return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings_per_octave * result.sum(axis=0)))
+    return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
 def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
     """S·x̄ȳz̄ at 1 nm, times what colour curves hold of a material's reflectance, shape (401, 3)."""
     products = colorimetry.colour_products(illuminated.illuminant)
-    return (
-        products if illuminated.material is None else products * _curve_part(illuminated.material, VISIBLE_NM)[:, None]
-    )
+    return products if illuminated.material is None else products * _on_curve(illuminated.material, VISIBLE_NM)[:, None]
 
 
 def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: float) -> NDArray[np.float64]:

@@ -329,6 +329,7 @@ def _filler(
 ) -> Callable[[int, int, Any], None]:
     """What puts the sharp colours of an octave on its spokes."""
     layout, count, terms = source.layout, projection.w_basis.shape[1], len(source.terms.sizes)
+    rings = layout.rings_per_octave
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
     curves = wp.array(projection.weights, dtype=wp.vec3f, device=device)
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
@@ -343,55 +344,42 @@ def _filler(
             matrices_on_device[key] = wp.array(flat, dtype=projector.w_basis, device=device)
         return matrices_on_device[key]
 
-    def project_lines(octave: int, matrices: wp.array, azimuth_rows: wp.array) -> None:
-        begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / layout.rings_per_octave) * math.log(2.0)
-        row_count = layout.rings_per_octave + before + 2 * colour_lookup.FILTER_REACH
+    def project_lines(octave: int, matrices: wp.array, rows: wp.array) -> None:
+        begin = layout.log_low + (octave - (colour_lookup.FILTER_REACH + 1) / rings) * math.log(2.0)
+        row_count = rings + before + 2 * colour_lookup.FILTER_REACH
         values = line_spectrum.gathered(
             spectrum_rows, source.base.arguments.rows, source.sampler, log_begin=begin,
-            per_log=layout.rings_per_octave / math.log(2.0),
+            per_log=rings / math.log(2.0),
             rings=row_count, azimuths=layout.azimuths[0][octave], blur=layout.blurs[octave], **options,
         )  # fmt: skip
-        inputs = [values, matrices, curves, terms, layout.rings_per_octave, row_count]
-        launch(
-            projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [azimuth_rows], **options
-        )
+        inputs = [values, matrices, curves, terms, rings, row_count]
+        launch(projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [rows], **options)
 
     # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
-    length = layout.rings_per_octave + before + colour_lookup.FILTER_REACH
+    length = rings + before + colour_lookup.FILTER_REACH
     sequence, starts, azimuths = None, None, None
     if not source.is_line_spectrum:
         sequence = wp.empty(layout.azimuths[0][-1] * length, dtype=spectrum_rows.dtype, device=device)
         starts = wp.array(layout.starts[:-1], dtype=wp.int32, device=device)
         azimuths = wp.array(layout.spectrum_azimuths, dtype=wp.int32, device=device)
 
-    def project(octave: int, matrices: wp.array, azimuth_rows: wp.array) -> None:
-        inputs = [
-            spectrum_rows,
-            starts,
-            azimuths,
-            matrices,
-            curves,
-            terms,
-            layout.rings_per_octave,
-            octave,
-            length,
-            sequence,
-        ]
+    def project(octave: int, matrices: wp.array, rows: wp.array) -> None:
+        inputs = [spectrum_rows, starts, azimuths, matrices, curves, terms, rings, octave, length, sequence]
         groups = layout.azimuths[0][octave] // projector.abreast
-        launch(projector.project, groups, inputs, [azimuth_rows], in_runs=True, **options)
+        launch(projector.project, groups, inputs, [rows], in_runs=True, **options)
 
-    def fill(_level: int, octave: int, azimuth_rows: wp.array) -> None:
+    def fill(_level: int, octave: int, rows: wp.array) -> None:
         terms_of_octave = projection.octaves[octave]
         project_octave = project_lines if source.is_line_spectrum else project
         if terms_of_octave[0].factors is None:
-            project_octave(octave, matrices_of(terms_of_octave[0]), azimuth_rows)
+            project_octave(octave, matrices_of(terms_of_octave[0]), rows)
             return
-        values = wp.empty(layout.azimuths[0][octave] * layout.rings_per_octave, dtype=projector.row, device=device)
+        values = wp.empty(layout.azimuths[0][octave] * rings, dtype=projector.row, device=device)
         for index, product in enumerate(terms_of_octave):
             project_octave(octave, matrices_of(product), values)
             factors = wp.array(product.factors, dtype=wp.float32, device=device)
             inputs = [values, factors, index == 0]
-            launch(spectrum_sampling.adder(count), layout.azimuths[0][octave], inputs, [azimuth_rows], **options)
+            launch(spectrum_sampling.adder(count), layout.azimuths[0][octave], inputs, [rows], **options)
 
     return fill
 
@@ -410,9 +398,9 @@ def _blurred(
     table = _copied(level0, target, excluding="first_rows azimuths blurs")
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
 
-    def fill(level: int, octave: int, azimuth_rows: Any) -> None:
+    def fill(level: int, octave: int, rows: Any) -> None:
         inputs = [table, layout.source(level, octave), level, octave]
-        launch(target.blur, layout.azimuths[level][octave], inputs, [azimuth_rows], in_runs=True, **options)
+        launch(target.blur, layout.azimuths[level][octave], inputs, [rows], in_runs=True, **options)
 
     _fill(table, target, layout, 1, fill, device=device, threads=threads)
     return target.integrate, table, _megabytes(layout, count)
@@ -449,11 +437,11 @@ def _fill(
         layout.first_rows[:-1].reshape(np.shape(layout.azimuths)), dtype=wp.int32, device=device
     )
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _ROWS_OF_SLICE}
-    azimuth_rows = wp.empty(max(layout.azimuths[0]) * layout.rings_per_octave, dtype=target.row, device=device)
+    rows = wp.empty(max(layout.azimuths[0]) * layout.rings_per_octave, dtype=target.row, device=device)
     for level in range(first_level, len(layout.azimuths)):
         for octave, azimuths in enumerate(layout.azimuths[level]):
-            fill(level, octave, azimuth_rows)
-            inputs = [azimuth_rows, table, level, octave]
+            fill(level, octave, rows)
+            inputs = [rows, table, level, octave]
             repeated = azimuths + 2 * colour_lookup.HALF_TAPS
             launch(target.interpolate, repeated, inputs, [table.rows], in_runs=True, **options)
 
