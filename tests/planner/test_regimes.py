@@ -110,15 +110,15 @@ def test_other_choices_break_over_patches():
 # |(u, v)|: wavelengths are too few far from the mirror direction, one point an order is too few close to it.
 
 
-@pytest.mark.parametrize("order_rate", [0.003, 0.1, 0.7, 1.98])
-def test_automatic_choice_over_deflections(order_rate):
+@pytest.mark.parametrize("uv", [0.003, 0.1, 0.7, 1.98])
+def test_automatic_choice_over_scattering_vectors(uv):
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=4)
-    case = Case(heightfield, methods.with_lateral(64, order_rate, seed=1))
+    case = Case(heightfield, methods.with_lateral(64, uv, seed=1))
     assert case.automatic <= TOLERANCE
     order_wise = case.error_of(methods.order_wise_colour(heightfield, case.lights, case.views, sigma=16.25))
-    if order_rate <= 0.1:
+    if uv <= 0.1:
         assert order_wise > 0.3
-    if order_rate >= 1.4:
+    if uv >= 1.4:
         assert order_wise < 3.0 * TOLERANCE
         assert case.fixed_steps(5.0) > 0.1
 
