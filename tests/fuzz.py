@@ -1,4 +1,4 @@
-"""Values that nobody means, by the kind of parameter that gets them."""
+"""Fuzzed arguments: strategies made from the descriptions of options, and values of the library's own classes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,21 @@ import decimal
 import fractions
 import functools
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 from hypothesis import strategies as st
 
 import warpdiff as wd
+from warpdiff.core.options import SPELLINGS, describe
+from warpdiff.request.settings import SinglePictureSettings
+
+if TYPE_CHECKING:
+    from warpdiff.core.options import Option
 
 UP = (0.0, 0.0, 1.0)
-HF = wd.gratings.sinusoidal(1.0, 0.1)
+HEIGHTFIELD = wd.gratings.sinusoidal(1.0, 0.1)
 LIGHT = wd.DirectionalLight((0.1, 0.2, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
@@ -24,24 +30,29 @@ SHORT = wd.Coherence(sigma_um=3.0)
 HUGE, TINY = 1e300, 1e-300
 
 
-# What takes kernels is made where a test asks for it: each process that runs tests imports this file.
+# Objects that require kernels are made where a test uses them: each process that runs tests imports this file.
 @functools.cache
 def plan() -> wd.Plan:
-    return wd.plan(HF, coherence=SHORT, tolerance=0.1)
+    return wd.plan(HEIGHTFIELD, coherence=SHORT, tolerance=0.1)
 
 
 @functools.cache
 def picture() -> wd.Image:
-    return wd.reflectance_map(HF, UP, size=4, plan=plan())
+    return wd.reflectance_map(HEIGHTFIELD, UP, size=4, plan=plan())
 
 
 @functools.cache
 def lobes() -> wd.BakedLobes:
-    return wd.bake(HF, coherence=wd.Coherence(sigma_um=1.0), tolerance=10.0)
+    return wd.bake(HEIGHTFIELD, coherence=wd.Coherence(sigma_um=1.0), delta_e=10.0)
 
 
-# No parameter takes all of these, and most take none.
-ANYTHING = [
+@functools.cache
+def renderer() -> wd.Renderer:
+    return wd.Renderer(MESH, HEIGHTFIELD, LIGHT, VIEW, plan=plan())
+
+
+# No argument accepts all of these, and most accept none.
+_ANYTHING = [
     *(None, ..., "", "bad", "a\0b", "\ud800", b"bytes", True, False, object(), object, len),
     *([], (), {}, set(), [[]], [None], ["x"], [[1, 2], [3]], {"a": 1}, range(3), iter([1.0]), slice(2)),
     *(0, -1, 1, 3, 10**9, 2**31, 2**63, 10**400, -(10**400)),
@@ -55,71 +66,53 @@ ANYTHING = [
 ]
 _POWERS_OF_TEN = st.integers(-320, 308).map(lambda k: float(f"1e{k}"))
 _NUMBERS = st.one_of(st.floats(), _POWERS_OF_TEN, st.integers(-(10**30), 10**30), st.floats(0.0, 10.0))
-_COUNTS = st.one_of(st.integers(-3, 40), st.integers(0, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
-# What is more is refused, and what is less is soon made.
-_SEGMENTS = st.one_of(st.integers(-3, 9), st.integers(17, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
-_ROWS = st.lists(st.lists(_NUMBERS, min_size=0, max_size=4), min_size=0, max_size=4)
+# Small counts are computed soon, and large ones are refused.
+_COUNTS = st.one_of(st.integers(-3, 9), st.integers(17, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
+_ROWS = st.lists(st.lists(_NUMBERS, max_size=4), max_size=4)
 _VECTORS = st.one_of(st.lists(_NUMBERS, min_size=3, max_size=3), st.lists(_NUMBERS, max_size=4), _ROWS)
-_FLAGS = st.sampled_from([0, 1, "yes", "no", np.bool_(0)])
-_METHODS = [
-    f"{expansion}{integration}"
-    for expansion in ("auto", "low-rank", "power", "taylor", "taylor-uncentred", "jacobi-anger", "direct", "x")
-    for integration in ("", "/sampled", "/order-wise", "/table", "/")
-]
-_NAMES = st.one_of(
-    st.text(max_size=8),
-    st.sampled_from(
-        [
-            "AVERAGED",
-            "auto",
-            "averaged",
-            "centred",
-            "source",
-            "replicas",
-            "A",
-            "FL11",
-            "D66",
-            "CD",
-            "x",
-            "aces",
-            "clip",
-            "colorimetric",
-            "display-p3",
-        ]
-    ),
-)
+_TEXTS = st.one_of(st.text(max_size=8), st.sampled_from(["auto", "averaged", "D65", "FL11", "cpu", "cuda:9", "Au"]))
 _PATHS = st.sampled_from(
     [
         *("", ".", "/", "..", "a\0b.png", "\ud800.png", "no/such/a.png", "x" * 5000 + ".png", "a.jpg", ".png", "-"),
         *("/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "/dev/full/a.png", "https://127.0.0.1:9/a.png"),
+        *("new/one", "a.npy"),
     ]
+)
+_HEIGHTS = st.one_of(
+    _ROWS,
+    st.tuples(st.sampled_from([TINY, 1.0, 1e150, HUGE]), st.sampled_from([(1, 1), (1, 9), (7, 5), (0, 3)])).map(
+        lambda drawn: drawn[0] * np.arange(math.prod(drawn[1]), dtype=float).reshape(drawn[1])
+    ),
 )
 
 
-def _surfaces():
+def _heightfields():
     """Height fields that are legal."""
     with np.errstate(all="ignore"):
         waves = np.sin(np.arange(12.0))[None, :] + np.cos(np.arange(9.0))[:, None]
-        of = wd.HeightField.of_known_scale
-        yield of([[0.0]], 1.0)
-        yield of([[math.nan, 1.0]], 1.0)
+        make = wd.HeightField.of_known_scale
+        yield make([[0.0]], 1.0)
+        yield make([[math.nan, 1.0]], 1.0)
         for scale in (TINY, 1e-20, 1e-3, 100.0, 1e14):
-            yield of(scale * waves, 0.05)
+            yield make(scale * waves, 0.05)
         for pitch in (1e-15, 1e-4, 50.0, 1e15, (1e-15, 1e15)):
-            yield of(0.05 * waves, pitch)
-        yield of(0.05 * waves + 1e9, 0.05)
-        yield of(np.where(waves > 1.0, math.nan, 0.05 * waves), 0.05)
+            yield make(0.05 * waves, pitch)
+        yield make(0.05 * waves + 1e9, 0.05)
+        yield make(np.where(waves > 1.0, math.nan, 0.05 * waves), 0.05)
+
+
+def _variants(base, **values):
+    """An object with one field changed, for each value of each field."""
+    for name, alternatives in values.items():
+        for value in alternatives:
+            yield dataclasses.replace(base, **{name: value})
 
 
 def _lights():
-    for power in (0.0, 5e-324, TINY, 1e-30, 1e12):
-        yield dataclasses.replace(LIGHT, power=power)
-    for to_light in ((0, 0, -1), (1, 0, 0), (HUGE, 0, 1), (TINY, 0, TINY)):
-        yield wd.DirectionalLight(to_light)
-    yield dataclasses.replace(LIGHT, illuminant="nothing")
-    yield dataclasses.replace(LIGHT, illuminant=wd.Spectrum([380.0, 780.0], [TINY, 1.0]))
-    for diameter in (1e-15, 1e-3, 5.0, 60.0):
-        yield dataclasses.replace(LIGHT, angular_diameter_deg=diameter)
+    yield from _variants(
+        LIGHT, power=(0.0, 5e-324, TINY, 1e-30, 1e12), to_light=((0, 0, -1), (1, 0, 0), (HUGE, 0, 1), (TINY, 0, TINY)),
+        illuminant=("nothing", wd.Spectrum([380.0, 780.0], [TINY, 1.0])), angular_diameter_deg=(1e-15, 1e-3, 5.0, 60.0),
+    )  # fmt: skip
     yield wd.Environment([[[0.0, 1.0, TINY]] * 2, [[-1.0, 0.0, 1e9]] * 2], directions=16)
     for position in ((0, 0, 0), (HUGE, 0, 0), (0, TINY, -TINY), (0.1, 0, 0.5), (1e15, -1e15, 1e15)):
         with contextlib.suppress(ValueError):
@@ -129,18 +122,16 @@ def _lights():
 
 
 def _views():
-    for scale in (TINY, 1e-30, 1e-3, 1e3, 1e14):
-        yield dataclasses.replace(VIEW, eye=(0.0, scale, 5.0 * scale))
-    for fov in (1e-15, 1e-9, 179.999999):
-        yield dataclasses.replace(VIEW, fov_y_deg=fov)
-    for extent in (1e-15, 1e-9, 1e15):
-        yield dataclasses.replace(VIEW, extent_y=extent)
+    yield from _variants(
+        VIEW, eye=[(0.0, scale, 5.0 * scale) for scale in (TINY, 1e-30, 1e-3, 1e3, 1e14)],
+        fov_y_deg=(1e-15, 1e-9, 179.999999), extent_y=(1e-15, 1e-9, 1e15),
+    )  # fmt: skip
     yield dataclasses.replace(VIEW, eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0))
     yield dataclasses.replace(VIEW, width=46340, height=46340)
 
 
 def _shots():
-    for view in (dataclasses.replace(VIEW, width=5), dataclasses.replace(VIEW, eye=(0.0, 0.0, 1e14))):
+    for view in (VIEW, dataclasses.replace(VIEW, width=5), dataclasses.replace(VIEW, eye=(0.0, 0.0, 1e14))):
         yield wd.Shot((LIGHT,), view)
     yield wd.Shot((LIGHT,) * 3, VIEW)
     yield wd.Shot((dataclasses.replace(LIGHT, power=0.0),), VIEW)
@@ -158,41 +149,34 @@ def _coherences():
     yield wd.Coherence("replicas", periods=(100, 100))
 
 
-def hostile_meshes():
-    """Bodies without an area, of any size, with indices and texture coordinates beyond what is."""
+def malformed_meshes():
+    """Meshes without an area, of any size, with indices and texture coordinates out of range."""
     triangle, face = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), [[0, 1, 2]]
     for scale in (5e-324, TINY, 1e-30, 1e30, HUGE, math.nan):
         with np.errstate(all="ignore"):
-            yield _painted(scale * triangle, face)
-    yield _painted(np.zeros((3, 3)), face)
-    yield _painted(triangle, [[0, 0, 0]])
-    yield _painted(triangle, [[0, 1, 9]])
-    yield _painted(triangle, [[0, -1, 2]])
+            yield _textured(scale * triangle, face)
+    yield _textured(np.zeros((3, 3)), face)
+    for faces in ([[0, 0, 0]], [[0, 1, 9]], [[0, -1, 2]]):
+        yield _textured(triangle, faces)
     for uv in (0.0, math.nan, HUGE, TINY):
-        yield _painted(triangle, face, uv * triangle[:, :2])
+        yield _textured(triangle, face, uv * triangle[:, :2])
     yield trimesh.Trimesh(triangle, face, process=False)
     yield trimesh.Trimesh()
     yield trimesh.Scene()
     yield trimesh.PointCloud(triangle)
 
 
-def _painted(vertices, faces, uv=None):
-    visual = trimesh.visual.TextureVisuals(uv=np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) if uv is None else uv)
+def _textured(vertices, faces, uv=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))):
+    visual = trimesh.visual.TextureVisuals(uv=np.array(uv))
     return trimesh.Trimesh(vertices, faces, visual=visual, process=False)
 
 
 def _plans():
-    for name, values in {
-        "terms": (1, 128),
-        "wavelengths": (0, 2, 3, 65_536),
-        "least_weight": (5e-324, TINY, 0.999999),
-        "bandwidth_um": ((0.0, 0.0, TINY), (1e15,) * 3),
-        "max_uv": (0.0, 2.0),
-        "height_range_um": (0.0, 1e15),
-        "coherence": (wd.Coherence("centred"),),
-    }.items():
-        for value in values:
-            yield dataclasses.replace(plan(), **{name: value})
+    return _variants(
+        plan(), terms=(1, 128), wavelengths=(0, 2, 3, 65_536), least_weight=(5e-324, TINY, 0.999999),
+        bandwidth_um=((0.0, 0.0, TINY), (1e15,) * 3), max_uv=(0.0, 2.0), height_range_um=(0.0, 1e15),
+        coherence=[wd.Coherence("centred")],
+    )  # fmt: skip
 
 
 def _materials():
@@ -205,96 +189,74 @@ def _materials():
     yield {"body": wd.Material.metal("Al")}
 
 
-_HEIGHTS = st.one_of(
-    _ROWS,
-    st.tuples(st.sampled_from([TINY, 1.0, 1e150, HUGE]), st.sampled_from([(1, 1), (1, 9), (7, 5), (0, 3)])).map(
-        lambda each: each[0] * np.arange(math.prod(each[1]), dtype=float).reshape(each[1])
-    ),
-)
-_KINDS = {
-    "number": _NUMBERS,
-    "count": _COUNTS,
-    "segments": _SEGMENTS,
-    "vector": _VECTORS,
-    "flag": _FLAGS,
-    "name": _NAMES,
-    "path": _PATHS,
-    "method": st.sampled_from(_METHODS),
-    "layers": st.lists(st.sampled_from(["normal", "depth", "geometry", "x", 1, None]), max_size=3),
-    "heights": _HEIGHTS,
-    "surface": st.sampled_from(list(_surfaces())),
-    "light": st.sampled_from(list(_lights())),
-    "view": st.sampled_from(list(_views())),
-    "coherence": st.sampled_from(list(_coherences())),
-    "mesh": st.sampled_from(list(hostile_meshes())),
-    "plan": st.deferred(lambda: st.sampled_from(list(_plans()))),
-    "callback": st.just("bad"),
-    "callbacks": st.sampled_from([{1e-3: print}, {0.5: None}, {math.nan: print}, {HUGE: print}, {"x": print}, {}]),
-    "shots": st.lists(st.sampled_from([wd.Shot((LIGHT,), VIEW), *_shots()]), max_size=3),
-    "formats": st.lists(st.sampled_from([".png", ".exr", ".jpg", "png", 1, None]), max_size=3),
-    "folder": st.sampled_from(["", ".", "new/one", "a.npy", "a\0b", "\ud800", "x" * 5000, "/dev/null", "/dev/full/a"]),
-    "material": st.sampled_from(list(_materials())),
-    "picture": st.deferred(lambda: st.just(picture())),
-    "lobes": st.deferred(lambda: st.just(lobes())),
-    "rays": st.one_of(st.floats(max_value=3.0), st.sampled_from([math.nan, HUGE, 10**30])),
-}
-# Every parameter of whatever is public; of a pair of them, either.
-KIND_OF = {
-    "heightfield": "surface", "mesh": "mesh", "light": "light", "view": "view", "coherence": "coherence", "plan": "plan",
-    "heights_um": "heights", "tangents": "vector", "layers": "layers", "path": "path", "method": "method",
-    "previews": "callbacks",
-    "progress": "callback", "client": "callback", "exposure_from": "picture", "renderer": "picture", "shots": "shots",
-    "formats": "formats", "folder": "folder", "animation": "path", "background": "vector", "azimuths_per_width": "rays",
-    **dict.fromkeys(["material", "film"], "material"),
-    **dict.fromkeys(["n", "k", "values", "radiance_rgb"], "vector"),
-    **dict.fromkeys(["symbol", "source", "polarisation", "energy"], "name"),
-    **dict.fromkeys(["to_light", "to_view", "wavelengths_nm", "eye", "target", "up", "centre_um", "periods"], "vector"),
-    **dict.fromkeys(["bandwidth_um", "errors", "offset_um", "spacing_um", "position"], "vector"),
-    **dict.fromkeys(["masking", "strict", "shadows", "smooth", "footprint", "refine", "adaptive", "is_measured"], "flag"),
-    **dict.fromkeys(["exact", "overwrite", "lights_follow", "zeroth_order"], "flag"),
-    "lobes": "lobes", "scattering_vectors": "vector",
-    **dict.fromkeys(["name", "title"], "name"),
-    **dict.fromkeys(["illuminant", "device", "kind", "tangent", "display", "gamut", "axis"], "name"),
-    **dict.fromkeys(["threads", "size", "samples", "tracks", "seed", "order", "count"], "count"),
-    **dict.fromkeys(["bits", "width", "height", "light_sample_count", "quarter_turns"], "count"),
-    **dict.fromkeys(["terms", "wavelengths", "subdivisions", "nodes", "functions", "validation_size", "directions"], "count"),
-    **dict.fromkeys(["segments", "rings", "segments_along", "segments_around", "scale_rows", "ventrals"], "segments"),
-    "samples_per_pixel": "segments",
-}  # fmt: skip
-_IS_NUMBER = ("_um", "_deg", "_nm", "_y", "_uv", "_w", "_lateral", "_weight", "_error", "_adds", "radius", "length")
-_NUMBER_NAMES = {
-    "tolerance",
-    "ior",
-    "pigment",
-    "power",
-    "exposure",
-    "duty",
-    "waves",
-    "threshold",
-    "split",
-    "unconverged_share",
-}
-_NUMBER_NAMES |= {"exposure_stops", "truncation", "neighbourhood", "quadrature", "rounding", "aliasing"}
-_NUMBER_NAMES |= {"temperature_k", "scale", "unconverged_edge_share", "energy_spread"}
-_NUMBER_NAMES |= {"turns", "frames_per_second", "radiance"}
+def _one_of(make):
+    return st.deferred(lambda: st.sampled_from(list(make())))
 
 
-@functools.cache
-def strategy(name: str) -> st.SearchStrategy:
-    """What a parameter of a public callable is tried with.
+# Of arguments that are objects, by name.
+OBJECTS = {
+    "heightfield": _one_of(_heightfields),
+    "mesh": _one_of(malformed_meshes),
+    "view": _one_of(_views),
+    "coherence": _one_of(_coherences),
+    "plan": _one_of(_plans),
+    "shots": st.lists(_one_of(_shots), max_size=3),
+    "lobes": _one_of(lambda: [lobes()]),
+    "illuminant": _TEXTS,
+    "heights_um": _HEIGHTS,
+    "pitch_um": st.one_of(_NUMBERS, _VECTORS),
+    "progress": st.just("bad"),
+    "client": st.just("bad"),
+    "previews": st.sampled_from([{1e-3: print}, {0.5: None}, {math.nan: print}, {HUGE: print}, {"x": print}, {}]),
+    **dict.fromkeys(("light", "lights"), _one_of(_lights)),
+    **dict.fromkeys(("exposure_from", "renderer"), _one_of(lambda: [picture(), renderer()])),
+    **dict.fromkeys(("material", "film"), _one_of(_materials)),
+    **dict.fromkeys(("path", "folder", "animation"), _PATHS),
+    **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
+    **dict.fromkeys(("eye", "target", "up", "direction", "tangents", "background"), _VECTORS),
+    **dict.fromkeys(("n", "k", "values", "radiance_rgb"), _VECTORS),
+}
+_SETTINGS = describe(SinglePictureSettings)
+
+
+def options_of(function) -> list[Option]:
+    """Options of a public callable, its settings among them."""
+    return [
+        _SETTINGS.get(name, option) if option.kind == "object" else option
+        for name, option in describe(function).items()
+    ]
+
+
+def strategy(option: Option) -> st.SearchStrategy:
+    """Values that an option of a public callable is tried with.
 
     Raises:
-        KeyError: There is no such parameter yet: say above of what kind it is.
+        KeyError: There is no object of this name in ``OBJECTS`` yet.
     """
-    # What a callback of the caller's own raises is the caller's.
-    anything = [each for each in ANYTHING if name != "progress" or not callable(each)]
-    return st.one_of(st.sampled_from(anything), legal_kind(name), legal_kind(name))
+    # An error of the caller's own callback is no refusal.
+    anything = [value for value in _ANYTHING if option.name != "progress" or not callable(value)]
+    return st.one_of(st.sampled_from(anything), *[_of_its_kind(option)] * 2)
 
 
-@functools.cache
-def legal_kind(name: str) -> st.SearchStrategy:
-    """Values of a parameter's own kind, extreme ones among them."""
-    kind = KIND_OF.get(name) or ("number" if name in _NUMBER_NAMES or name.endswith(_IS_NUMBER) else None)
-    if kind is None:
-        raise KeyError(name)
-    return _KINDS[kind]
+def _of_its_kind(option: Option) -> st.SearchStrategy:
+    """Values of an option's own kind, extreme ones among them, and those at its limits."""
+    simple = {
+        "flag": st.sampled_from([0, 1, "yes", "no", np.bool_(0), True, False]),
+        "choice": st.sampled_from([*option.choices, *SPELLINGS, "x"]),
+        "choices": st.lists(st.sampled_from([*option.choices, "x", 1, None]), max_size=3),
+        "text": _TEXTS,
+    }
+    if option.kind == "object":
+        return OBJECTS[option.name]
+    if option.kind in simple:
+        return simple[option.kind]
+    one = _COUNTS if option.kind.startswith("integer") else _NUMBERS
+    # Counts at their upper limit are computed, but not soon.
+    steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is _COUNTS else (0, 1)}
+    limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
+    one = st.one_of(one, st.sampled_from(limits)) if limits else one
+    if option.kind in ("integer", "number"):
+        return one
+    length = option.length or 2
+    pairs = st.one_of(st.lists(one, min_size=length, max_size=length), st.lists(one, max_size=4))
+    return st.one_of(one, pairs) if option.kind == "pair" else pairs

@@ -1,4 +1,4 @@
-"""The command line with evil arguments: the exit codes that are documented, one line of what is wrong, no traceback."""
+"""Fuzzed arguments of the command line: documented exit codes, one line that says what is wrong, no traceback."""
 
 from __future__ import annotations
 
@@ -16,61 +16,65 @@ import warpdiff as wd
 from warpdiff.apps import cli
 from warpdiff.core import memory
 
-SMALL = ["--tolerance", "0.1", "--sigma-um", "3"]
-# Beside each, what makes it quick.
+SMALL = ["--heightfield", "blazed", "--tolerance", "0.1", "--sigma-um", "3"]
+FRAME = ["disc.ply", *SMALL, "--width", "4", "--height", "3"]
+# Arguments that make each command quick.
 COMMANDS = {
-    "render": ["disc.ply", "blazed", *SMALL, "--width", "4", "--height", "3", "-o", "a.png"],
-    "brdf": ["blazed", *SMALL, "--size", "4", "-o", "a.png"],
-    "sequence": ["disc.ply", "blazed", *SMALL, "--width", "4", "--height", "3", "--count", "2", "-o", "frames"],
-    "info": ["blazed", "--tolerance", "0.1"],
+    "render": [*FRAME, "-o", "a.png"],
+    "brdf": [*SMALL, "--size", "4", "-o", "a.png"],
+    "sequence": [*FRAME, "--count", "2", "-o", "frames"],
+    "info": ["--heightfield", "blazed", "--tolerance", "0.1"],
     "cache": [],
 }
 VALUES = [
     *("", "x", "nan", "inf", "-inf", "-1", "0", "-0", "1e300", "1e-300", "5e-324", "9" * 400, "1e15", "1e-15", "0x10"),
     *("1,5", "٣", "½", "\udcff", "--", "-", "1", "3", "1000000000", "0.1", "sinusoidal", "a.npy", "gaps.npy", "no.png"),
     *("/dev/null", "no/such/b.png", ".", "b.exr", "b.jpg", "disc.ply", "centred", "source", "replicas", "FL11"),
-    *("taylor", "direct", "low-rank/table", "cuda", "a" * 5000),
+    *("taylor", "direct", "table", "normalized", "cuda", "a" * 5000, "3000K", "directional:to_light=0x0x0"),
+    *("point:position=0x1x2", "point:power=x", "fingers:size_um=3", "snake:segments=1e9", "sinusoidal:x"),
 ]
 
 
 def actions(command):
-    """What a command takes, but for what ends it at once or asks for tracebacks."""
-    subparsers = next(each for each in cli._parser()._actions if isinstance(each, argparse._SubParsersAction))
-    return [each for each in subparsers.choices[command]._actions if each.dest not in ("help", "debug")]
+    """Arguments of a command, except those that end it at once or print tracebacks."""
+    parser = cli._parser([command])
+    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return [action for action in commands.choices[command]._actions if action.dest not in ("help", "debug")]
 
 
 def written(action, draw):
-    """An option with evil values."""
+    """An option with fuzzed values."""
     count = 0 if action.nargs == 0 else action.nargs if isinstance(action.nargs, int) else 1
     return [*action.option_strings[:1], *(draw(st.sampled_from(VALUES)) for _ in range(count))]
 
 
 @pytest.mark.permanent("arguments of the command line", shares=3)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_evil_arguments_end_as_documented(command, tries, tmp_path, monkeypatch, capfd):
+def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
-    # So that what asks for too much is refused wherever the tests run.
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
+    # Large requests are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    # Of a window that takes seconds less to plan for.
+    # A short window takes seconds less to plan for.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")
     waves = 0.05 * np.sin(np.arange(12.0))[None, :] + np.zeros((9, 1))
     np.save("a.npy", waves)
     np.save("gaps.npy", np.where(waves > 0.04, np.nan, waves))
-    taken = actions(command)
 
-    one_or_two = st.lists(st.sampled_from(taken), min_size=1, max_size=2, unique_by=lambda each: each.dest)
+    one_or_two = st.lists(
+        st.sampled_from(actions(command)), min_size=1, max_size=2, unique_by=lambda action: action.dest
+    )
 
-    def end(fuzz):
+    def end(fuzzed):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
-                code = cli.main([command, *COMMANDS[command], *fuzz])
+                code = cli.main([command, *COMMANDS[command], *fuzzed])
         except SystemExit as stopped:
             code = stopped.code
         error = capfd.readouterr().err
-        assert code in (0, 2) or (code == 1 and "MemoryError" in error), (code, fuzz, error)
+        assert code in (0, 2) or (code == 1 and "MemoryError" in error), (code, fuzzed, error)
         assert "Traceback" not in error
         assert code == 0 or "warpdiff" in error.splitlines()[-1]
 
@@ -78,10 +82,10 @@ def test_evil_arguments_end_as_documented(command, tries, tmp_path, monkeypatch,
     @given(st.data())
     def attempt(data):
         for _ in range(3):
-            fuzz = [each for action in data.draw(one_or_two) for each in written(action, data.draw)]
-            # Hypothesis draws to the end.
+            fuzzed = [text for action in data.draw(one_or_two) for text in written(action, data.draw)]
+            # Hypothesis draws all examples.
             if seconds_left():
                 tries.number += 1
-                end(fuzz)
+                end(fuzzed)
 
     attempt()

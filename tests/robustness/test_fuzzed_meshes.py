@@ -1,4 +1,4 @@
-"""Mesh files of every format that are whole and hostile: rendered, or refused by one error with their path."""
+"""Mesh files of every format that are complete and malformed: rendered, or refused by one error with their path."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz import HF, LIGHT, VIEW, hostile_meshes, plan
+from fuzz import HEIGHTFIELD, LIGHT, VIEW, malformed_meshes, plan
 
 import warpdiff as wd
 from warpdiff.scene import mesh_import
 
 FORMATS = ("obj", "ply", "stl", "glb", "off", "gltf")
-MESHES = list(hostile_meshes())
+MESHES = list(malformed_meshes())
 # A folder with others' files, such as a mesh library's own; none of them is part of this repository.
 MODELS = os.environ.get("WARPDIFF_MODELS")
 
@@ -27,7 +27,7 @@ def render(path, **options):
         # Such as of a lost texture.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         try:
-            image = wd.shade(path, HF, LIGHT, VIEW, plan=plan(), threads=1, **options)
+            image = wd.shade(path, HEIGHTFIELD, LIGHT, VIEW, plan=plan(), threads=1, **options)
         except ValueError as error:
             message = str(error)
         else:
@@ -44,9 +44,9 @@ def tangents_for(path, rng):
         return rng.normal(size=(sum(len(geometry.mesh.vertices) for geometry in mesh_import._geometries(path)), 3))
 
 
-@pytest.mark.permanent("hostile mesh files of every format")
+@pytest.mark.permanent("malformed mesh files of every format")
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_hostile_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
+def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
     for index, mesh in enumerate(tries.of(MESHES)):
         path = tmp_path / f"mesh{index}.{suffix}"
         try:
@@ -59,7 +59,7 @@ def test_hostile_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
     assert tries.number > len(MESHES) // 2
 
 
-@pytest.mark.permanent("hostile mesh files of every format")
+@pytest.mark.permanent("malformed mesh files of every format")
 @pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS names no folder of meshes")
 def test_models_of_others_are_rendered_or_refused(tries, rng):
     # What is no mesh is refused as well.
