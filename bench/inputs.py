@@ -1,4 +1,4 @@
-"""Where real inputs are found: ``--data``, ``WARPDIFF_DATA``, or ``../shared/data`` beside a checkout."""
+"""Folder of the real inputs: ``--data``, ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from pathlib import Path
 import warpdiff as wd
 from warpdiff.apps.data_folder import data_folder
 
-HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data beside a checkout"
+HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data next to a checkout"
 
 
-def folder(given: str | Path | None = None) -> Path:
-    """The folder with real inputs, which need not exist."""
-    return data_folder(given) or Path("shared", "data")
+def folder(data: str | Path | None = None) -> Path:
+    """Return the folder of the real inputs, which need not exist."""
+    return data_folder(data) or Path("shared", "data")
 
 
-def scan(given: str | Path | None = None) -> wd.HeightField | None:
-    """The 65 µm scan of a corn snake's skin as it was measured, or None where it is absent."""
-    path = folder(given) / "elaphe_65um.png"
+def scan(data: str | Path | None = None) -> wd.HeightField | None:
+    """Return the 65 µm scan of a corn snake's skin as measured, or None if it is absent."""
+    path = folder(data) / "elaphe_65um.png"
     return wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375) if path.is_file() else None
 
 
-def levelled_scan(given: str | Path | None = None) -> wd.HeightField | None:
-    """The same scan levelled, or None where it is absent."""
-    found = scan(given)
-    return None if found is None else found.levelled(order=2)
+def levelled_scan(data: str | Path | None = None) -> wd.HeightField | None:
+    """Return the same scan levelled, or None if it is absent."""
+    heightfield = scan(data)
+    return None if heightfield is None else heightfield.levelled(order=2)

@@ -1,13 +1,13 @@
-"""Native functions on real tables, under AddressSanitizer and UndefinedBehaviorSanitizer.
+"""Run native functions on real tables under AddressSanitizer and UndefinedBehaviorSanitizer.
 
 ::
 
     python -m bench.dev.sanitize
 
-Warp's generated source of every module that a picture takes is compiled once more by the system's compiler, with both
-sanitizers, and called in place of what Warp compiled, for a tube and a snake, footprints, points, a source, copies of a
-patch, shadows and split pixels. Needs ``g++`` with its sanitizers, and Linux. What they find ends the process and names
-the header's line.
+The system's compiler compiles Warp's generated source of every module that a picture uses again, with both sanitizers.
+The cases of the corpus then call these functions instead of Warp's: a tube and a snake, footprints, points, a source,
+periods of a patch, shadows and subdivided pixels. It requires Linux and ``g++`` with its sanitizers. A finding ends the
+process and names the line of the header.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def run(folder: Path) -> None:
     kernel_calls._Recorded.__init__ = make  # type: ignore[method-assign]
     for name in CASES:
         corpus.CASES[name](2)
-        print(f"{name}: nothing found in {len(sanitized.called)} kernels so far", flush=True)
+        print(f"{name}: no findings in {len(sanitized.called)} kernels so far", flush=True)
     print("kernels:", *sorted(sanitized.called))
 
 

@@ -43,7 +43,7 @@ def available() -> str | None:
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """What shades directions at one setting of :func:`peers.series.series`.
+    """Return a function that shades directions at one setting of :func:`peers.series.series`.
 
     Args:
         heightfield: The height field.
@@ -51,8 +51,8 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
         setting: One of ``SETTINGS``.
 
     Returns:
-        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3). Its first call of a length
-        compiles.
+        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3). The first call
+        with an array length compiles.
     """
     import drjit as dr
     from drjit.llvm import Float
@@ -61,17 +61,17 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
     terms = made.rows.shape[2]
     rows = made.rows / np.array([math.factorial(n) for n in range(terms)], dtype=np.float64)
     rows = np.pad(rows, ((0, 0), (0, 0), (0, -terms % PACKET)))
-    tables = [Float(_aligned(each.ravel())) for each in (rows, made.wavenumbers, made.colours)]
+    tables = [Float(_aligned(values.ravel())) for values in (rows, made.wavenumbers, made.colours)]
     dr.eval(*tables)
 
     def shade(scattering_vectors: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
         if dr.thread_count() != threads:
             dr.set_thread_count(threads)
-        u, v, w, gain = (Float(_aligned(each)) for each in (*scattering_vectors.T, gains))
+        u, v, w, gain = (Float(_aligned(values)) for values in (*scattering_vectors.T, gains))
         xyz = _integral(made, tables, u, v, w)
-        found = [gain * each for each in xyz]
-        dr.eval(*found)
-        return np.stack([each.numpy() for each in found], axis=1)
+        colours = [gain * component for component in xyz]
+        dr.eval(*colours)
+        return np.stack([component.numpy() for component in colours], axis=1)
 
     return shade
 
@@ -120,15 +120,15 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
         power, re, im = Float(0.0), Float(0.0), Float(0.0)
         for weight_y, j in zip(along_y, steps, strict=True):
             for weight_x, m in zip(along_x, steps, strict=True):
-                found = coefficient(UInt(middle + (j * made.columns + m)), x)
+                amplitude = coefficient(UInt(middle + (j * made.columns + m)), x)
                 weight = weight_y * weight_x
                 if made.powers:
-                    power = dr.fma(weight, dr.fma(found[0], found[0], found[1] * found[1]), power)
+                    power = dr.fma(weight, dr.fma(amplitude[0], amplitude[0], amplitude[1] * amplitude[1]), power)
                 else:
-                    re, im = dr.fma(weight, found[0], re), dr.fma(weight, found[1], im)
+                    re, im = dr.fma(weight, amplitude[0], re), dr.fma(weight, amplitude[1], im)
         if not made.powers:
             power = re * re + im * im
-        return k + 1, *(dr.fma(power, dr.gather(Float, colours, 3 * k + c), each) for c, each in enumerate(xyz))
+        return k + 1, *(dr.fma(power, dr.gather(Float, colours, 3 * k + c), total) for c, total in enumerate(xyz))
 
     count = len(made.wavenumbers)
     start = (UInt(0), Float(0.0), Float(0.0), Float(0.0))

@@ -3,7 +3,7 @@
 The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24): at wavelengths equally spaced in λ, 380
 to 780 nm, the Taylor sum of a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle rule.
 
-What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to whole cache lines, so
+What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to period cache lines, so
 that sums over terms are SIMD loops of a fixed length without stores. A wavelength's basis (2πκa)ⁿ/n! is a row of a
 table times powers of w taken once a direction. Where the neighbours lie and where their separable Gaussians begin is
 found for all wavelengths at once; within the square weights go by recurrence. Amplitudes are weighted and summed before
@@ -80,7 +80,7 @@ def tables(heightfield: wd.HeightField, *, terms: int, centred: bool, frequency:
     """
     grid = fourier_coefficients.patch_grid(heightfield)
     block = fourier_coefficients.Block.covering(grid, frequency, (MOST_REACH + 1,) * 2)
-    if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
+    if any(count == period for count, period in zip(block.count, block.shape, strict=True)):
         raise ValueError(f"{heightfield!r} is too coarse for {frequency:.3g} /µm: coefficients are not repeated here")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     series = fourier_coefficients.series_coefficients(
@@ -116,24 +116,24 @@ def shade(
         scattering_vectors: (u, v, w) of each direction, shape (n, 3).
         gains: Factors of the colours, shape (n,).
         wavelengths: Number of wavelengths.
-        neighbour_extent: Neighbours on either side of the one that is found: 1 is 3 × 3.
-        rounded: Whether that one is found by rounding in place of floor().
+        neighbour_extent: Neighbours on either side of the nearest coefficient: 1 is 3 × 3.
+        rounded: Whether the nearest coefficient is found by rounding instead of floor().
         powers: Whether coefficients add as powers (the averaged form) or as amplitudes (the published one).
 
     Returns:
         CIE XYZ, shape (n, 3).
     """
     if not 1 <= neighbour_extent <= MOST_REACH:
-        raise ValueError(f"reach is {neighbour_extent}: 1 to {MOST_REACH} are accepted")
+        raise ValueError(f"neighbour_extent must be 1 to {MOST_REACH}, got {neighbour_extent}")
     most = tables.frequency * colorimetry.LAMBDA_MIN_NM * 1e-3
     if np.max(scattering_vectors[:, 0] ** 2 + scattering_vectors[:, 1] ** 2, initial=0.0) > most * most * (1.0 + 1e-9):
-        raise ValueError(f"deflections go beyond |(u, v)| = {most:.4g}, which the tables are for")
+        raise ValueError(f"scattering vectors must have |(u, v)| of at most {most:.4g}, for which the tables are made")
     lanes = tables.rows.shape[2]
     factors, wavenumbers, weights = _wavelengths(wavelengths, tables.scale_um, tables.terms, lanes)
     falloff = falloff_um2(wd.Coherence("averaged" if powers else "centred"))
     across, along = (np.float32(falloff / length**2) for length in tables.lengths_um)
     if -max(across, along) * (neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
-        raise ValueError(f"reach is {neighbour_extent}: the window's Gaussian ends before in float32")
+        raise ValueError(f"neighbour_extent is {neighbour_extent}, but the window's Gaussian ends before it in float32")
     xyz = np.empty((len(scattering_vectors), 3), dtype=np.float32)
     _kernel(lanes, neighbour_extent, powers)(
         tables.rows, tables.block.count[1], *tables.block.origin, *np.float32(tables.lengths_um),
@@ -172,8 +172,8 @@ def _prefetch(_context, rows, row, part, lane):
     def generate(context, builder, signature, arguments):
         kind = signature.args[0]
         place = [
-            context.cast(builder, argument, given, types.intp)
-            for argument, given in zip(arguments[1:], signature.args[1:], strict=True)
+            context.cast(builder, argument, passed, types.intp)
+            for argument, passed in zip(arguments[1:], signature.args[1:], strict=True)
         ]
         array = context.make_array(kind)(context, builder, arguments[0])
         address = cgutils.get_item_pointer(context, builder, kind, array, place)
@@ -191,12 +191,12 @@ def _prefetch(_context, rows, row, part, lane):
 def _exp(x):
     """e^x for |x| < 87, to 1e-7 · (1 + |x|): a call of the library's would keep loops from SIMD."""
     turns = x * np.float32(1.4426950408889634)
-    whole = np.floor(turns + np.float32(0.5))
-    part = (turns - whole) * np.float32(0.6931471805599453)
+    integer = np.floor(turns + np.float32(0.5))
+    part = (turns - integer) * np.float32(0.6931471805599453)
     value = np.float32(1.0 / 5040.0)
     for factor in (1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0):
         value = value * part + np.float32(factor)
-    return value * np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
+    return value * np.int32((np.int32(integer) + np.int32(127)) << np.int32(23)).view(np.float32)
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""The published algorithm in plain NumPy, as one writes it without a compiler at hand.
+"""The published algorithm in plain NumPy.
 
 Arrays are vectorised over directions and neighbours; wavelengths are a loop. Directions go in chunks, large enough that
 the interpreter's time is small beside NumPy's, side by side on threads, as NumPy releases the interpreter's lock.
@@ -26,12 +26,12 @@ CHUNK = 512
 
 
 def available() -> str | None:
-    """None: NumPy is always there."""
+    """None: NumPy is always available."""
     return None
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """What shades directions at one setting of :func:`peers.series.series`.
+    """Return a function that shades directions at one setting of :func:`peers.series.series`.
 
     Args:
         heightfield: The height field.
@@ -65,9 +65,9 @@ def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.
     near, gaussians = [], []
     for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):
         q = np.float32(scattering_vectors[:, 1 - axis] * length)[:, None] * made.wavenumbers
-        found = np.floor(q + np.float32(made.shift))
-        near.append(found.astype(np.intp) + made.origin[axis])
-        gaussians.append(np.exp(np.float32(-falloff) * ((found - q)[:, :, None] + offsets) ** 2))
+        nearest = np.floor(q + np.float32(made.shift))
+        near.append(nearest.astype(np.intp) + made.origin[axis])
+        gaussians.append(np.exp(np.float32(-falloff) * ((nearest - q)[:, :, None] + offsets) ** 2))
     middle = near[0] * made.columns + near[1]
     square = (offsets[:, None] * made.columns + offsets).ravel().astype(np.intp)
     w_powers = np.float32(scattering_vectors[:, 2])[:, None] ** np.arange(terms, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Rays through a picture's pixels by Mitsuba 3 and by Embree, beside ours: rays a second, hits and normals.
+"""Camera rays of a picture by Mitsuba 3, Embree and warpdiff: rays per second, hits and normals.
 
 All trace the same mesh, in the units of a prepared surface, along the same rays. What they find goes from the bare hit
 (face and barycentric coordinates) to the shading frame; a row says which. Mitsuba's LLVM variant traces by Embree as
@@ -37,7 +37,7 @@ LEAST_COSINE = 0.02
 
 
 class Rays(NamedTuple):
-    """A picture's rays, near the mesh, and what they are sent at; shapes (n, 3)."""
+    """Rays of a picture that start near the mesh, and the mesh; shapes (n, 3)."""
 
     surface: Surface
     view: wd.View
@@ -45,23 +45,23 @@ class Rays(NamedTuple):
     directions: NDArray[np.float32]
 
 
-class Found(NamedTuple):
-    """Which rays (n,) met the mesh, and the interpolated unit normals there, of either side, shape (n, 3)."""
+class Hits(NamedTuple):
+    """Rays (n,) that hit the mesh, and the interpolated unit normals at the hits, of either side, shape (n, 3)."""
 
     hit: NDArray[np.bool_]
     normal: NDArray[np.float64]
 
 
 class Caster(NamedTuple):
-    """One way to trace all rays: what it finds, with so many threads, and a look at what it found last."""
+    """A way to trace all rays: the kind of result, a function that traces with some threads, and its last hits."""
 
     finds: str
     trace: Callable[[int], None]
-    found: Callable[[], Found]
+    hits: Callable[[], Hits]
 
 
 def missing() -> list[str]:
-    """Why casters are left out, a sentence each."""
+    """Return the reasons why casters are excluded, one sentence each."""
     reasons = []
     try:
         import embreex  # noqa: F401
@@ -78,7 +78,7 @@ def missing() -> list[str]:
 
 
 def rays_of(mesh: Any, view: wd.View) -> Rays:
-    """One ray through each pixel's centre, begun in float64 where it nears the mesh."""
+    """Return one ray through the centre of each pixel; its start near the mesh is computed in float64."""
     surface = prepare_surface(mesh)
     eye = np.asarray(view.eye, dtype=np.float64)
     size = {"width": view.width, "height": view.height, "fov_y_deg": view.fov_y_deg}
@@ -90,28 +90,28 @@ def rays_of(mesh: Any, view: wd.View) -> Rays:
 
 
 def casters(rays: Rays) -> dict[str, Caster]:
-    """All that can run, by name."""
-    made = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, rays": _warp_cast(rays, covers=False)}
-    made["warpdiff, face by face"] = _warp_cast(rays, covers=True)
+    """Return the casters that can run, by name."""
+    result = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, rays": _warp_cast(rays, covers=False)}
+    result["warpdiff, face by face"] = _warp_cast(rays, covers=True)
     absent = " ".join(missing())
     if "Mitsuba" not in absent:
-        made["Mitsuba 3, bare hits"] = _mitsuba(rays, bare=True)
-        made["Mitsuba 3, rays"] = _mitsuba(rays, bare=False)
+        result["Mitsuba 3, bare hits"] = _mitsuba(rays, bare=True)
+        result["Mitsuba 3, rays"] = _mitsuba(rays, bare=False)
     if "Embree is" not in absent:
-        made["Embree, bare hits"] = _embree(rays)
-    return made
+        result["Embree, bare hits"] = _embree(rays)
+    return result
 
 
-def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Found, NDArray[np.bool_]]:
-    """What some of the rays meet, and which of these are sure: those that neither pass an edge nor graze."""
+def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_]]:
+    """Return the exact hits of some rays, and a mask of reliable rays, which neither pass an edge nor graze."""
     surface = rays.surface
-    origins, directions = (np.float64(each[chosen]) for each in (rays.origins, rays.directions))
+    origins, directions = (np.float64(vectors[chosen]) for vectors in (rays.origins, rays.directions))
     vertices = surface.vertices.astype(np.float64)
     _, face, bary, margin = brute_force.intersect(origins, directions, vertices, surface.faces)
     normal = _interpolated(surface, face, bary)
     grazing = np.abs(np.einsum("ij,ij->i", normal, directions)) < LEAST_COSINE
     hit = face >= 0
-    return Found(hit, normal), (margin > 1e-5) & ~(hit & grazing)
+    return Hits(hit, normal), (margin > 1e-5) & ~(hit & grazing)
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
@@ -133,28 +133,28 @@ def query(
 ):
     """The bare hit of each ray: the face, or −1, and the shares of its first two corners."""
     i = first + wp.tid()
-    found = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
+    hit = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
     face_out[i] = -1
-    if found.result:
-        face_out[i] = found.face
-        bary_out[i] = wp.vec2f(found.u, found.v)
+    if hit.result:
+        face_out[i] = hit.face
+        bary_out[i] = wp.vec2f(hit.u, hit.v)
 
 
 def _warp_query(rays: Rays) -> Caster:
     device = resolve_device(None)
     arrays = device_mesh.arrays_for(rays.surface, smooth=True, device=device).with_hierarchy()
     count = len(rays.origins)
-    given = [wp.array(each, dtype=wp.vec3f, device=device) for each in (rays.origins, rays.directions)]
-    made = [wp.empty(count, dtype=wp.int32, device=device), wp.zeros(count, dtype=wp.vec2f, device=device)]
+    rays_in = [wp.array(vectors, dtype=wp.vec3f, device=device) for vectors in (rays.origins, rays.directions)]
+    hits_out = [wp.empty(count, dtype=wp.int32, device=device), wp.zeros(count, dtype=wp.vec2f, device=device)]
 
     def trace(threads: int) -> None:
-        launch(query, count, [arrays.mesh_id, *given], made, device=device, threads=threads)
+        launch(query, count, [arrays.mesh_id, *rays_in], hits_out, device=device, threads=threads)
 
-    def found() -> Found:
-        face, (b0, b1) = made[0].numpy(), made[1].numpy().T
-        return Found(face >= 0, _interpolated(rays.surface, face, np.stack([b0, b1, 1.0 - b0 - b1], axis=1)))
+    def hits() -> Hits:
+        face, (b0, b1) = hits_out[0].numpy(), hits_out[1].numpy().T
+        return Hits(face >= 0, _interpolated(rays.surface, face, np.stack([b0, b1, 1.0 - b0 - b1], axis=1)))
 
-    return Caster("face, place", trace, found)
+    return Caster("face, position", trace, hits)
 
 
 def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
@@ -164,12 +164,12 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
         frame.rays.options["threads"] = threads
         frame.trace(0)
 
-    def found() -> Found:
+    def hits() -> Hits:
         hit = frame.gbuffer.pixels.hit.numpy() == 1
         # Where nothing is met, normals are whatever was there.
-        return Found(hit, np.where(hit[:, None], frame.gbuffer.pixels.normal.numpy(), 0.0).astype(np.float64))
+        return Hits(hit, np.where(hit[:, None], frame.gbuffer.pixels.normal.numpy(), 0.0).astype(np.float64))
 
-    return Caster("all of a pixel", trace, found)
+    return Caster("G-buffer", trace, hits)
 
 
 def _mitsuba(rays: Rays, *, bare: bool) -> Caster:
@@ -196,16 +196,16 @@ def _mitsuba(rays: Rays, *, bare: bool) -> Caster:
         dr.eval(last[0])
         dr.sync_thread()
 
-    def found() -> Found:
+    def hits() -> Hits:
         hit = last[0].is_valid().numpy()
         if not bare:
-            return Found(hit, np.float64(last[0].sh_frame.n.numpy().T))
+            return Hits(hit, np.float64(last[0].sh_frame.n.numpy().T))
         # Mitsuba's coordinates are those of the second and third corner.
         b1, b2 = last[0].prim_uv.numpy()
         face = np.where(hit, last[0].prim_index.numpy(), 0)
-        return Found(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
+        return Hits(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
 
-    return Caster("face, place" if bare else "shading frame", trace, found)
+    return Caster("face, position" if bare else "shading frame", trace, hits)
 
 
 def _embree(rays: Rays) -> Caster:
@@ -225,8 +225,8 @@ def _embree(rays: Rays) -> Caster:
         with ThreadPoolExecutor(max_workers=threads) as pool:
             last[:] = pool.map(run, parts)
 
-    def found() -> Found:
+    def hits() -> Hits:
         face, b1, b2 = (np.concatenate([part[name] for part in last]) for name in ("primID", "u", "v"))
-        return Found(face >= 0, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
+        return Hits(face >= 0, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
 
-    return Caster("face, place", trace, found)
+    return Caster("face, position", trace, hits)

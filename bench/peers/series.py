@@ -1,4 +1,4 @@
-"""A Taylor series of Fourier coefficients and a rule in λ, shared by the peers of the published algorithm.
+"""Taylor series of Fourier coefficients and a quadrature in λ, shared by the peers of the published algorithm.
 
 The sum is the one of ``numba_published`` (Single 2014, eqs. 3.8, 3.20 and 3.24), whatever computes it: at wavelengths
 equally spaced in λ, the series at a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle
@@ -29,12 +29,12 @@ FREQUENCY = 2.0 / 0.38
 MOST_REACH = 4
 
 # As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights as they are.
-PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "reach": 1, "rounded": False, "centred": False}
+PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
 # From cheap to accurate, centred and rounded, which is the cheapest way to any error. The nearest coefficient alone is
 # enough of patches that are small against the window.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
-    {"wavelengths": wavelengths, "terms": terms, "reach": neighbour_extent, "rounded": True, "centred": True}
+    {"wavelengths": wavelengths, "terms": terms, "neighbour_extent": neighbour_extent, "rounded": True, "centred": True}
     for wavelengths, terms, neighbour_extent in _SHAPES
 ]
 
@@ -85,10 +85,10 @@ def series(
     Args:
         heightfield: The height field.
         coherence: A window, averaged or centred.
-        wavelengths: Their number, 380 to 780 nm.
+        wavelengths: Number of wavelengths, 380 to 780 nm.
         terms: Terms of the Taylor series, n = 0 … terms − 1.
-        neighbour_extent: Neighbours on either side of the one that is found, 0 to 4.
-        rounded: Whether that one is found by rounding in place of floor().
+        neighbour_extent: Neighbours on either side of the nearest coefficient, 0 to 4.
+        rounded: Whether the nearest coefficient is found by rounding instead of floor().
         centred: Whether heights count from the middle of their range; otherwise from the lowest.
 
     Returns:
@@ -97,7 +97,7 @@ def series(
     if coherence.kind not in ("averaged", "centred"):
         raise ValueError(f"coherence must be a window, 'averaged' or 'centred', got {coherence.kind!r}")
     if not 0 <= neighbour_extent <= MOST_REACH:
-        raise ValueError(f"reach must be 0 to {MOST_REACH}, got {neighbour_extent}")
+        raise ValueError(f"neighbour_extent must be 0 to {MOST_REACH}, got {neighbour_extent}")
     rows, block, lengths, scale = _rows(heightfield, terms, centred)
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, wavelengths)
     products = colorimetry.colour_products()
@@ -126,9 +126,10 @@ def _rows(
     """The rows, which coefficients they are, how many there are per unit of frequency [µm], and the basis' 2πa [µm]."""
     grid = fourier_coefficients.patch_grid(heightfield)
     block = fourier_coefficients.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
-    if any(count == whole for count, whole in zip(block.count, block.shape, strict=True)):
+    if any(count == period for count, period in zip(block.count, block.shape, strict=True)):
         raise ValueError(
-            f"heightfield must be finer, got {heightfield!r}: coefficients are not repeated here; use heightfield.resampled()"
+            f"heightfield must be finer, got {heightfield!r}: coefficients are not repeated here; use "
+            "heightfield.resampled()"
         )
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)

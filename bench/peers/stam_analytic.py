@@ -52,7 +52,7 @@ def available() -> str | None:
 
 
 def grating_um(heightfield: wd.HeightField) -> float:
-    """The distance d along x [µm] of what repeats: of the strongest order, with the noise of 1/f scans evened out."""
+    """Grating period d along x [µm]: that of the strongest order, with the 1/f noise of scans compensated."""
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))
 
@@ -60,7 +60,7 @@ def grating_um(heightfield: wd.HeightField) -> float:
 def prepare(
     heightfield: wd.HeightField, coherence: wd.Coherence, *, colours: str, period_um: float | None = None
 ) -> Callable[..., NDArray[np.float32]]:
-    """What shades directions.
+    """Return a function that shades directions.
 
     Args:
         heightfield: The height field, a grating along x.
@@ -112,15 +112,15 @@ def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.fl
 
 
 def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
-    """What gives the rainbow's orders the mean luminance of the true colours, highlights left out."""
+    """Factor that gives the rainbow's orders the mean luminance of the exact colours, without highlights."""
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
     s = np.sqrt(1.0 - z * z)
     lights, views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=2)
-    true = wd.reflectance(heightfield, lights, views, tolerance=3e-2, coherence=coherence)[:, 1]
-    found = np.empty((CALIBRATING, 3), dtype=np.float32)
-    run(1.0, -lights - views, np.zeros(CALIBRATING), found)
-    return float(true.mean() / found[:, 1].mean())
+    exact = wd.reflectance(heightfield, lights, views, tolerance=3e-2, coherence=coherence)[:, 1]
+    colours = np.empty((CALIBRATING, 3), dtype=np.float32)
+    run(1.0, -lights - views, np.zeros(CALIBRATING), colours)
+    return float(exact.mean() / colours[:, 1].mean())
 
 
 @functools.cache
@@ -128,7 +128,7 @@ def _kernels() -> tuple[Any, Any]:
     """The two forms, compiled where they are first used."""
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
-    def rainbow(period, roughness, to_xyz, reference_luminance, scattering_vectors, gains, xyz_out):
+    def rainbow(period, roughness, to_xyz, scale, scattering_vectors, gains, xyz_out):
         for i in numba.prange(len(gains)):
             u, w = abs(scattering_vectors[i, 0]), scattering_vectors[i, 2]
             red = green = blue = 0.0
@@ -142,7 +142,7 @@ def _kernels() -> tuple[Any, Any]:
             for c in range(3):
                 orders = to_xyz[c, 0] * red + to_xyz[c, 1] * green + to_xyz[c, 2] * blue
                 white = to_xyz[c, 0] + to_xyz[c, 1] + to_xyz[c, 2]
-                xyz_out[i, c] = reference_luminance * orders + highlight * white
+                xyz_out[i, c] = scale * orders + highlight * white
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def cie(period, sigma, products, wavelengths, mirror, powers, scattering_vectors, gains, xyz_out):

@@ -1,10 +1,10 @@
-"""Pictures against their truth: crops of many subjects, by a regular grid of points in every pixel, under the filter.
+"""Errors of pictures: crops of many subjects, against a regular grid of points in every pixel, under the filter.
 
-A crop is a picture of 24 × 18 pixels of the size that one of 640 × 480 has, around a lit pixel of that, which a seed
-draws. Its truth is a picture of points as many times as fine, under the pixels' Gaussian filter (half a pixel, cut at
-one and a half); a coarser one shows how far it has settled. Errors are the design's, f of the whole picture, over
-interior pixels: every point of their own square hits and is lit, edges between parts of a body among them. The
-outermost pixels are judged as all others. Take a seed that was not worked with.
+A crop has 24 × 18 pixels of the size of those of a 640 × 480 picture, around a random illuminated pixel. Its reference
+is a picture of points, 96 × 96 per pixel, under the pixels' Gaussian filter (σ 0.5 pixel, truncated at 1.5); a coarser
+one shows whether it has converged. Errors use f of the whole picture. They are taken over interior pixels, whose points
+all hit the body and are illuminated; edges between parts of a body are included. The outermost pixels count like all
+others. Use a held-out seed.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-# Of a crop, and what the filter of its outermost pixels reaches into.
+# Size of a crop, and of the margin that the filter of its outermost pixels covers.
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
 WHOLE = (640, 480)
-# Points along a side of a pixel: of the truth, and of what shows that it has settled.
+# Points along a side of a pixel: of the reference, and of the coarser one that shows whether it has converged.
 POINTS, FEWER = 96, 64
 DEVIATION, CUT = 0.5, 1.5
-# What the points of a truth may err by, in tolerances of the picture.
+# Tolerance of the reference's points, in tolerances of the picture.
 OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
-# Towards the eye, from above and grazing, and its distance in radii of the body.
+# Directions to the eye, from above and grazing, and its distance in radii of the body.
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
 # The share of pixels of the whole picture that may clip where colours are compared.
 CLIPPED = 1e-3
-# As many times as far from what is looked at.
+# Factors on the distance of the eye from the crop.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
@@ -64,28 +64,28 @@ class Crop(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What the pixels of a crop are; all of shape (HEIGHT, WIDTH)."""
+    """Reference of the pixels of a crop; all arrays of shape (HEIGHT, WIDTH)."""
 
     xyz: np.ndarray  # (…, 3)
     interior: np.ndarray
-    silhouette: np.ndarray  # some of its own square is missed
-    shadowed: np.ndarray  # all of it hit, some of it lit
-    settled: np.ndarray  # how far fewer points are from as many, ‖ΔXYZ‖
+    silhouette: np.ndarray  # some points of its own square miss
+    shadowed: np.ndarray  # all points hit, some are illuminated
+    settled: np.ndarray  # difference from the coarser reference, ‖ΔXYZ‖
 
 
 class Errors(NamedTuple):
-    """Of pixels, one after the other."""
+    """Errors of pixels."""
 
     interior: np.ndarray
     silhouette: np.ndarray
     shadowed: np.ndarray
     settled: np.ndarray  # of interior ones
-    told: np.ndarray  # what ``image.error`` has for these
+    estimated: np.ndarray  # of interior ones, from ``image.error``
 
 
-def bodies(data: str | None, given: list[Path]) -> dict[str, Callable[[], Any]]:
-    """Bodies to look at, made when they are needed."""
-    made: dict[str, Callable[[], Any]] = {
+def bodies(data: str | None, files: list[Path]) -> dict[str, Callable[[], Any]]:
+    """Return functions that make the bodies, by name."""
+    result: dict[str, Callable[[], Any]] = {
         "snake": meshes.snake,
         "tube": meshes.tube,
         "disc": meshes.disc,
@@ -94,12 +94,12 @@ def bodies(data: str | None, given: list[Path]) -> dict[str, Callable[[], Any]]:
     }
     bottle = inputs.folder(data) / "fuze.obj"
     if bottle.is_file():
-        made["bottle"] = lambda: trimesh.load(bottle, force="mesh")
-    return made | {path.stem: lambda path=path: trimesh.load(path, force="mesh") for path in given}
+        result["bottle"] = lambda: trimesh.load(bottle, force="mesh")
+    return result | {path.stem: lambda path=path: trimesh.load(path, force="mesh") for path in files}
 
 
 def lumpy(subdivisions: int) -> Any:
-    """A ball with lumps, of 20 · 4ⁿ faces."""
+    """Return a ball with lumps, of 20 · 4ⁿ faces."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = mesh.vertices.T
     mesh.vertices *= (1.0 + 0.12 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y) + 0.08 * np.cos(6.0 * z))[:, None]
@@ -119,33 +119,33 @@ def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
 
 
 def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
-    """Height fields, made when they are needed."""
-    made: dict[str, Callable[[], wd.HeightField]] = {
+    """Return functions that make the height fields, by name."""
+    result: dict[str, Callable[[], wd.HeightField]] = {
         f"fingers {size:g} µm": lambda size=size: wd.gratings.fingers(size_um=size, pitch_um=0.09, seed=5)
         for size in (5.0, 12.8, 25.6, 65.0)
     }
-    made["blazed"] = lambda: wd.gratings.blazed(2.5, 0.25)
+    result["blazed"] = lambda: wd.gratings.blazed(2.5, 0.25)
     scan = inputs.levelled_scan(data)
-    return made if scan is None else made | {"scan": lambda: scan}
+    return result if scan is None else result | {"scan": lambda: scan}
 
 
 def crop(
     name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
-    """A crop around a lit pixel of a picture, of this share of its white or more."""
+    """Return a crop around an illuminated pixel of a picture whose luminance is at least a share of the white."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
     eye = centre + towards / np.linalg.norm(towards) * RADII * radius
     width, height = WHOLE
-    whole = wd.View(tuple(eye), tuple(centre), fov_y_deg=FOV_DEG, width=width, height=height)
-    image = wd.shade(mesh, heightfield, light, whole, tolerance=0.1, pigment=0.0)
+    view = wd.View(tuple(eye), tuple(centre), fov_y_deg=FOV_DEG, width=width, height=height)
+    image = wd.shade(mesh, heightfield, light, view, tolerance=0.1, pigment=0.0)
     luminance = image.xyz[..., 1].astype(np.float64)
     white, brightest = reference_luminance(luminance[image.illuminated]), float(np.quantile(luminance, 1.0 - CLIPPED))
     # Rays through the centres of pixels that are covered in part may miss the body.
     pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
-    origins, directions = (each[[pixel]] for each in pixel_rays(whole.eye, whole.target, whole.up, **size))
+    origins, directions = (vectors[[pixel]] for vectors in pixel_rays(view.eye, view.target, view.up, **size))
     body = reference.Body.of(prepare_surface(mesh))
     away = intersect(origins, directions, body.vertices, body.faces, 1)[0]
     target = (origins + away[:, None] * directions)[0]
@@ -155,17 +155,17 @@ def crop(
     return Crop(name, mesh, heightfield, light, view, white, brightest)
 
 
-def truth(given: Crop, tolerance: float) -> Truth:
-    """The truth of a crop."""
-    found, few = (filtered(given, tolerance, points) for points in (POINTS, FEWER))
-    return found._replace(settled=np.linalg.norm(found.xyz - few.xyz, axis=2))
+def truth(area: Crop, tolerance: float) -> Truth:
+    """Return the reference of a crop."""
+    fine, coarse = (filtered(area, tolerance, points) for points in (POINTS, FEWER))
+    return fine._replace(settled=np.linalg.norm(fine.xyz - coarse.xyz, axis=2))
 
 
-def filtered(given: Crop, tolerance: float, points: int) -> Truth:
-    """A crop by so many points along a side of a pixel."""
-    view = finer(given.view, points, MARGIN)
+def filtered(area: Crop, tolerance: float, points: int) -> Truth:
+    """Return the reference by a number of points along a side of a pixel."""
+    view = finer(area.view, points, MARGIN)
     image = wd.shade(
-        given.mesh, given.heightfield, given.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
+        area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
         pigment=0.0,
     )  # fmt: skip
     rows, columns = (_filter(size, points) for size in (HEIGHT, WIDTH))
@@ -191,12 +191,12 @@ def _filter(size: int, points: int) -> np.ndarray:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
-def validation_size(given: Crop, exact: Truth, image: wd.Image) -> Errors:
-    """The errors of a picture of a crop."""
+def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
+    """Return the errors of a picture of a crop."""
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
-    size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * given.white)
+    size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
-    # Relative to what the crop's own white tells.
+    # The estimated error is relative to the crop's own white.
     own = np.maximum(
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )
@@ -220,14 +220,14 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
                 yield crop(name, mesh, heightfield, distance, np.random.default_rng([seed, zlib.crc32(name.encode())]))
 
 
-def pictured(given: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
-    """A picture of what a crop is of, and whether it warns."""
+def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
+    """Return a picture of a crop's scene, and whether it warns."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         image = wd.shade(
-            given.mesh,
-            given.heightfield,
-            given.light,
+            area.mesh,
+            area.heightfield,
+            area.light,
             view,
             tolerance=tolerance,
             samples_per_pixel=samples,
@@ -237,62 +237,63 @@ def pictured(given: Crop, view: wd.View, tolerance: float, samples: int = 1) -> 
 
 
 def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, tolerances: list[float]) -> None:
-    """Print which whole pictures, that look at what crops do, warn."""
-    print("| body | surface | distance | tolerance | unsettled | at edges | warns |\n" + "| --- " * 7 + "|")
-    found: list[bool] = []
-    for each in crops(names, fields, seed):
-        view = dataclasses.replace(each.view, fov_y_deg=FOV_DEG, width=WHOLE[0], height=WHOLE[1])
+    """Print which whole pictures around crops warn."""
+    print("| body | surface | distance | tolerance | unconverged | at edges | warns |\n" + "| --- " * 7 + "|")
+    warned: list[bool] = []
+    for area in crops(names, fields, seed):
+        view = dataclasses.replace(area.view, fov_y_deg=FOV_DEG, width=WHOLE[0], height=WHOLE[1])
         for tolerance in tolerances:
-            image, warns = pictured(each, view, tolerance)
-            found.append(warns)
+            image, warns = pictured(area, view, tolerance)
+            warned.append(warns)
             shares = f"{100.0 * image.plan.unconverged_share:.2f} % | {100.0 * image.plan.unconverged_edge_share:.2f} %"
-            print(f"| {each.name} | {tolerance:g} | {shares} | {warns:d} |", flush=True)
-    print(f"\n{sum(found)} of {len(found)} whole pictures warn; seed {seed}.")
+            print(f"| {area.name} | {tolerance:g} | {shares} | {warns:d} |", flush=True)
+    print(f"\n{sum(warned)} of {len(warned)} whole pictures warn; seed {seed}.")
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bodies", nargs="+", help="these alone, by name")
-    parser.add_argument("--surfaces", nargs="+", help="these alone, by name")
+    parser.add_argument("--bodies", nargs="+", help="only these bodies, by name")
+    parser.add_argument("--surfaces", nargs="+", help="only these surfaces, by name")
     parser.add_argument("--mesh", nargs="+", type=Path, default=[], help="files of further bodies")
     parser.add_argument("--tolerances", nargs="+", type=float, default=[1e-1, 3e-2])
-    parser.add_argument("--samples", nargs="+", type=int, default=[1, 4, 9], help="rays a pixel (1 4 9)")
-    parser.add_argument("--seed", type=int, default=0, help="of where crops lie (0)")
-    parser.add_argument("--whole", action="store_true", help="whole pictures around crops instead: which of them warn")
+    parser.add_argument("--samples", nargs="+", type=int, default=[1, 4, 9], help="camera rays per pixel (1 4 9)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the crops' positions (0)")
+    parser.add_argument("--whole", action="store_true", help="list which whole pictures around crops warn")
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     names, fields = bodies(options.data, options.mesh), surfaces(options.data)
-    names = {each: names[each] for each in options.bodies or names}
-    fields = {each: fields[each] for each in options.surfaces or fields}
+    names = {name: names[name] for name in options.bodies or names}
+    fields = {name: fields[name] for name in options.surfaces or fields}
     if options.whole:
         print_warned(names, fields, options.seed, options.tolerances)
         return
     heads = (
-        "body | surface | distance | tolerance | rays | interior | settled | P50 / tolerance | P99 | silhouettes, P95 "
-        "| shadow edges, P95 | ΔE2000, P99 | bounded | rank correlation | told / true | means | warned"
+        "body | surface | distance | tolerance | rays | interior | convergence | P50 / tolerance | P99 "
+        "| silhouettes, P95 | shadow edges, P95 | ΔE2000, P99 | bounded | rank correlation | estimated / actual | method "
+        "| warned"
     )
     print(f"| {heads} |\n{'| --- ' * (heads.count('|') + 1)}|")
     within, everything, begin = 0, 0, time.perf_counter()
-    for each in crops(names, fields, options.seed):
-        exact = truth(each, min(options.tolerances))
+    for area in crops(names, fields, options.seed):
+        exact = truth(area, min(options.tolerances))
         for tolerance in options.tolerances:
             for samples in options.samples:
-                image, told = pictured(each, each.view, tolerance, samples)
-                found = validation_size(each, exact, image)
-                p50, p99 = _percentiles(found.interior, 50.0, 99.0) / tolerance
+                image, warns = pictured(area, area.view, tolerance, samples)
+                errors = measured(area, exact, image)
+                p50, p99 = _percentiles(errors.interior, 50.0, 99.0) / tolerance
                 everything += 1
-                within += bool(not len(found.interior) or (p99 <= 1.0 and p50 <= 0.25))
+                within += bool(not len(errors.interior) or (p99 <= 1.0 and p50 <= 0.25))
                 inner = image.xyz[exact.interior]
                 colours = math.nan
                 if len(inner) > 1:
-                    colours = colour_difference(inner, exact.xyz[exact.interior], each.brightest)
-                edges = [_percentiles(some, 95.0)[0] / tolerance for some in (found.silhouette, found.shadowed)]
+                    colours = colour_difference(inner, exact.xyz[exact.interior], area.brightest)
+                edges = [_percentiles(values, 95.0)[0] / tolerance for values in (errors.silhouette, errors.shadowed)]
                 print(
-                    f"| {each.name} | {tolerance:g} | {samples} | {100.0 * exact.interior.mean():.0f} % "
-                    f"| {_percentiles(found.settled, 99.0)[0] / tolerance:.2f} | {p50:.3f} | {p99:.2f} "
-                    f"| {edges[0]:.2f} | {edges[1]:.2f} | {colours:.1f} | {_estimates(found)} "
-                    f"| {'blurs' if image.plan.uses_footprints else 'points'} | {told:d} |",
+                    f"| {area.name} | {tolerance:g} | {samples} | {100.0 * exact.interior.mean():.0f} % "
+                    f"| {_percentiles(errors.settled, 99.0)[0] / tolerance:.2f} | {p50:.3f} | {p99:.2f} "
+                    f"| {edges[0]:.2f} | {edges[1]:.2f} | {colours:.1f} | {_estimates(errors)} "
+                    f"| {'footprints' if image.plan.uses_footprints else 'points'} | {warns:d} |",
                     flush=True,
                 )
     print(
@@ -301,13 +302,13 @@ def main() -> None:
     )
 
 
-def _estimates(found: Errors) -> str:
-    """How well errors are told: the share that is bounded, the correlation of ranks, and the ratio of sums."""
-    true, told = found.interior, found.told
-    if len(true) < 3:
+def _estimates(errors: Errors) -> str:
+    """Compare estimated errors: the share that is bounded, the rank correlation, and the ratio of sums."""
+    actual, estimated = errors.interior, errors.estimated
+    if len(actual) < 3:
         return "| | "
-    ranks = [np.argsort(np.argsort(each)) for each in (true, told)]
-    bounded, ratio = 100.0 * np.mean(true <= told), told.sum() / max(true.sum(), 1e-30)
+    ranks = [np.argsort(np.argsort(values)) for values in (actual, estimated)]
+    bounded, ratio = 100.0 * np.mean(actual <= estimated), estimated.sum() / max(actual.sum(), 1e-30)
     return f"{bounded:.0f} % | {np.corrcoef(*ranks)[0, 1]:.2f} | {ratio:.1f}"
 
 

@@ -1,5 +1,6 @@
-"""Every chart of ``python -m bench``, with its numbers.
+"""Charts of ``python -m bench`` and their numbers.
 
-``runner`` makes them in one run. Its parts have ``measure``, ``numbers`` and ``chart``: ``previews``, ``pareto``,
-``frames``, ``rays``, ``scaling``, ``stability``, ``validity``; what these share: ``scenes``, ``timing``, ``figures``.
+``runner`` makes all of them in one run. The parts have ``measure``, ``numbers`` and ``chart``: ``previews``,
+``pareto``, ``frames``, ``rays``, ``scaling``, ``stability``, ``validity``. They share ``scenes``, ``timing`` and
+``figures``.
 """

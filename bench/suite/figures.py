@@ -1,4 +1,4 @@
-"""Shared look of the charts, and how they are written."""
+"""Style of the charts, and their files."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 GREY = "#555555"
-# Okabe and Ito's colours, which the colour-blind tell apart, and black.
+# Okabe and Ito's colours, which colour-blind readers can distinguish, and black.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE, BROWN = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7", "#8c510a",
 )  # fmt: skip
 
 
 def pyplot() -> Any:
-    """Matplotlib's pyplot in the look of these charts, without a display."""
+    """Return Matplotlib's pyplot with the style of these charts, without a display."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -36,7 +36,7 @@ def pyplot() -> Any:
 
 
 def save(figure: Any, folder: Path, name: str) -> Path:
-    """Write a figure as PNG and SVG, each under another name until it is whole; returns the PNG."""
+    """Write a figure atomically as PNG and SVG; returns the path of the PNG."""
     folder.mkdir(parents=True, exist_ok=True)
     for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 110})):
         with atomic_write(folder / f"{name}{suffix}") as unfinished:
@@ -46,26 +46,26 @@ def save(figure: Any, folder: Path, name: str) -> Path:
 
 
 def label_ends(axis: Any, ends: Sequence[tuple[float, float, str, str]], *, gap: float = 0.052) -> None:
-    """Write names (x, y, name, colour) beside the right edge of logarithmic axes, apart, with lines to where they end.
+    """Write labels (x, y, name, colour) at the right edge of logarithmic axes, without overlap, with leader lines.
 
     Args:
-        axis: With its limits set.
-        ends: Where curves end, in data.
-        gap: Least distance of two names, as a share of the axis.
+        axis: Axes with their limits set.
+        ends: Last points of the curves, in data coordinates.
+        gap: Least distance of two labels, as a share of the axis.
     """
-    low, high = (math.log10(each) for each in axis.get_ylim())
-    left, right = (math.log10(each) for each in axis.get_xlim())
-    order = sorted(ends, key=lambda each: each[1])
+    low, high = map(math.log10, axis.get_ylim())
+    first, last = map(math.log10, axis.get_xlim())
+    order = sorted(ends, key=lambda end: end[1])
     places = [float(np.clip((math.log10(max(y, 1e-300)) - low) / (high - low), 0.0, 0.97)) for _, y, _, _ in order]
     apart = list(places)
     for k in range(1, len(apart)):
         apart[k] = max(apart[k], apart[k - 1] + gap)
     excess = max((apart[-1] if apart else 0.0) - 0.97, 0.0)
-    apart = [each - excess for each in apart]
+    apart = [place - excess for place in apart]
     for k in range(len(apart) - 2, -1, -1):
         apart[k] = min(apart[k], apart[k + 1] - gap)
     for (x, _, name, colour), at, place in zip(order, apart, places, strict=True):
-        start = (math.log10(x) - left) / (right - left)
+        start = (math.log10(x) - first) / (last - first)
         axis.annotate(
             name, xy=(start, place), xytext=(1.03, at), xycoords="axes fraction", textcoords="axes fraction",
             color=colour, va="center", fontsize=8.5, annotation_clip=False,

@@ -1,8 +1,8 @@
-"""Frames: their time against their error, by points, by means and by means that are refined, on every subject.
+"""Frames: time against error, by points, by footprints and by refined footprints, on every subject.
 
-A frame is 640 × 480, and light and view move from one to the next. Its error is that of crops of it, see ``crops``: the
-design's, against 96 × 96 points in every pixel under the filter, over interior pixels of all crops together. Points are
-the best of them: on one table, with the filter, 1 to 64 rays a pixel.
+A frame is 640 × 480; light and view move from frame to frame. Its error is measured on crops, see ``crops``, against
+96 × 96 points per pixel under the filter, over the interior pixels of all crops. Points use one table and the filter,
+with 1 to 64 rays per pixel.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import warpdiff as wd
 from bench.reproduce import crops
 from bench.suite import figures
-from bench.suite.timing import in_turns
+from bench.suite.timing import interleaved
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,20 +29,20 @@ TABLE = 1e-2
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Milliseconds a frame and errors, by subject and way."""
+    """Return milliseconds per frame and errors, by subject and method."""
     names = crops.bodies(setting.data and str(setting.data), [])
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for body in ("tube",) if setting.quick else SUBJECTS:
         if body not in names:
-            print(f"Left out of the frames: the {body}, which is not in the data.")
+            print(f"Frames exclude the {body}, which is not in the data.")
             continue
         setting.say(f"frames of the {body}")
-        found[body] = _measured(names[body](), body, setting)
-    return found
+        results[body] = _measured(names[body](), body, setting)
+    return results
 
 
 def ways(quick: bool) -> dict[str, dict[str, Any]]:
-    """What of ``Renderer`` each way takes."""
+    """Return the arguments of ``Renderer`` by method."""
     result: dict[str, dict[str, Any]] = {"means": {"tolerance": 3e-2, "refine": False}}
     for tolerance in (1e-1, 3e-2) if quick else (2e-1, 1e-1, 5e-2, 3e-2, 2e-2):
         result[f"refined to {tolerance:g}"] = {"tolerance": tolerance}
@@ -54,11 +54,11 @@ def ways(quick: bool) -> dict[str, dict[str, Any]]:
 def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     heightfield = crops.surfaces(None)[SURFACE]()
     options = {"device": setting.device, "threads": setting.threads, "pigment": 0.0}
-    made, validation_size = ways(setting.quick), []
+    variants, cases = ways(setting.quick), []
     for index in range(1 if setting.quick else CROPS):
         rng = np.random.default_rng([SEED, index, zlib.crc32(body.encode())])
         crop = crops.crop(body, mesh, heightfield, 1.0, rng)
-        validation_size.append((crop, crops.truth(crop, TABLE)))
+        cases.append((crop, crops.truth(crop, TABLE)))
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
 
@@ -68,65 +68,68 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
         view = wd.View(tuple(eye), tuple(centre), fov_y_deg=crops.FOV_DEG, width=640, height=480)
         return wd.DirectionalLight((0.1 + 0.05 * np.sin(k), 0.9, 1.2)), view
 
-    drawn = {name: wd.Renderer(mesh, heightfield, *moved(0), **way, **options) for name, way in made.items()}
+    renderers = {name: wd.Renderer(mesh, heightfield, *moved(0), **way, **options) for name, way in variants.items()}
     number = iter(range(1, 10_000))
-    taken = in_turns(
-        {name: lambda r=each: r.draw(*moved(next(number))) for name, each in drawn.items()}, setting.rounds
+    times = interleaved(
+        {name: lambda r=renderer: r.draw(*moved(next(number))) for name, renderer in renderers.items()}, setting.rounds
     )
     result = {}
-    for name, way in made.items():
+    for name, way in variants.items():
         errors = []
-        for crop, exact in validation_size:
-            plan = {"plan": drawn[name].plan, "samples_per_pixel": way.get("samples_per_pixel", 1)}
+        for crop, exact in cases:
+            plan = {"plan": renderers[name].plan, "samples_per_pixel": way.get("samples_per_pixel", 1)}
             image = wd.shade(
                 mesh, heightfield, crop.light, crop.view, **plan, refine=way.get("refine", True), **options
             )
-            errors.append(crops.validation_size(crop, exact, image).interior)
+            errors.append(crops.measured(crop, exact, image).interior)
         every = np.concatenate(errors)
         result[name] = {
-            "ms": [1e3 * each for each in taken[name][:3]],
+            "ms": [1e3 * seconds for seconds in times[name][:3]],
             "p50": float(np.median(every)),
             "p99": float(np.percentile(every, 99.0)),
         }
     return result
 
 
-def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
-    for body, of_ways in found.items():
-        for name, each in of_ways.items():
-            middle, least, most = each["ms"]
+    for body, by_method in results.items():
+        for name, figure in by_method.items():
+            middle, least, most = figure["ms"]
             result[f"frames/{body}/{name}/time"] = [middle, least, most, "ms"]
-            result[f"frames/{body}/{name}/P99"] = [each["p99"]] * 3 + ["error"]
+            result[f"frames/{body}/{name}/P99"] = [figure["p99"]] * 3 + ["error"]
     return result
 
 
-def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """One panel a subject."""
+def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw one panel per subject."""
     plt = figures.pyplot()
-    figure, axes = plt.subplots(1, len(found), figsize=(3.4 * len(found) + 0.6, 3.9), sharey=True, squeeze=False)
+    figure, axes = plt.subplots(1, len(results), figsize=(3.4 * len(results) + 0.6, 3.9), sharey=True, squeeze=False)
     kinds = (("points", figures.GREY, "s"), ("refined", figures.BLUE, "o"), ("means", figures.SKY, "^"))
-    for axis, (body, of_ways) in zip(axes[0], found.items(), strict=True):
+    for axis, (body, by_method) in zip(axes[0], results.items(), strict=True):
         for kind, colour, marker in kinds:
-            some = [each for name, each in of_ways.items() if name.startswith(kind)]
-            ms, p99, p50 = ([each[k] if k != "ms" else each[k][0] for each in some] for k in ("ms", "p99", "p50"))
+            points = [figure for name, figure in by_method.items() if name.startswith(kind)]
+            ms, p99, p50 = ([point[k] if k != "ms" else point[k][0] for point in points] for k in ("ms", "p99", "p50"))
             axis.plot(ms, p99, color=colour, marker=marker, label=f"{kind}, P99")
             axis.plot(ms, p50, color=colour, marker=marker, linestyle=":", markersize=4, label=f"{kind}, median")
-        axis.set(xscale="log", yscale="log", title=body, xlabel="ms a frame, 640 × 480")
+        axis.set(xscale="log", yscale="log", title=body, xlabel="time per frame [ms], 640 × 480")
         axis.grid(alpha=0.3)
     axes[0][0].set_ylabel("error of interior pixels")
     axes[0][-1].legend(fontsize=7)
     figure.tight_layout()
     figures.save(figure, folder, "frames")
-    return {"frames": f"Against the most points, 64 a pixel, frames refined to 1e-1 take and err {_beside(found)}."}
+    return {"frames": f"Frames refined to 1e-1, compared with 64 points per pixel: time and error {_ratios(results)}."}
 
 
-def _beside(found: dict[str, Any]) -> str:
-    """How many times less time frames that are refined take than points, and how many times less they err."""
-    told = []
-    for body, of_ways in found.items():
-        ours, points = of_ways["refined to 0.1"], [each for name, each in of_ways.items() if name.startswith("points")]
-        most = max(points, key=lambda each: each["ms"][0])
-        told.append(f"{most['ms'][0] / ours['ms'][0]:.0f} and {most['p99'] / ours['p99']:.1f} times less ({body})")
-    return ", ".join(told)
+def _ratios(results: dict[str, Any]) -> str:
+    """Return by which factors time and error of refined frames are smaller than those of points."""
+    texts = []
+    for body, by_method in results.items():
+        ours, points = (
+            by_method["refined to 0.1"],
+            [figure for name, figure in by_method.items() if name.startswith("points")],
+        )
+        most = max(points, key=lambda figure: figure["ms"][0])
+        texts.append(f"{most['ms'][0] / ours['ms'][0]:.0f} and {most['p99'] / ours['p99']:.1f} times smaller ({body})")
+    return ", ".join(texts)

@@ -1,9 +1,9 @@
 """Speed against accuracy: every method over its settings, the automatic choice, and peers, on the pixels of a scene.
 
-Errors are the design's, ‖ΔXYZ‖ / max(‖XYZ‖, f), f as in ``errors``, and ΔE2000, exposed so that
-this percentile is 1, both against the float64 reference. Times are of warm calls, arrays in and arrays out, on as many
-of the scene's lit pixels as take about a tenth of a second. What comes before is apart, compilation not counted: plan,
-coefficients and table of a height field that was not seen before.
+Errors are ‖ΔXYZ‖ / max(‖XYZ‖, f), f as in ``errors``, and ΔE2000 with an exposure that maps the 99th percentile of Y
+to 1, both against the float64 reference. Times are of warm calls, arrays in and arrays out, on as many of the scene's
+illuminated pixels as require about a tenth of a second. Preparation of a new height field (plan, coefficients, table)
+is timed separately, without compilation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import warpdiff as wd
 from bench.suite import figures
 from bench.suite.scenes import FRAME_PIXELS, Directions, Scene, scenes
-from bench.suite.timing import in_turns
+from bench.suite.timing import interleaved
 from bench.truth import errors, reference
 from warpdiff.device.devices import resolve_device
 from warpdiff.optics.materials import IlluminatedMaterial
@@ -36,7 +36,7 @@ TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
-# Of ours by form; the first form's are powers, too.
+# Methods of warpdiff by kind of coherence.
 METHODS = {
     "averaged": ("low-rank, table", "low-rank", "power", "jacobi-anger", "taylor"),
     "centred": ("low-rank, table", "low-rank", "jacobi-anger", "taylor"),
@@ -58,26 +58,26 @@ STYLES = {
 }
 
 
-def ours(heightfield: wd.HeightField, plan: wd.Plan, seen: Directions, device: Any) -> Shade:
-    """A plan, called like a peer."""
+def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
+    """Return a plan as a function that is called like a peer."""
     import warp as wp
 
     direction_range = DirectionRange.of(
-        heightfield, plan.coherence, seen.scattering_vectors, seen.to_lights, seen.gains > 0.0
+        heightfield, plan.coherence, directions.scattering_vectors, directions.to_lights, directions.gains > 0.0
     )
     lights: dict[int, Any] = {}
-    made: dict[int, ColourLookup] = {}
+    lookups: dict[int, ColourLookup] = {}
 
     def shade(scattering_vectors: np.ndarray, gains: np.ndarray, threads: int) -> np.ndarray:
-        if threads not in made:
-            made[threads] = ColourLookup(heightfield, plan, direction_range, device=device, threads=threads)
+        if threads not in lookups:
+            lookups[threads] = ColourLookup(heightfield, plan, direction_range, device=device, threads=threads)
         count = len(gains)
         if count not in lights:
-            lights[count] = wp.array(np.float32(seen.some(count).to_lights), dtype=wp.vec3f, device=device)
+            lights[count] = wp.array(np.float32(directions.subset(count).to_lights), dtype=wp.vec3f, device=device)
         xyz = wp.zeros(count, dtype=wp.vec3f, device=device)
-        given = wp.array(scattering_vectors, dtype=wp.vec3d, device=device), lights[count]
-        made[threads].add(
-            *given, wp.array(np.float32(gains), dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz
+        arrays = wp.array(scattering_vectors, dtype=wp.vec3d, device=device), lights[count]
+        lookups[threads].accumulate(
+            *arrays, wp.array(np.float32(gains), dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz
         )
         return np.asarray(xyz.numpy())
 
@@ -85,57 +85,59 @@ def ours(heightfield: wd.HeightField, plan: wd.Plan, seen: Directions, device: A
 
 
 def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
-    """Peers that can run and serve a form, with their settings."""
+    """Return the peers that can run and support a kind of coherence, with their settings."""
     from bench.peers import drjit_peer, numpy_peer, stam_analytic
 
-    found: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+    result: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
     if coherence.kind not in ("averaged", "centred"):
-        return found
+        return result
     for name, peer in (("Dr.Jit", drjit_peer), ("NumPy", numpy_peer)):
         if (reason := peer.available()) is None:
-            # Plain NumPy takes a hundred times as long: two of its settings will do.
+            # Plain NumPy takes a hundred times as long, so only two of its settings are measured.
             settings = peer.SETTINGS if name != "NumPy" else [peer.SETTINGS[2], peer.SETTINGS[-2]]
-            found[name] = peer, [peer.PUBLISHED, *settings]
+            result[name] = peer, [peer.PUBLISHED, *settings]
         else:
-            print(f"{name} is left out: {reason}.")
+            print(f"{name} is excluded: {reason}.")
     try:
         from bench.peers import numba_peer
     except ImportError:
-        print("Numba is left out: it is not installed.")
+        print("Numba is excluded: it is not installed.")
     else:
-        found["Numba"] = numba_peer, [numba_peer.PUBLISHED, *numba_peer.SETTINGS]
+        result["Numba"] = numba_peer, [numba_peer.PUBLISHED, *numba_peer.SETTINGS]
     if coherence.kind == "averaged":
         if (reason := stam_analytic.available()) is None:
-            found["Stam, rainbow"] = stam_analytic, [{"colours": "rainbow"}]
-            found["Stam, CIE"] = stam_analytic, [{"colours": "cie"}]
+            result["Stam, rainbow"] = stam_analytic, [{"colours": "rainbow"}]
+            result["Stam, CIE"] = stam_analytic, [{"colours": "cie"}]
         else:
-            print(f"Stam's shader is left out: {reason}.")
-    return found
+            print(f"Stam's shader is excluded: {reason}.")
+    return result
 
 
 def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField, coherence: wd.Coherence) -> Shade:
-    """A peer at the last of its settings that it can do."""
-    for each in reversed(settings):
+    """Return a peer at the most accurate setting that it supports."""
+    for setting in reversed(settings):
         try:
-            return cast("Shade", peer.prepare(heightfield, coherence, **each))
+            return cast("Shade", peer.prepare(heightfield, coherence, **setting))
         except ValueError:
             continue
-    raise ValueError(f"{peer.__name__} can do none of its settings")
+    raise ValueError(f"{peer.__name__} supports none of its settings")
 
 
 def label(setting: dict[str, Any]) -> str:
-    """A peer's setting in few words."""
+    """Return a short text of a peer's setting."""
     if "colours" in setting:
         return str(setting["colours"])
-    side = 2 * setting["reach"] + 1
+    side = 2 * setting["neighbour_extent"] + 1
     how = "rounding" if setting["rounded"] else "floor"
     return f"{setting['wavelengths']} λ, {setting['terms']} terms, {side} × {side} by {how}"
 
 
-def plans(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Setting) -> dict[tuple[str, str], wd.Plan]:
-    """Plans of ours for the scene's pixels, by (method, tolerance)."""
-    found = {}
-    pairs = seen.to_lights, -seen.scattering_vectors - seen.to_lights
+def plans(
+    scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
+) -> dict[tuple[str, str], wd.Plan]:
+    """Return plans for the scene's pixels, by (method, tolerance)."""
+    result = {}
+    pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
     tolerances = TOLERANCES[:2] if setting.quick else TOLERANCES
     for method in (AUTOMATIC, *METHODS[coherence.kind]):
@@ -145,63 +147,64 @@ def plans(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Sett
             try:
                 plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, **chosen, **options)
             except ValueError:
-                # Out of the method's reach.
+                # The method cannot meet the tolerance.
                 continue
-            found[method, f"{tolerance:g}"] = plan
-    return found
+            result[method, f"{tolerance:g}"] = plan
+    return result
 
 
 def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> dict[str, Any]:
-    """All curves of one chart."""
-    seen, _ = scene.seen(coherence)
+    """Measure all curves of one chart."""
+    directions, _ = scene.directions(coherence)
     device = resolve_device(setting.device)
-    few = seen.some(JUDGED // 4 if setting.quick else JUDGED)
+    few = directions.subset(JUDGED // 4 if setting.quick else JUDGED)
     exact = few.gains[:, None] * reference.colours(
         scene.heightfield, few.scattering_vectors, few.to_lights, coherence, tolerance=1e-3 if setting.quick else 3e-4
     )
     shades: dict[tuple[str, str], Shade] = {
-        key: ours(scene.heightfield, plan, seen, device) for key, plan in plans(scene, coherence, seen, setting).items()
+        key: ours(scene.heightfield, plan, directions, device)
+        for key, plan in plans(scene, coherence, directions, setting).items()
     }
-    before = dict(_before(scene, coherence, seen, setting))
+    before = dict(_before(scene, coherence, directions, setting))
     for name, (peer, settings) in peers(coherence).items():
-        for each in settings if not setting.quick else settings[:1] + settings[1::2]:
+        for options in settings if not setting.quick else settings[:1] + settings[1::2]:
             begin = time.perf_counter()
             try:
-                shades[name, label(each)] = peer.prepare(scene.heightfield, coherence, **each)
+                shades[name, label(options)] = peer.prepare(scene.heightfield, coherence, **options)
             except ValueError as error:
-                print(f"{name}, {label(each)}: {error}")
+                print(f"{name}, {label(options)}: {error}")
                 continue
             before.setdefault(name, time.perf_counter() - begin)
     curves: dict[str, dict[str, Any]] = {}
     calls, counts = {}, {}
     for key, shade in shades.items():
-        found = shade(few.scattering_vectors, few.gains, setting.threads)
-        some = seen.some(FEWEST)
-        shade(some.scattering_vectors, some.gains, setting.threads)
+        xyz = shade(few.scattering_vectors, few.gains, setting.threads)
+        first = directions.subset(FEWEST)
+        shade(first.scattering_vectors, first.gains, setting.threads)
         begin = time.perf_counter()
-        shade(some.scattering_vectors, some.gains, setting.threads)
-        each = (time.perf_counter() - begin) / len(some.gains)
-        counts[key] = int(np.clip(TARGET_S / each, FEWEST, len(seen.gains)))
-        timed = seen.some(counts[key])
+        shade(first.scattering_vectors, first.gains, setting.threads)
+        per_pixel = (time.perf_counter() - begin) / len(first.gains)
+        counts[key] = int(np.clip(TARGET_S / per_pixel, FEWEST, len(directions.gains)))
+        timed = directions.subset(counts[key])
         calls[" | ".join(key)] = lambda s=shade, t=timed: s(t.scattering_vectors, t.gains, setting.threads)
-        error = errors.relative(found, exact)
+        error = errors.relative(xyz, exact)
         columns = ("setting", "median", "p99", "delta_e", "us", "pixels")
         curve = curves.setdefault(key[0], {column: [] for column in columns})
         curve["setting"].append(key[1])
         curve["median"].append(float(np.median(error)))
         curve["p99"].append(float(np.percentile(error, 99.0)))
-        curve["delta_e"].append(errors.colour_difference(found, exact))
+        curve["delta_e"].append(errors.colour_difference(xyz, exact))
         curve["pixels"].append(counts[key])
-    taken = in_turns(calls, setting.rounds)
+    seconds = interleaved(calls, setting.rounds)
     for key, count in counts.items():
-        times = taken[" | ".join(key)]
+        times = seconds[" | ".join(key)]
         curves[key[0]]["us"].append([1e6 * t / count for t in times[:3]])
     return {"scene": scene.title, "coherence": str(coherence), "curves": curves, "before_s": before}
 
 
-def _before(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Setting) -> Any:
-    """Seconds before the first frame of a height field that was not seen before, kernels compiled."""
-    few = seen.some(FEWEST)
+def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting) -> Any:
+    """Yield the preparation time of a new height field by method [s], kernels compiled."""
+    few = directions.subset(FEWEST)
     for method in ("low-rank, table", "low-rank"):
         if method in METHODS[coherence.kind]:
             heightfield = scene.make()
@@ -216,48 +219,48 @@ def _before(scene: Scene, coherence: wd.Coherence, seen: Directions, setting: Se
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Charts of all scenes and forms; a quick run has one."""
-    found = {}
+    """Measure the charts of all scenes and coherences; a quick run has one."""
+    results = {}
     for scene in scenes(setting.data):
         for coherence in scene.coherences:
             name = f"{coherence.kind}_{scene.name}"
             if setting.quick and name != "averaged_fingers":
                 continue
             setting.say(f"pareto: {scene.title}, {coherence}")
-            found[name] = measure_scene(scene, coherence, setting)
-    return found
+            results[name] = measure_scene(scene, coherence, setting)
+    return results
 
 
-def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
-    for chart_name, each in found.items():
-        for method, curve in each["curves"].items():
+    for chart_name, scene in results.items():
+        for method, curve in scene["curves"].items():
             for k, setting in enumerate(curve["setting"]):
                 key = f"pareto/{chart_name}/{method}/{setting}"
                 result[f"{key}/time"] = [*curve["us"][k], "µs a pixel"]
                 for name, unit in (("median", "error"), ("p99", "error"), ("delta_e", "ΔE2000")):
                     result[f"{key}/{name}"] = [curve[name][k]] * 3 + [unit]
-        for method, seconds in each["before_s"].items():
+        for method, seconds in scene["before_s"].items():
             result[f"pareto/{chart_name}/{method}/before"] = [seconds] * 3 + ["s"]
     return result
 
 
-def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """One figure a scene and form; what each shows, by the figure's name."""
-    return {f"pareto_{name}": _draw(f"pareto_{name}", each, folder) for name, each in found.items()}
+def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw one figure per scene and coherence; returns a finding by the figure's name."""
+    return {f"pareto_{name}": _draw(f"pareto_{name}", result, folder) for name, result in results.items()}
 
 
-def _draw(name: str, found: dict[str, Any], folder: Path) -> str:
+def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
     plt = figures.pyplot()
     figure, axes = plt.subplots(1, 3, figsize=(17.0, 5.6), width_ratios=(1.0, 1.0, 0.7))
-    curves = found["curves"]
+    curves = result["curves"]
     for axis, quantity, least in zip(axes, ("p99", "delta_e"), (1e-7, 1e-5), strict=False):
         ends = []
         for method, curve in curves.items():
             colour, marker, title = STYLES[method]
             top = method == AUTOMATIC
-            # The published setting is none of a peer's curve.
+            # The published setting is a separate point, not a part of a peer's curve.
             begin = 1 if method in ("Numba", "Dr.Jit", "NumPy") else 0
             us = np.array(curve["us"])
             order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
@@ -278,7 +281,7 @@ def _draw(name: str, found: dict[str, Any], folder: Path) -> str:
                     )  # fmt: skip
             last = int(np.argmin(y))
             ends.append((x[last], y[last], title, colour))
-        axis.set(xscale="log", yscale="log", xlabel="time a pixel [µs]", xlim=(1e-2, 1e3))
+        axis.set(xscale="log", yscale="log", xlabel="time per pixel [µs]", xlim=(1e-2, 1e3))
         axis.set_ylim(least if min(e[1] for e in ends) <= least else None, 30.0 if quantity == "p99" else 300.0)
         figures.label_ends(axis, ends)
         axis.grid(color="#00000014", linewidth=0.8)
@@ -288,7 +291,7 @@ def _draw(name: str, found: dict[str, Any], folder: Path) -> str:
     axes[1].set_title("colour difference: P99")
     axes[1].set_ylabel("ΔE2000")
     ends = []
-    for method, before in found["before_s"].items():
+    for method, before in result["before_s"].items():
         curve = curves.get(method)
         if curve is None or method.startswith("Stam"):
             continue
@@ -302,33 +305,33 @@ def _draw(name: str, found: dict[str, Any], folder: Path) -> str:
     axes[2].set(
         xscale="log",
         yscale="log",
-        xlabel="frames of 150,000 lit pixels",
-        ylabel="s a frame, with all before",
+        xlabel="frames of 150,000 illuminated pixels",
+        ylabel="time per frame [s], with preparation",
         ylim=(1e-2, 1e2),
     )
     axes[2].set_title("at an error of 1e-2")
     figures.label_ends(axes[2], ends, gap=0.06)
     axes[2].grid(color="#00000014", linewidth=0.8)
-    figure.suptitle(f"{found['scene']}: {found['coherence']}", x=0.01, ha="left", fontsize=12)
+    figure.suptitle(f"{result['scene']}: {result['coherence']}", x=0.01, ha="left", fontsize=12)
     figure.tight_layout(rect=(0.0, 0.0, 0.995, 0.97), w_pad=2.0)
     figures.save(figure, folder, name)
-    return finding(found)
+    return finding(result)
 
 
 def _at(curve: dict[str, Any], error: float) -> int | None:
-    """The cheapest setting of a curve that keeps an error in the 99th percentile."""
-    good = [k for k, each in enumerate(curve["p99"]) if each <= error]
+    """Return the index of the cheapest setting whose 99th percentile is at most an error."""
+    good = [k for k, p99 in enumerate(curve["p99"]) if p99 <= error]
     return min(good, key=lambda k: curve["us"][k][0]) if good else None
 
 
-def finding(found: dict[str, Any]) -> str:
-    """What a chart shows, in a sentence, also where ours loses."""
-    curves = found["curves"]
+def finding(result: dict[str, Any]) -> str:
+    """Return what a chart shows, in a sentence, including cases where a peer is better."""
+    curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:
-        return "The automatic choice reaches no error of 1e-2 here."
+        return "The automatic choice does not reach an error of 1e-2 here."
     mine = curves[AUTOMATIC]["us"][ours_at][0]
-    text = f"At an error of 1e-2 the automatic choice takes {mine:.2g} µs a pixel"
+    text = f"At an error of 1e-2 the automatic choice requires {mine:.2g} µs per pixel"
     others = {
         name: curves[name]["us"][at][0]
         for name in curves
@@ -341,7 +344,7 @@ def finding(found: dict[str, Any]) -> str:
     rest = {name: us for name, us in others.items() if name not in rivals}
     cheapest = min(rest, key=lambda name: rest[name], default=None)
     if cheapest is not None and rest[cheapest] < 0.8 * mine:
-        text += f"; a setting of {STYLES[cheapest][2]} takes {rest[cheapest]:.2g}, which the choice misses"
+        text += f"; a setting of {STYLES[cheapest][2]} that it does not choose requires {rest[cheapest]:.2g}"
     never = [STYLES[name][2] for name in curves if name != AUTOMATIC and name not in others]
     if never:
         text += f"; {', '.join(never)} do not reach it" if len(never) > 1 else f"; {never[0]} does not reach it"

@@ -1,4 +1,4 @@
-"""Each scene of the charts by ours and by every peer at its best, with the differences between them."""
+"""Previews: each scene by warpdiff and by every peer at its best setting, with the differences."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Pictures (height, width, 3) in sRGB as lists of bytes, with their differences from ours at 1e-3."""
-    found = {}
+    """Return pictures (height, width, 3) in sRGB as lists of bytes, with their differences from ours at 1e-3."""
+    results = {}
     for scene in scenes(setting.data):
         coherence = scene.coherences[0]
         if coherence.kind != "averaged" or (setting.quick and scene.name != "fingers"):
             continue
         setting.say(f"previews: {scene.title}")
-        seen, illuminated = scene.seen(coherence, WIDTH)
+        directions, illuminated = scene.directions(coherence, WIDTH)
         finest = wd.plan(
             scene.heightfield, coherence=coherence, tolerance=1e-3, device=setting.device, threads=setting.threads
         )
-        shades = {"warpdiff, 1e-3": pareto.ours(scene.heightfield, finest, seen, resolve_device(setting.device))}
+        shades = {"warpdiff, 1e-3": pareto.ours(scene.heightfield, finest, directions, resolve_device(setting.device))}
         for name, (peer, settings) in pareto.peers(coherence).items():
             shades[pareto.STYLES[name][2]] = pareto.best(peer, settings, scene.heightfield, coherence)
-        pictures, mine = {}, None
+        pictures, reference_xyz = {}, None
         for name, shade in shades.items():
-            xyz = np.float64(shade(seen.scattering_vectors, seen.gains, setting.threads))
-            mine = xyz if mine is None else mine
-            error = errors.relative(xyz, mine)
-            # The brightness of the published rainbow is the artist's.
-            by, exposure = (xyz, 1.0) if "rainbow" in name else (mine, EXPOSURE)
+            xyz = np.float64(shade(directions.scattering_vectors, directions.gains, setting.threads))
+            reference_xyz = xyz if reference_xyz is None else reference_xyz
+            error = errors.relative(xyz, reference_xyz)
+            # The brightness of the published rainbow is an artistic choice.
+            by, exposure = (xyz, 1.0) if "rainbow" in name else (reference_xyz, EXPOSURE)
             image = np.zeros((3 * WIDTH // 4 * WIDTH, 3))
             image[illuminated] = srgb_encode(exposure / np.percentile(by[:, 1], 99.0) * xyz_to_rgb(xyz))
             pictures[name] = {
@@ -51,45 +51,45 @@ def measure(setting: Setting) -> dict[str, Any]:
                 "median": float(np.median(error)),
                 "p99": float(np.percentile(error, 99.0)),
             }
-        found[scene.name] = {"scene": scene.title, "coherence": str(coherence), "pictures": pictures}
-    return found
+        results[scene.name] = {"scene": scene.title, "coherence": str(coherence), "pictures": pictures}
+    return results
 
 
-def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Differences from ours by name: [value, least, most, unit]."""
     return {
-        f"previews/{name}/{by}/{quantity}": [each[quantity]] * 3 + ["error against ours"]
-        for name, scene in found.items()
-        for by, each in scene["pictures"].items()
+        f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]
+        for name, scene in results.items()
+        for by, picture in scene["pictures"].items()
         if not by.startswith("warpdiff")
         for quantity in ("median", "p99")
     }
 
 
-def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """One sheet for all scenes."""
+def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw one sheet for all scenes."""
     plt = figures.pyplot()
-    columns = max(len(each["pictures"]) for each in found.values())
+    columns = max(len(scene["pictures"]) for scene in results.values())
     figure, axes = plt.subplots(
-        len(found), columns, figsize=(3.1 * columns, 2.75 * len(found)), squeeze=False, layout="constrained"
+        len(results), columns, figsize=(3.1 * columns, 2.75 * len(results)), squeeze=False, layout="constrained"
     )
-    for row, scene in zip(axes, found.values(), strict=True):
+    for row, scene in zip(axes, results.values(), strict=True):
         for axis in row:
             axis.set_axis_off()
-        for axis, (name, each) in zip(row, scene["pictures"].items(), strict=False):
-            axis.imshow(each["srgb"])
-            beside = scene["scene"]
+        for axis, (name, picture) in zip(row, scene["pictures"].items(), strict=False):
+            axis.imshow(picture["srgb"])
+            caption = scene["scene"]
             if not name.startswith("warpdiff"):
-                beside = f"off by {each['median']:.0e} in the median, {each['p99']:.0e} in P99"
-            axis.set_title(f"{name}\n{beside}", fontsize=8.5, fontweight="normal")
+                caption = f"error {picture['median']:.0e} (median), {picture['p99']:.0e} (P99)"
+            axis.set_title(f"{name}\n{caption}", fontsize=8.5, fontweight="normal")
     figures.save(figure, folder, "previews")
     lines = []
-    for scene in found.values():
+    for scene in results.values():
         stam = scene["pictures"].get(pareto.STYLES["Stam, CIE"][2])
         if stam:
             lines.append(f"{stam['median']:.2g} ({scene['scene']})")
-    text = "The published algorithm at its best setting cannot be told from ours."
+    text = "The published algorithm at its best setting looks the same as ours."
     if lines:
         medians = ", ".join(lines)
-        text += f" The analytic shader with CIE colours, which knows tracks alone, errs by {medians} in the median."
+        text += f" The analytic shader with CIE colours, which models tracks only, has a median error of {medians}."
     return {"previews": text}

@@ -1,4 +1,4 @@
-"""``python -m bench``: every chart in one run, with its numbers, and what two runs differ in."""
+"""``python -m bench``: all charts and their numbers in one run, and the comparison of two runs."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ import warpdiff as wd
 from warpdiff.core.files import atomic_write, check_folder
 from warpdiff.device.devices import resolve_device, resolve_threads
 
-# Modules with measure(setting), numbers(found) and chart(found, folder), in the order of the report.
+# Modules with measure(setting), numbers(results) and chart(results, folder), in the order of the report.
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
 PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab", "meent",
 )  # fmt: skip
-# A figure has moved if it did by more than the rounds of both runs spread, and by more than this.
+# A figure has changed if it did by more than the spread of the rounds of both runs, and by more than this share.
 LEAST_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How a run is made.
+    """Settings of a run.
 
     Attributes:
-        quick: Every figure, with few points.
+        quick: Whether figures have few points.
         device: ``"cpu"`` (None) or a CUDA device.
-        threads: On the CPU, for ours and for peers.
-        data: Folder with real inputs; None is where they are found by default.
-        rounds: Timed rounds, in which everything takes turns.
+        threads: Threads on the CPU, for warpdiff and peers.
+        data: Folder of the real inputs; None is the default folder.
+        rounds: Number of timed rounds; all calls are interleaved.
     """
 
     quick: bool
@@ -53,7 +53,7 @@ class Setting:
 
     @staticmethod
     def say(what: str) -> None:
-        """Say what is being done."""
+        """Print what is measured, with the time."""
         print(f"[{time.strftime('%H:%M:%S')}] {what}", flush=True)
 
 
@@ -69,23 +69,23 @@ def run(
     """Measure, write ``results.json`` and ``results.csv``, draw, and report.
 
     Args:
-        folder: Where to.
-        quick: Some two minutes, with few points.
-        parts: Which of ``PARTS``; None is all.
+        folder: Folder of the results.
+        quick: Whether figures have few points; a run then takes about two minutes.
+        parts: Names from ``PARTS``; None is all.
         device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one a core.
-        data: Folder with real inputs.
+        threads: Threads on the CPU; None is one per core.
+        data: Folder of the real inputs.
 
     Returns:
-        The report, a Markdown file with the figures and a finding below each.
+        The path of the report, a Markdown file with the figures and a finding below each.
     """
     unknown = sorted(set(parts or ()) - set(PARTS))
     if unknown:
-        raise ValueError(f"filter must name some of {', '.join(PARTS)}, got {', '.join(unknown)}")
+        raise ValueError(f"--filter must name parts out of {', '.join(PARTS)}, got {', '.join(unknown)}")
     if importlib.util.find_spec("matplotlib") is None:
         raise ValueError("charts require matplotlib, which is not installed: pip install -e '.[bench]'")
     resolve_device(device)
-    # What is kept on disk would hide what comes before a first frame.
+    # The disk cache would shorten the preparation before a first frame.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     setting = Setting(quick, device, resolve_threads(threads), data, 3 if quick else 5)
@@ -97,11 +97,11 @@ def run(
             continue
         module = importlib.import_module(f"bench.suite.{name}")
         begin = time.perf_counter()
-        found = module.measure(setting)
-        results["figures"] |= module.numbers(found)
-        results["findings"] |= module.chart(found, folder)
+        part_results = module.measure(setting)
+        results["figures"] |= module.numbers(part_results)
+        results["findings"] |= module.chart(part_results, folder)
         results["seconds"][name] = round(time.perf_counter() - begin, 1)
-        # After each part, or a later one that fails would take all with it.
+        # Written after each part, so that a later failure loses nothing.
         write(folder / "results.json", json.dumps(results, indent=1, default=_plain) + "\n")
         write_csv(folder / "results.csv", results["figures"])
         write(folder / "report.md", report(results))
@@ -109,7 +109,7 @@ def run(
 
 
 def machine(setting: Setting) -> dict[str, Any]:
-    """Where and with what a run was made."""
+    """Return the machine and the versions of a run."""
     versions = {}
     for name in PACKAGES:
         try:
@@ -132,7 +132,7 @@ def machine(setting: Setting) -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Its name."""
+    """Return the name of the processor."""
     info = Path("/proc/cpuinfo")
     names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] \
         if info.is_file() else []  # fmt: skip
@@ -140,7 +140,7 @@ def processor() -> str:
 
 
 def commit() -> str:
-    """The checkout's commit, with a plus if it was changed; an empty string without git."""
+    """Return the checkout's commit, with a plus if it was changed; an empty string without git."""
     git = functools.partial(
         subprocess.run, cwd=Path(__file__).parent, capture_output=True, text=True, check=False, timeout=20
     )
@@ -153,43 +153,43 @@ def commit() -> str:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a file under another name until it is whole."""
+    """Write a file atomically."""
     with atomic_write(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
 
 
 def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
-    """One figure a line."""
+    """Write one figure per line."""
     with atomic_write(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("figure", "value", "least", "most", "unit"))
-        writer.writerows((name, *each) for name, each in numbers.items())
+        writer.writerows((name, *values) for name, values in numbers.items())
 
 
 def report(results: dict[str, Any]) -> str:
-    """Figures with their findings."""
-    held = results["machine"]
+    """Return the report: figures with their findings."""
+    machine = results["machine"]
     seconds = ", ".join(f"{name} {s:.0f} s" for name, s in results["seconds"].items())
-    made_by = f"warpdiff {held['warpdiff']}" + (f" at {held['commit']}" if held["commit"] else "")
-    where = f"{held['processor']}, {held['device']}, {held['threads']} threads"
-    lines = ["# Speed against accuracy", "", f"{made_by}, {where}, {held['date']}. It took {seconds}."]
+    made_by = f"warpdiff {machine['warpdiff']}" + (f" at {machine['commit']}" if machine["commit"] else "")
+    where = f"{machine['processor']}, {machine['device']}, {machine['threads']} threads"
+    lines = ["# Speed against accuracy", "", f"{made_by}, {where}, {machine['date']}. Duration: {seconds}."]
     for name, finding in results["findings"].items():
         lines += ["", f"![{name}]({name}.png)", "", finding]
     return "\n".join(lines) + "\n"
 
 
 def compare(old: Path, new: Path) -> list[str]:
-    """Which figures of two runs differ by more than their noise, the most changed first.
+    """Return the figures of two runs that differ by more than their noise, by decreasing change.
 
     Args:
-        old: A ``results.json``.
-        new: Another.
+        old: Path of the first ``results.json``.
+        new: Path of the second.
 
     Returns:
-        Lines, the first a summary.
+        Lines of text; the first is a summary.
     """
     before, after = (_read(path) for path in (old, new))
-    moved, both = [], [name for name in before if name in after]
+    changed, both = [], [name for name in before if name in after]
     for name in both:
         (value, least, most, unit), (value2, least2, most2, _) = before[name], after[name]
         if value <= 0.0 or value2 <= 0.0:
@@ -199,12 +199,12 @@ def compare(old: Path, new: Path) -> list[str]:
             noise = np.log(max(most, value) / min(least, value)) + np.log(max(most2, value2) / min(least2, value2))
         if change > max(noise, np.log1p(LEAST_CHANGE)):
             ratio = value2 / value if value else float("inf")
-            moved.append((change, f"{name}: {value:.3g} to {value2:.3g} {unit}, {ratio:.2f} times"))
-    moved.sort(key=lambda each: -each[0])
-    missing = [f"no longer there: {name}" for name in before if name not in after]
+            changed.append((change, f"{name}: {value:.3g} to {value2:.3g} {unit}, {ratio:.2f} times"))
+    changed.sort(key=lambda change: -change[0])
+    missing = [f"removed: {name}" for name in before if name not in after]
     added = [f"new: {name}" for name in after if name not in before]
-    summary = f"{len(moved)} of {len(both)} figures moved by more than their noise and {100 * LEAST_CHANGE:.0f} %."
-    return [summary, *(line for _, line in moved), *missing, *added]
+    summary = f"{len(changed)} of {len(both)} figures changed by more than their noise and {100 * LEAST_CHANGE:.0f} %."
+    return [summary, *(line for _, line in changed), *missing, *added]
 
 
 def _read(path: Path) -> dict[str, list[Any]]:
@@ -219,4 +219,4 @@ def _read(path: Path) -> dict[str, list[Any]]:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"{type(value).__name__} is not written")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")

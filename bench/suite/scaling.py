@@ -1,8 +1,8 @@
-"""How time and memory grow: with pixels, scan, patch, heights, window, lights, mesh and threads.
+"""Scaling of time and memory with pixels, samples, patch, heights, window, lights, mesh and threads.
 
-A point is a process of its own, so that its memory is its own: fingers on a tube at a tolerance of 1e-2, with one
-parameter changed. It takes the time of what comes before the first frame (plan, coefficients, table), of frames whose
-light moves, and the most memory that the process had, less what it had before.
+Each point runs in its own process: fingers on a tube at a tolerance of 1e-2, with one parameter changed. Measured are
+the preparation before the first frame (plan, coefficients, table), the frames of a moving light, and the increase of
+the process's peak memory.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 BASE: dict[str, Any] = {
     "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
 }  # fmt: skip
-# Parameter, what of it is x, its values, and a title.
+# By name: parameter, values, and title of the x axis.
 SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "pixels": ("width", (80, 160, 320, 640, 1280), "pixels of the picture"),
     "samples": ("pitch_um", (0.13, 0.1, 0.05, 0.025), "samples of the height field"),
@@ -42,7 +42,7 @@ FRAMES = 5
 
 
 def x_of(series: str, value: float) -> float:
-    """The number on the axis for a parameter's value."""
+    """Return the number on the x axis for a parameter's value."""
     if series == "pixels":
         return value * value * 0.75
     if series == "samples":
@@ -53,10 +53,10 @@ def x_of(series: str, value: float) -> float:
 
 
 def most_memory() -> float:
-    """The most memory that this process has had [MB]."""
+    """Return the peak memory of this process [MB]."""
     status = Path("/proc/self/status")
     if status.is_file():
-        # What getrusage tells began with the memory of the process that this one was forked from.
+        # getrusage starts with the memory of the process that this one was forked from.
         return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
     import resource
 
@@ -78,7 +78,7 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     wd.shade(tiny, small, wd.DirectionalLight((0.0, 1.0, 1.0)), few, **options)
     before = most_memory()
     begin = time.perf_counter()
-    # Of patches that are small against the window no table keeps the tolerance.
+    # For patches that are small against the window no table meets the tolerance.
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:
@@ -89,35 +89,35 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
 
     frame(0)
     prepared = time.perf_counter() - begin
-    taken = [frame(k + 1) for k in range(FRAMES)]
+    seconds = [frame(k + 1) for k in range(FRAMES)]
     return {
-        "before_s": prepared - float(np.median(taken)),
-        "frame_s": [float(np.median(taken)), min(taken), max(taken)],
+        "before_s": prepared - float(np.median(seconds)),
+        "frame_s": [float(np.median(seconds)), min(seconds), max(seconds)],
         "megabytes": most_memory() - before,
     }
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """All series; a quick run takes the first, the middle and the last value of two of them."""
-    found = {}
+    """Measure all series; a quick run has the first, middle and last value of two of them."""
+    results = {}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for name, (parameter, values, _) in SERIES.items():
         if setting.quick and name not in ("pixels", "lights"):
             continue
         chosen: tuple[Any, ...] = values[:: max(len(values) // 2, 1)] if setting.quick else values
         if name == "threads":
-            chosen = tuple(each for each in values if each <= cores)
+            chosen = tuple(value for value in values if value <= cores)
             if setting.device not in (None, "cpu") or len(chosen) < 2:
                 continue
         setting.say(f"scaling: {name}")
         points = []
         for value in chosen:
-            # The first of two compiles what the height field needs; its times are not kept.
+            # The first of two runs compiles the kernels of the height field; its times are dropped.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
                 result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
-        found[name] = points
-    return found
+        results[name] = points
+    return results
 
 
 def _in_process(parameters: dict[str, Any], setting: Setting) -> dict[str, Any]:
@@ -133,43 +133,43 @@ def exponent(x: list[float], y: list[float]) -> float:
     return float(np.polyfit(np.log(x), np.log(np.maximum(y, 1e-9)), 1)[0])
 
 
-def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
+def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
-    for name, points in found.items():
-        for each in points:
-            key = f"scaling/{name}/{each['x']:.4g}"
-            result[f"{key}/frame"] = [*each["frame_s"], "s"]
-            result[f"{key}/before"] = [each["before_s"]] * 3 + ["s"]
-            result[f"{key}/memory"] = [each["megabytes"]] * 3 + ["MB"]
+    for name, points in results.items():
+        for point in points:
+            key = f"scaling/{name}/{point['x']:.4g}"
+            result[f"{key}/frame"] = [*point["frame_s"], "s"]
+            result[f"{key}/before"] = [point["before_s"]] * 3 + ["s"]
+            result[f"{key}/memory"] = [point["megabytes"]] * 3 + ["MB"]
     return result
 
 
-def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """A panel a series: seconds on the left, megabytes on the right, with fitted exponents."""
+def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw one panel per series: seconds and gigabytes, with fitted exponents."""
     plt = figures.pyplot()
-    columns = min(len(found), 4)
-    rows = -(-len(found) // columns)
+    columns = min(len(results), 4)
+    rows = -(-len(results) // columns)
     figure, axes = plt.subplots(rows, columns, figsize=(4.4 * columns, 3.7 * rows), squeeze=False)
     slopes = {}
-    for axis in axes.flat[len(found) :]:
+    for axis in axes.flat[len(results) :]:
         axis.set_axis_off()
-    for axis, (name, points) in zip(axes.flat, found.items(), strict=False):
-        x = [each["x"] for each in points]
+    for axis, (name, points) in zip(axes.flat, results.items(), strict=False):
+        x = [point["x"] for point in points]
         curves = {
-            "frame [s]": ([each["frame_s"][0] for each in points], figures.BLUE, "o"),
-            "before the first [s]": ([each["before_s"] for each in points], figures.VERMILION, "s"),
-            "memory [GB]": ([each["megabytes"] / 1024.0 for each in points], figures.GREEN, "^"),
+            "frame [s]": ([point["frame_s"][0] for point in points], figures.BLUE, "o"),
+            "preparation [s]": ([point["before_s"] for point in points], figures.VERMILION, "s"),
+            "memory [GB]": ([point["megabytes"] / 1024.0 for point in points], figures.GREEN, "^"),
         }
         for title, (y, colour, marker) in curves.items():
             y_drawn = np.maximum(y, 1e-3)
             slope = exponent(x, list(y_drawn))
             slopes[name, title] = slope
             axis.plot(x, y_drawn, color=colour, marker=marker, markersize=5, label=f"{title}: x^{slope:.2f}")
-        spread = np.array([each["frame_s"] for each in points])
+        spread = np.array([point["frame_s"] for point in points])
         axis.fill_between(x, spread[:, 1], spread[:, 2], color=figures.BLUE, alpha=0.2, linewidth=0.0)
         axis.set(xscale="log", yscale="log", xlabel=SERIES[name][2])
-        axis.set_xticks(x, [f"{each:.3g}" if each < 1e3 else f"{each:,.0f}" for each in x], fontsize=8.5)
+        axis.set_xticks(x, [f"{value:.3g}" if value < 1e3 else f"{value:,.0f}" for value in x], fontsize=8.5)
         axis.minorticks_off()
         low, high = axis.get_ylim()
         axis.set_ylim(low, high * (high / low) ** 0.45)
@@ -178,8 +178,8 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
         axis.set_title(name)
     figure.tight_layout()
     figures.save(figure, folder, "scaling")
-    frame = {name: slopes[name, "frame [s]"] for name in found}
-    text = "A frame's time goes as " + ", ".join(f"{name}^{slope:.2f}" for name, slope in frame.items())
-    costly = max(found, key=lambda name: max(each["before_s"] for each in found[name]))
-    most = max(each["before_s"] for each in found[costly])
-    return {"scaling": f"{text}. What comes before the first frame is the most, {most:.1f} s, at the end of {costly}."}
+    frame = {name: slopes[name, "frame [s]"] for name in results}
+    text = "The time of a frame is proportional to " + ", ".join(f"{name}^{slope:.2f}" for name, slope in frame.items())
+    costly = max(results, key=lambda name: max(point["before_s"] for point in results[name]))
+    most = max(point["before_s"] for point in results[costly])
+    return {"scaling": f"{text}. Preparation takes at most {most:.1f} s, at the last point of {costly}."}

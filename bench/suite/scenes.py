@@ -1,4 +1,4 @@
-"""The scenes of the charts: what is timed, what is judged, and what the previews show are the pixels of one picture."""
+"""Scenes of the charts: timing, errors and previews use the pixels of one picture per scene."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 IOR = 1.5
-# Of the pictures whose pixels are timed.
+# Width of the pictures whose pixels are timed.
 WIDTH = 960
-# What a frame has, for what comes before the first one to be shared by.
+# Pixels per frame, by which preparation times are divided.
 FRAME_PIXELS = 150_000
 
 
 class Directions(NamedTuple):
-    """Directions to the light, deflections (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
+    """Directions to the light, scattering vectors (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
 
     to_lights: np.ndarray
     scattering_vectors: np.ndarray
     gains: np.ndarray
 
-    def some(self, count: int) -> Directions:
-        """So many of them, evenly, in their order."""
+    def subset(self, count: int) -> Directions:
+        """Return at most ``count`` of them, evenly spaced, in their order."""
         chosen = np.linspace(0, len(self.gains) - 1, min(count, len(self.gains))).astype(int)
-        return Directions(*(each[chosen] for each in self))
+        return Directions(*(array[chosen] for array in self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,13 @@ class Scene:
     """A body with a surface, under one light.
 
     Attributes:
-        name: Short, for files.
-        title: For charts.
-        make: The height field; a new object each time, which remembers nothing.
-        mesh: The body.
-        light: The light.
-        eye, target, fov_y_deg: The camera.
-        coherences: The forms that it is charted in.
+        name: Name in files.
+        title: Title in charts.
+        make: Function that makes the height field, a new object without caches.
+        mesh: Mesh of the body.
+        light: Light.
+        eye, target, fov_y_deg: Camera.
+        coherences: Coherences of its charts.
     """
 
     name: str
@@ -71,18 +71,18 @@ class Scene:
         return self.make()
 
     def view(self, width: int) -> wd.View:
-        """The camera, for so wide a picture."""
+        """Return the camera for a picture of a width."""
         return wd.View(self.eye, self.target, fov_y_deg=self.fov_y_deg, width=width, height=3 * width // 4)
 
-    def seen(self, coherence: wd.Coherence, width: int = WIDTH) -> tuple[Directions, np.ndarray]:
-        """What the lit pixels of a picture see, and which pixels (n,) these are."""
-        return seen(self.mesh, self.light, self.view(width), self.heightfield, coherence)
+    def directions(self, coherence: wd.Coherence, width: int = WIDTH) -> tuple[Directions, np.ndarray]:
+        """Return the directions of the illuminated pixels of a picture, and the indices of these pixels (n,)."""
+        return directions(self.mesh, self.light, self.view(width), self.heightfield, coherence)
 
 
-def seen(
+def directions(
     mesh: Any, light: wd.DirectionalLight, view: wd.View, heightfield: wd.HeightField, coherence: wd.Coherence
 ) -> tuple[Directions, np.ndarray]:
-    """What the lit pixels of a picture see, and which pixels (n,) these are."""
+    """Return the directions of the illuminated pixels of a picture, and the indices of these pixels (n,)."""
     frame = Picture(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
     frame.set_lights(lobes_of(light), coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
     frame.measure_directions(heightfield, coherence)
@@ -94,7 +94,7 @@ def seen(
 
 
 def scenes(data: Path | None) -> list[Scene]:
-    """All scenes; without the scan, fingers take its place where a form has no other."""
+    """Return all scenes; fingers replace the scan if it is absent."""
     tube = meshes.tube(segments_along=128, segments_around=64)
     on_tube: dict[str, Any] = {
         "mesh": tube,
@@ -117,14 +117,14 @@ def scenes(data: Path | None) -> list[Scene]:
         return wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
 
     def disc() -> wd.HeightField:
-        # As long as the scan, or the window would see the same pits again.
+        # As long as the scan; in a shorter patch the window would cover the same pits twice.
         return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
 
     def blazed() -> wd.HeightField:
         return wd.gratings.blazed(2.5, 0.25)
 
     measured = inputs.scan(data)
-    made = [
+    result = [
         Scene(
             "fingers", "synthetic fingers, 25.6 µm", fingers, **on_tube,
             coherences=(averaged,) if measured else (averaged, centred, source),
@@ -137,5 +137,5 @@ def scenes(data: Path | None) -> list[Scene]:
     ]  # fmt: skip
     if measured:
         skin = functools.partial(measured.levelled, order=2)
-        made.insert(0, Scene("skin", "scan of skin, 65 µm", skin, **on_tube, coherences=(averaged, centred, source)))
-    return made
+        result.insert(0, Scene("skin", "scan of skin, 65 µm", skin, **on_tube, coherences=(averaged, centred, source)))
+    return result

@@ -1,8 +1,8 @@
-"""Where each method breaks, and that the automatic choice does not: eight regimes, one panel each, and a table.
+"""Limits of each method, and errors of the automatic choice: eight regimes, one panel each.
 
-Errors are the design's, the 99th percentile over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) where a
-panel is of spectra, f a thousandth of the 99th percentile of Y or ρ. Float32 is the library's kernel, float64 the same
-series in NumPy; truth is the float64 reference, the direct sum, or a closed form.
+Errors are the 99th percentile over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra, f
+a thousandth of the 99th percentile of Y or ρ. Float32 is the library's kernel, float64 the same series in NumPy. The
+reference is the float64 reference, the direct sum, or a closed form.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from bench.suite.runner import Setting
 
 TOLERANCE = 1e-2
-# Of a regime's points.
+# All points of a regime.
 ALL = slice(None)
-# What a method is asked for where its own limit is to be seen.
+# Tolerance of a method whose own limit is measured.
 FINEST = 1e-5
 WAVELENGTHS_UM = np.array([0.4, 0.45, 0.55, 0.65, 0.75])
-AUTOMATIC = "automatic, asked for 1e-2"
+AUTOMATIC = "automatic, tolerance 1e-2"
 AUTOMATIC_SOURCE = "automatic, source of 0.53°"
 AUTOMATIC_CENTRED = "automatic, centred window"
 SERIES = {
@@ -44,7 +44,7 @@ STEPS = {5.0: "fixed steps of 5 nm", 1.0: "fixed steps of 1 nm"}
 FLOOR, ROUNDED = "3 × 3 found by floor", "3 × 3 found by rounding"
 SINGLE = "everything in float32"
 FACING = "source not foreshortened"
-ORDER_WISE = "one point an order"
+ORDER_WISE = "one point per order"
 SAMPLED = "any method on the samples"
 RESAMPLED = "resampled to 0.02 µm first"
 PQ, PQ64 = "p, q as published", "p, q as published, float64"
@@ -56,7 +56,7 @@ FLOAT64 = ", float64"
 
 
 class Panel(NamedTuple):
-    """A regime: where, what, and how it is written beside the axis."""
+    """One regime: title, axis and curves of its panel."""
 
     title: str
     axis: str
@@ -64,27 +64,27 @@ class Panel(NamedTuple):
     curves: dict[str, list[float]]  # errors at each x; NaN where a method is not tried
     note: str
     ticks: tuple[float, ...]
-    told: dict[str, list[int]]  # where an automatic choice refuses or warns: what it gives all the same is shown
+    warned: dict[str, list[int]]  # points at which an automatic choice refuses or warns; its result is still drawn
 
 
 class Points:
-    """Errors by curve and point, and where an automatic choice refuses or warns."""
+    """Errors by curve and point, and the points at which an automatic choice refuses or warns."""
 
     def __init__(self) -> None:
         self._points: list[dict[str, float]] = []
-        self.told: dict[str, list[int]] = {}
+        self.warned: dict[str, list[int]] = {}
 
     def start(self) -> None:
         """Begin a point."""
         self._points.append({})
 
     def add(self, name: str, error: float) -> None:
-        """Set a curve's error at this point, or raise it to this."""
+        """Set a curve's error at this point, or the larger of two."""
         self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
 
     def automatic(
-        self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence, exact: np.ndarray,
-        name: str = AUTOMATIC,
+        self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
+        exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
         """Set the error of the automatic choice."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
@@ -93,8 +93,8 @@ class Points:
             xyz = methods.best_effort(wd.reflectance, heightfield, lights, views, **arguments)
             at = len(self._points) - 1
             print(f"point {at}, {name}: {message}")
-            self.told.setdefault(name, [])
-            self.told[name] += [at] if at not in self.told[name] else []
+            self.warned.setdefault(name, [])
+            self.warned[name] += [at] if at not in self.warned[name] else []
         self.add(name, methods.colour_error(xyz, exact))
 
     def fixed_steps(
@@ -107,8 +107,8 @@ class Points:
     ) -> None:
         """Set the errors of wavelengths 5 nm and 1 nm apart."""
         for step, label in STEPS.items():
-            found = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
-            self.add(label, methods.colour_error(found, exact))
+            xyz = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
+            self.add(label, methods.colour_error(xyz, exact))
 
     def neighbourhoods(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
@@ -117,22 +117,24 @@ class Points:
         wavelengths, weights = methods.fixed_steps(step_nm)
 
         def colour(**keywords: Any) -> np.ndarray:
-            found = methods.series_reflectance(heightfield, lights, views, wavelengths * 1e-3, sigma=sigma, **keywords)
-            return np.asarray(found @ weights)
+            spectra = methods.series_reflectance(
+                heightfield, lights, views, wavelengths * 1e-3, sigma=sigma, **keywords
+            )
+            return np.asarray(spectra @ weights)
 
         exact = colour()
         self.add(FLOOR, methods.colour_error(colour(neighbour_extent=1, floor=True), exact))
         self.add(ROUNDED, methods.colour_error(colour(neighbour_extent=1), exact))
 
     def panel(self, title: str, axis: str, x: Any, note: str, ticks: tuple[float, ...]) -> Panel:
-        """All of them."""
+        """Return the panel of all points."""
         names = dict.fromkeys(name for point in self._points for name in point)
         curves = {name: [point[name] for point in self._points] for name in names}
-        return Panel(title, axis, np.asarray(x), curves, note, ticks, self.told)
+        return Panel(title, axis, np.asarray(x), curves, note, ticks, self.warned)
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Every series in both arithmetics."""
+    """Every series in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -157,18 +159,18 @@ def height_range(which: slice = ALL) -> Panel:
             points.add(label, methods.spectral_error(singles, exact))
             points.add(label + FLOAT64, methods.spectral_error(doubles, exact))
         published = methods.series_reflectance(
-            heightfield, lights, views, WAVELENGTHS_UM, sigma=sigma, method="taylor-uncentred", terms=methods.PUBLISHED_TERMS,
-            dtype=np.float32,
+            heightfield, lights, views, WAVELENGTHS_UM, sigma=sigma, method="taylor-uncentred",
+            terms=methods.PUBLISHED_TERMS, dtype=np.float32,
         )  # fmt: skip
         points.add(PUBLISHED, methods.spectral_error(published, exact))
-        found = wd.spectral_reflectance(**request, coherence=window, tolerance=TOLERANCE)
-        points.add(AUTOMATIC, methods.spectral_error(found, exact))
+        rho = wd.spectral_reflectance(**request, coherence=window, tolerance=TOLERANCE)
+        points.add(AUTOMATIC, methods.spectral_error(rho, exact))
     ticks = (0.05, 0.1, 0.2, 0.5, 1, 2, 5)
     return points.panel("height range", "height range [µm]", x, "fingers, spectra", ticks)
 
 
 def window_width(which: slice = ALL) -> Panel:
-    """Neighbourhoods fail under short windows, fixed wavelengths under long ones."""
+    """Neighbourhoods fail for short windows, fixed wavelengths for long windows."""
     heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
     for sigma in x.tolist():
@@ -184,8 +186,8 @@ def window_width(which: slice = ALL) -> Panel:
 
 
 def patch_size(which: slice = ALL) -> Panel:
-    """Of a large patch nine coefficients are too few; orders of any pass between wavelengths 5 nm apart."""
-    lights, views = (tilted_up(each) for each in methods.hemisphere_pairs(48))
+    """Nine coefficients are too few for a large patch; orders of any patch lie between wavelengths 5 nm apart."""
+    lights, views = (tilted_up(directions) for directions in methods.hemisphere_pairs(48))
     window, x, points = wd.Coherence(), (2.0, 3.0, 5.0, 8.0, 12.5, 20.0, 32.0, 50.0, 70.0, 100.0)[which], Points()
     for size in x:
         points.start()
@@ -205,7 +207,7 @@ def tilted_up(directions: np.ndarray) -> np.ndarray:
 
 
 def order_rate(which: slice = ALL) -> Panel:
-    """Fixed wavelengths fail far from the mirror direction, one point an order close to it."""
+    """Fixed wavelengths fail far from the mirror direction, one point per order fails close to it."""
     x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
     heightfield, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
     for seed, across in enumerate(x):
@@ -242,12 +244,12 @@ def grazing(which: slice = ALL) -> Panel:
                 facing = methods.unforeshortened_colour(heightfield, lights, views, source)
                 points.add(FACING, methods.colour_error(facing, exact))
             points.automatic(heightfield, lights, views, source, exact, AUTOMATIC_SOURCE)
-    axis, ticks = "both so far above the horizon [°]", (0.1, 0.3, 1, 3, 10, 45)
+    axis, ticks = "elevation of both above the horizon [°]", (0.1, 0.3, 1, 3, 10, 45)
     return points.panel("grazing light and view", axis, x, "fingers, 6.4 µm", ticks)
 
 
 def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
-    """XYZ of a sine that no sample stands for: |H_m|² = J_m(πκ·depth)², in the plane of incidence."""
+    """XYZ of a sine without samples: |H_m|² = J_m(πκ·depth)², in the plane of incidence."""
     tau, weights = reference.quadrature(512, "D65")
     scattering_vectors = -(lights + views)
     total = np.zeros((len(lights), len(tau)))
@@ -261,7 +263,7 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 
 
 def pitch(which: slice = ALL) -> Panel:
-    """What the samples alias, no method on them can tell; finer samples can."""
+    """No method can detect what the samples alias; finer samples can."""
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
     exact = sine_colour(period, depth, lights, views, sigma)
@@ -280,7 +282,7 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """A thousand copies near whole turns from one to the next."""
+    """A thousand periods near whole turns from one to the next."""
     count, wavelength = 1000, 0.5
     heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
@@ -291,13 +293,13 @@ def periods(which: slice = ALL) -> Panel:
         # As the vectors have it, to the last digit.
         turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
-            direct_sum.window_power(heightfield, each, scattering_vectors, np.array([wavelength]))[:, 0]
-            for each in (coherence, wd.Coherence("replicas", periods=(1, 1)))
+            direct_sum.window_power(heightfield, kind, scattering_vectors, np.array([wavelength]))[:, 0]
+            for kind in (coherence, wd.Coherence("replicas", periods=(1, 1)))
         )
         nearest = np.array(
-            [methods.nearest_orders_power(heightfield, each, wavelength, 3) for each in scattering_vectors]
+            [methods.nearest_orders_power(heightfield, vector, wavelength, 3) for vector in scattering_vectors]
         )
-        found = wd.spectral_reflectance(
+        rho = wd.spectral_reflectance(
             heightfield, lights, views, 1e3 * wavelength, coherence=coherence, tolerance=TOLERANCE
         )
         for name, power in {
@@ -305,11 +307,11 @@ def periods(which: slice = ALL) -> Panel:
             PQ64: methods.published_copies(turns, count) * patch,
             PLAIN: methods.plain_copies(turns, count, np.float32) * patch,
             NEAREST: nearest * (exact / patch),
-            AUTOMATIC: found[:, 0] / gain,
+            AUTOMATIC: rho[:, 0] / gain,
         }.items():
             points.add(name, methods.spectral_error(power, exact))
     axis, ticks = "distance from a resonance [orders]", (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
-    return points.panel(f"{count} copies near resonance", axis, x, "line of 6.4 µm, spectra", ticks)
+    return points.panel(f"{count} periods near resonance", axis, x, "line of 6.4 µm, spectra", ticks)
 
 
 def wavelength_steps(which: slice = ALL) -> Panel:
@@ -326,7 +328,7 @@ def wavelength_steps(which: slice = ALL) -> Panel:
             equal = methods.wavenumber_colour(heightfield, lights, views, round(400.0 / step) + 1, window)
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
-            # It has no steps to be told: a level line, the worse of both.
+            # The automatic choice has no steps: a level line, the worse of both cases.
             points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
@@ -335,13 +337,13 @@ def wavelength_steps(which: slice = ALL) -> Panel:
 
 REGIMES = (height_range, window_width, patch_size, order_rate, grazing, pitch, periods, wavelength_steps)
 
-# Colours of ColorBrewer and their kind: a family of methods has a family of hues.
+# Colours like those of ColorBrewer: a family of methods has a family of hues.
 RED, ORANGE, BLUE, TEAL, PURPLE = "#b2182b", "#e08214", "#1b6cb5", "#1a9879", "#7b4fa3"
 BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
     "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",
 )  # fmt: skip
 DOTTED, DASHED = (0, (1, 1.2)), (0, (4, 2))
-# The legend, group by group: the first is what all the others are measured by.
+# The legend, group by group.
 STYLES: dict[str, dict[str, dict[str, object]]] = {
     "Automatic choice": {
         AUTOMATIC: {"color": "black", "linewidth": 3.0, "zorder": 10},
@@ -373,7 +375,7 @@ STYLES: dict[str, dict[str, dict[str, object]]] = {
         SAMPLED: {"color": GREY, "linestyle": DASHED, "linewidth": 1.2},
         RESAMPLED: {"color": BLUE},
     },
-    "Copies (g)": {
+    "Periods (g)": {
         PQ: {"color": PINK},
         PQ64: {"color": PINK, "linestyle": DASHED, "linewidth": 1.2},
         PLAIN: {"color": ROSE},
@@ -385,7 +387,7 @@ TINT = "#fbe3e0"
 
 
 def style_of(name: str) -> dict[str, object]:
-    """How a curve is drawn; dashed where it is the float64 one of a series."""
+    """Return the style of a curve; float64 curves of a series are dashed."""
     styles = {label: style for group in STYLES.values() for label, style in group.items()}
     if name in styles:
         return {"linewidth": 1.9, **styles[name]}
@@ -403,7 +405,7 @@ def draw(panels: list[Panel], folder: Path) -> None:
         axis.axhspan(TOLERANCE, MOST, color=TINT, zorder=-1, linewidth=0)
         axis.axhline(TOLERANCE, color="#c0392b", linewidth=1.2, zorder=1)
         for name, values in panel.curves.items():
-            curve(axis, panel, np.array(values), style_of(name), panel.told.get(name, []))
+            curve(axis, panel, np.array(values), style_of(name), panel.warned.get(name, []))
         axis.set_title(f"{letter}   {panel.title}", loc="left", pad=8)
         axis.set_xlabel(panel.axis)
         axis.set_xticks(panel.ticks, [written(tick) for tick in panel.ticks])
@@ -429,9 +431,9 @@ def draw(panels: list[Panel], folder: Path) -> None:
         title: [Line2D([], [], label=name, **style_of(name)) for name in styles] for title, styles in STYLES.items()
     }
     groups["Marks"] = marks
-    for left, (title, handles) in zip((0.03, 0.185, 0.355, 0.55, 0.725, 0.855), groups.items(), strict=True):
+    for x, (title, handles) in zip((0.03, 0.185, 0.355, 0.55, 0.725, 0.855), groups.items(), strict=True):
         legend = figure.legend(
-            handles=handles, title=title, loc="upper left", bbox_to_anchor=(left, 0.188), frameon=False, fontsize=9,
+            handles=handles, title=title, loc="upper left", bbox_to_anchor=(x, 0.188), frameon=False, fontsize=9,
             title_fontproperties={"weight": "bold", "size": 9.5}, alignment="left", handlelength=2.4,
         )  # fmt: skip
         legend.set_in_layout(False)
@@ -440,59 +442,59 @@ def draw(panels: list[Panel], folder: Path) -> None:
 
 
 def written(tick: float) -> str:
-    """A number beside an axis."""
+    """Return the text of a tick."""
     return f"{tick:g}" if tick >= 2e-3 else f"$10^{{{round(math.log10(tick))}}}$"
 
 
-def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object], told: list[int]) -> None:
-    """One line of a panel; crosses on the upper edge stand for what is beyond it."""
+def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object], warned: list[int]) -> None:
+    """Draw one curve of a panel; crosses at the upper edge mark errors beyond it."""
     x = panel.x
     beyond = errors >= MOST
-    drawn = np.clip(errors, LEAST * 1e-3, MOST)
-    if told:
-        axis.plot(x, drawn, color=style["color"], linewidth=1.0, zorder=9)
+    y = np.clip(errors, LEAST * 1e-3, MOST)
+    if warned:
+        axis.plot(x, y, color=style["color"], linewidth=1.0, zorder=9)
         axis.plot(
-            x[told], np.minimum(drawn[told], MOST / 1.5), "o", mfc="white", mec="black", markersize=5.5, zorder=11
+            x[warned], np.minimum(y[warned], MOST / 1.5), "o", mfc="white", mec="black", markersize=5.5, zorder=11
         )
-        drawn[told] = np.nan
-    axis.plot(x, drawn, solid_capstyle="round", **style)
-    if beyond.any() and not told:
+        y[warned] = np.nan
+    axis.plot(x, y, solid_capstyle="round", **style)
+    if beyond.any() and not warned:
         edge = np.full(np.count_nonzero(beyond), MOST / 1.4)
         axis.plot(x[beyond], edge, "x", color=style["color"], markersize=5, markeredgewidth=1.4, zorder=8)
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """The panels; a quick run takes every fifth point, without the ends, which may take minutes."""
-    found = {}
+    """Measure the panels; a quick run has every fifth point, without the ends, which may take minutes."""
+    results = {}
     for regime in REGIMES:
         setting.say(f"stability: {regime.__name__}")
         panel = regime(slice(2, None, 5) if setting.quick else ALL)
-        found[regime.__name__] = panel._replace(x=np.asarray(panel.x).tolist())._asdict()
-    return found
+        results[regime.__name__] = panel._replace(x=np.asarray(panel.x).tolist())._asdict()
+    return results
 
 
-def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
-    """The automatic choice's errors by name: [value, least, most, unit]."""
+def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
+    """Return the errors of the automatic choice by name: [value, least, most, unit]."""
     return {
         f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]
-        for regime, panel in found.items()
+        for regime, panel in results.items()
         for name in (AUTOMATIC, AUTOMATIC_CENTRED, AUTOMATIC_SOURCE)
         for x, error in zip(panel["x"], panel["curves"].get(name, []), strict=False)
     }
 
 
-def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """All panels in one figure."""
-    panels = [Panel(**{**each, "x": np.array(each["x"])}) for each in found.values()]
+def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw all panels in one figure."""
+    panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
-    worst, told, points = 0.0, 0, 0
+    worst, warnings, points = 0.0, 0, 0
     for panel in panels:
         for name in (AUTOMATIC, AUTOMATIC_CENTRED, AUTOMATIC_SOURCE):
-            warned = panel.told.get(name, [])
-            kept = [error for at, error in enumerate(panel.curves.get(name, [])) if at not in warned]
-            worst, told, points = max([worst, *kept]), told + len(warned), points + len(kept)
+            warned = panel.warned.get(name, [])
+            accepted = [error for at, error in enumerate(panel.curves.get(name, [])) if at not in warned]
+            worst, warnings, points = max([worst, *accepted]), warnings + len(warned), points + len(accepted)
     text = (
-        f"Every other method fails somewhere; asked for 1e-2, the automatic choice errs by {worst:.1e} at most in "
-        f"{points} points, and warns or refuses in {told} more."
+        f"Every other method fails in some regime. At a tolerance of 1e-2, the automatic choice has an error of at "
+        f"most {worst:.1e} at {points} points, and warns or refuses at {warnings} others."
     )
     return {"stability": text}

@@ -1,4 +1,4 @@
-"""Times in turns: every call once a round, medians with the spread of the rounds."""
+"""Interleaved times: every call once per round, medians with the spread of the rounds."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-class Taken(NamedTuple):
-    """Seconds: the median, the least and the most of a call's rounds, and what its first call took more."""
+class Times(NamedTuple):
+    """Seconds: median, minimum and maximum of a call's rounds, and the excess of the first call."""
 
     median: float
     least: float
@@ -20,15 +20,15 @@ class Taken(NamedTuple):
     first: float
 
 
-def in_turns(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, Taken]:
-    """Time calls that return when they are done, which take turns after a first round that is apart."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
+def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, Times]:
+    """Time calls, interleaved; the first round is counted separately."""
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds + 1):
         for name, call in calls.items():
             begin = time.perf_counter()
             call()
-            taken[name].append(time.perf_counter() - begin)
+            seconds[name].append(time.perf_counter() - begin)
     return {
-        name: Taken(median := float(np.median(warm)), min(warm), max(warm), max(first - median, 0.0))
-        for name, (first, *warm) in taken.items()
+        name: Times(median := float(np.median(warm)), min(warm), max(warm), max(first - median, 0.0))
+        for name, (first, *warm) in seconds.items()
     }

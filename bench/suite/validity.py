@@ -1,12 +1,11 @@
-"""Where scalar diffraction itself fails: its order efficiencies against rigorous ones, over period and depth.
+"""Validity of scalar diffraction: its order efficiencies against rigorous ones, over period and depth.
 
-Light falls across the grooves at three angles, and both polarisations are averaged. What is right comes from a solver
-by boundary integrals that others wrote (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It takes
-minutes, so that its efficiencies are kept in ``rigorous.json``, which ``python -m bench.suite.validity`` makes
-again. It is
-itself judged by energy, by finer meshes, and by coupled waves, which others wrote, too (meent; Moharam et al. 1995, J.
-Opt. Soc. Am. A 12, 1068). Errors are relative to what a flat surface reflects: of a perfect mirror all, of glass a
-little, which the library has from Schlick's formula; that formula's own error is left out.
+The plane of incidence is across the grooves, at three angles; both polarisations are averaged. The reference is a
+published solver by boundary integrals (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It requires
+minutes, so its efficiencies are stored in ``rigorous.json``, which ``python -m bench.suite.validity`` writes. The
+reference itself is checked by its energy balance, by finer meshes, and by a published solver by coupled waves (meent;
+Moharam et al. 1995, J. Opt. Soc. Am. A 12, 1068). Errors are relative to the reflectance of a flat surface, which the
+library computes by Schlick's formula for glass; the error of that formula is excluded.
 """
 
 from __future__ import annotations
@@ -49,10 +48,10 @@ ANGLES = (0.0, 30.0, 60.0)
 PERIODS = np.geomspace(0.502, 19.16, 17)
 DEPTHS = np.geomspace(0.02, 1.0, 11)
 SAMPLES = 2048
-# Efficiencies are kept as whole numbers of this.
+# Unit of the stored efficiencies.
 UNIT = 1e-5
 STRONG = 0.01
-# Of the reflected power.
+# Limit of the error of an order, as a share of the reflected power.
 LIMIT = 0.1
 LEVELS = (0.02, 0.05, 0.1)
 DENSE = np.geomspace(1e-3, 3.0, 400)
@@ -77,7 +76,7 @@ class Integral:
         self, shape: str, period: float, depth: float, angle: float, index: complex | None = None, *,
         polarisation: str = "unpolarized", finer: float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
-        """Orders, their efficiencies, and by how much energy is missed."""
+        """Return orders, their efficiencies, and the error of the energy balance."""
         profile = {
             "sine": lambda: self._profiles.Sinusoidal(depth_fraction=depth / period),
             "square": lambda: self._profiles.Lamellar(depth_fraction=depth / period),
@@ -127,12 +126,12 @@ def recompute() -> None:
         for i, period in enumerate(PERIODS):
             for j, depth in enumerate(DEPTHS):
                 for k, angle in enumerate(ANGLES):
-                    orders, found, missed = solve(shape, period, depth, angle, index)
-                    rows.append([int(orders[0]), *np.rint(found / UNIT).astype(int).tolist()])
+                    orders, powers, missed = solve(shape, period, depth, angle, index)
+                    rows.append([int(orders[0]), *np.rint(powers / UNIT).astype(int).tolist()])
                     energy.append(missed)
                     if (i + j + k) % 10 == 0:
                         finer.append(
-                            float(np.max(np.abs(solve(shape, period, depth, angle, index, finer=1.5)[1] - found)))
+                            float(np.max(np.abs(solve(shape, period, depth, angle, index, finer=1.5)[1] - powers)))
                         )
         stored[case] = {
             "energy_missed": [float(f"{np.quantile(energy, q):.1e}") for q in (0.5, 0.99, 1.0)],
@@ -152,7 +151,7 @@ def recompute() -> None:
 
 
 def flat_reflectance(index: float | None, angle: float) -> tuple[float, float]:
-    """What a flat surface reflects of unpolarised light: by Fresnel's equations, and as the library has it."""
+    """Return the reflectance of a flat surface for unpolarised light: by Fresnel's equations, and by the library."""
     if index is None:
         return 1.0, 1.0
     cos_i = math.cos(math.radians(angle))
@@ -165,34 +164,34 @@ def flat_reflectance(index: float | None, angle: float) -> tuple[float, float]:
 
 
 def errors(shape: str, index: float | None, period: float, depth: float, angle: float, row: list[int]) -> list[float]:
-    """Largest error of an order, and largest relative one of orders of more than a hundredth."""
-    exact, ours = flat_reflectance(index, angle)
-    right = np.array(row[1:]) * UNIT / exact
+    """Return the largest error of an order, and the largest relative error of orders above a hundredth."""
+    flat, ours = flat_reflectance(index, angle)
+    rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
     # Lengths are in wavelengths: of 1 µm here.
     scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
-    found = np.array([scalar[0, row[0] + n][0] for n in range(len(right))]) / ours
-    strong = right > STRONG
-    return [float(np.max(np.abs(found - right))), float(np.max(np.abs(found - right)[strong] / right[strong]))]
+    efficiencies = np.array([scalar[0, row[0] + n][0] for n in range(len(rigorous))]) / ours
+    difference, strong = np.abs(efficiencies - rigorous), rigorous > STRONG
+    return [float(np.max(difference)), float(np.max(difference[strong] / rigorous[strong]))]
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Maps of the error, how well the library's rule holds on them, and how good the rigorous solutions are."""
+    """Return maps of the error, counts for the library's rule, and the quality of the rigorous solutions."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     maps, bounds, solver = {}, {}, {}
     for case, (shape, index) in CASES.items():
-        held = stored["cases"][case]
-        rows = iter(held.pop("first_order_and_efficiencies"))
-        solver[case] = held
+        case_rows = stored["cases"][case]
+        rows = iter(case_rows.pop("first_order_and_efficiencies"))
+        solver[case] = case_rows
         by_depth = []
         for i, period in enumerate(stored["periods"]):
             for j, depth in enumerate(stored["depths"]):
                 angles = [next(rows) for _ in ANGLES]
                 if i % step == j % step == 0:
-                    found = [errors(shape, index, period, depth, *each) for each in zip(ANGLES, angles, strict=True)]
-                    by_depth.append(np.max(found, axis=0))
+                    worst = [errors(shape, index, period, depth, *row) for row in zip(ANGLES, angles, strict=True)]
+                    by_depth.append(np.max(worst, axis=0))
         both = np.array(by_depth).reshape(len(periods), len(depths), 2).round(5)
         maps[case] = {"error": both[..., 0].tolist(), "relative_error": both[..., 1].tolist()}
         bounds[case] = [[scalar_error_bound(RMS[shape] * d, 2.0 * d / p, 1000.0) for d in depths] for p in periods]
@@ -206,9 +205,9 @@ def measure(setting: Setting) -> dict[str, Any]:
     }
 
 
-def rule(found: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
-    """How the library's bound does: inside it, and where it says that nothing is to be trusted."""
-    error = np.array(found["error"])
+def rule(maps: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
+    """Return counts and errors inside the library's bound, and where the bound says that results are invalid."""
+    error = np.array(maps["error"])
     inside, untrusted = bounds <= LIMIT, bounds >= SCALAR_INVALID
     return {
         "gratings": error.size,
@@ -216,7 +215,7 @@ def rule(found: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
         "inside": int(np.sum(inside)),
         "inside_and_beyond_a_tenth": int(np.sum(inside & (error > LIMIT))),
         "worst_inside": float(error[inside].max()),
-        "worst_relative_inside": float(np.array(found["relative_error"])[inside].max()),
+        "worst_relative_inside": float(np.array(maps["relative_error"])[inside].max()),
         "untrusted": int(np.sum(untrusted)),
         "untrusted_and_beyond_a_tenth": int(np.sum(untrusted & (error > LIMIT))),
         "median_error_of_untrusted": float(np.median(error[untrusted])),
@@ -224,16 +223,16 @@ def rule(found: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
 
 
 def against_coupled_waves(quick: bool) -> dict[str, list[float]] | str:
-    """Largest difference of the two solvers in any order's efficiency, for each of some gratings of square grooves.
+    """Return the largest difference of the two solvers in any order's efficiency, for some square grooves.
 
     Coupled waves know no perfect conductor. Efficiencies go to its as 1/|n|: two high indices are extrapolated. TM
     waves of such metals converge slowly, and beside an anomaly, as on the first grating, they are far from the limit.
     """
     absent = [name for name in ("gratinglab", "meent") if importlib.util.find_spec(name) is None]
     if absent:
-        return f"not compared: {' and '.join(absent)} not installed, see the extra 'bench'"
+        return f"not compared, because {' and '.join(absent)} is not installed; see the extra 'bench'"
     solve = Integral()
-    found: dict[str, list[float]] = {}
+    result: dict[str, list[float]] = {}
     gratings = ((1.3, 0.2, 30.0), (2.3, 0.4, 0.0), (2.3, 0.4, 30.0), (4.7, 0.3, 60.0))[: 2 if quick else None]
     for polarisation in ("TE", "TM"):
         for period, depth, angle in gratings:
@@ -247,20 +246,20 @@ def against_coupled_waves(quick: bool) -> dict[str, list[float]] | str:
                 _, right, _ = solve("square", period, depth, angle, polarisation=polarisation)
                 differences["perfect mirror, extrapolated"] = 2.0 * waves[2] - waves[1] - right
             for name, difference in differences.items():
-                found.setdefault(f"{name}, {polarisation}", []).append(round(float(np.max(np.abs(difference))), 5))
-    return found
+                result.setdefault(f"{name}, {polarisation}", []).append(round(float(np.max(np.abs(difference))), 5))
+    return result
 
 
-def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps into ``validity.png`` and ``validity.svg``; the finding in a sentence."""
+def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw the maps into ``validity.png`` and ``validity.svg``; returns the finding."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
-    periods, depths = np.array(found["periods_in_wavelengths"]), np.array(found["depths_in_wavelengths"])
+    periods, depths = np.array(results["periods_in_wavelengths"]), np.array(results["depths_in_wavelengths"])
     figure, axes = plt.subplots(2, 2, figsize=(10.0, 8.6), sharex=True, sharey=True, layout="constrained")
     fine = np.geomspace(periods[0], periods[-1], 200)
     for axis, (case, (shape, _)) in zip(axes.flat, CASES.items(), strict=True):
-        error = np.maximum(np.array(found["maps"][case]["error"]).T, 1e-4)
+        error = np.maximum(np.array(results["maps"][case]["error"]).T, 1e-4)
         colours = axis.pcolormesh(
             periods, depths, error, norm=LogNorm(1e-3, 1.0), cmap="viridis", shading="nearest", rasterized=True
         )
@@ -274,7 +273,7 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
             linestyles="solid",
         )
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
-        # The bound grows with the depth: where is it at its limit?
+        # Depth at which the bound, which grows with the depth, reaches its limit.
         limit = [
             np.interp(LIMIT, [scalar_error_bound(RMS[shape] * d, 2 * d / p, 1e3) for d in DENSE], DENSE) for p in fine
         ]
@@ -294,36 +293,37 @@ def chart(found: dict[str, Any], folder: Path) -> dict[str, str]:
         axis.set_ylabel("depth, peak to valley / wavelength")
     bar = figure.colorbar(colours, ax=axes, extend="both", shrink=0.7, ticks=(1e-3, 1e-2, 1e-1, 1.0))
     bar.ax.set_yticklabels(["0.001", "0.01", "0.1", "1"])
-    bar.set_label("largest error of any order, in shares of the reflected power (worst of 0°, 30°, 60°)")
+    bar.set_label("largest error of any order, as a share of the reflected power (worst of 0°, 30°, 60°)")
     figure.suptitle(
         "Error of scalar diffraction in the efficiency of an order, against rigorous solutions\n"
         "rule: (4πs/λ)² min(1, λ/P) = 0.1, s rms height, P period of a sine of the same mean slope",
         fontsize=11,
     )
     figures.save(figure, folder, "validity")
-    total = {name: sum(each[name] for each in found["rule"].values()) for name in found["rule"]["Sine, n = 1.5"]}
-    worst = max(each["worst_inside"] for each in found["rule"].values())
+    cases = list(results["rule"].values())
+    total = {name: sum(counts[name] for counts in cases) for name in cases[0]}
+    worst = max(counts["worst_inside"] for counts in cases)
     right = total["inside"] - total["inside_and_beyond_a_tenth"]
     text = (
-        f"Where (4πs/λ)² min(1, λ/P) is at most 0.1, {right} of {total['inside']} gratings had all their orders right "
-        f"within 0.1 of the reflected power (worst {worst:.2f}); of all that had, {total['right_within_a_tenth']}, the "
-        f"rule finds {right / total['right_within_a_tenth']:.0%}."
+        f"Where (4πs/λ)² min(1, λ/P) is at most 0.1, the orders of {right} of {total['inside']} gratings have errors "
+        f"of at most 10 % of the reflected power (worst: {100.0 * worst:.0f} %). The rule covers "
+        f"{right / total['right_within_a_tenth']:.0%} of the {total['right_within_a_tenth']} gratings with such errors."
     )
     return {"validity": text}
 
 
-def numbers(found: dict[str, Any]) -> dict[str, list[Any]]:
-    """How the rule does, by name: [value, least, most, unit]."""
+def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
+    """Return the counts for the rule by name: [value, least, most, unit]."""
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
-        for case, each in found["rule"].items()
-        for name, value in each.items()
+        for case, counts in results["rule"].items()
+        for name, value in counts.items()
     }
 
 
 def main() -> int:
-    """Solve rigorously again."""
-    argparse.ArgumentParser(description="Solve all gratings rigorously again, for minutes.").parse_args()
+    """Solve all gratings rigorously and store the efficiencies."""
+    argparse.ArgumentParser(description="Solve all gratings rigorously, which takes minutes.").parse_args()
     if importlib.util.find_spec("gratinglab") is None:
         print("error: gratinglab is not installed: pip install -e .[bench]", file=sys.stderr)
         return 1

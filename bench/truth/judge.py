@@ -100,7 +100,7 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
             image = wd.shade(
                 picture.mesh, case.heightfield, picture.light, picture.view, footprint=False, pigment=0.0, **arguments
             )
-            directions, illuminated = scenes.seen(
+            directions, illuminated = scenes.directions(
                 picture.mesh, picture.light, picture.view, case.heightfield, case.coherence
             )
             xyz, plan = image.xyz.reshape(-1, 3)[illuminated], image.plan

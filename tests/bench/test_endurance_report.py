@@ -1,4 +1,4 @@
-"""The table that a soak prints: what it counts, and that it tells of what went wrong."""
+"""Table of the endurance test: its counts and failures."""
 
 from xml.etree import ElementTree as Xml
 
@@ -15,10 +15,10 @@ REPORT = """<testsuites><testsuite>
 </testsuite></testsuites>"""
 
 
-def test_tries_and_failures_are_counted_by_rows():
-    found = soak.rows(Xml.fromstring(REPORT).iter("testcase"))  # noqa: S314 (it stands above)
-    assert found == {"files": soak.Row(1201, 1, 0), "forks": soak.Row(2, 1, 1)}
-    assert soak.table(found).splitlines()[2:] == [
+def test_cases_and_failures_are_counted_by_rows():
+    rows = soak.rows(Xml.fromstring(REPORT).iter("testcase"))  # noqa: S314 (the text above)
+    assert rows == {"files": soak.Row(1201, 1, 0), "forks": soak.Row(2, 1, 1)}
+    assert soak.table(rows).splitlines()[2:] == [
         "| files | 1,201 | 1,200 | 1 |",
         "| forks | 2 (1 skipped) | 1 | 1 |",
     ]

@@ -1,4 +1,4 @@
-"""The peers of the benches: they must compute what they are said to, or comparisons with them say nothing."""
+"""Peers compute what they claim, or comparisons with them would be meaningless."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from warpdiff import meshes
 from warpdiff.optics import colorimetry, reflectance_factors
 
 SERIES = {"numpy": numpy_peer, "drjit": drjit_peer}
-FINE = {"wavelengths": 544, "terms": 16, "reach": 1, "rounded": True, "centred": True}
+FINE = {"wavelengths": 544, "terms": 16, "neighbour_extent": 1, "rounded": True, "centred": True}
 
 
 def runs(peer):
@@ -24,7 +24,7 @@ def runs(peer):
 
 
 def called(heightfield, lights, views, coherence):
-    """Deflections, gains and the truth."""
+    """Scattering vectors, gains and the reference."""
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return -lights - views, gains, reference.reference_reflectance(heightfield, lights, views, coherence)
 
@@ -48,9 +48,9 @@ def test_rounding_finds_the_nearest_coefficient_and_floor_does_not(name, rng):
     scattering_vectors, gains, exact = called(heightfield, hemisphere(rng, 40), hemisphere(rng, 40), wd.Coherence())
     errors = []
     for rounded in (True, False):
-        setting = FINE | {"reach": 0, "rounded": rounded}
-        found = runs(SERIES[name]).prepare(heightfield, wd.Coherence(), **setting)(scattering_vectors, gains, 2)
-        errors.append(np.median(np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)))
+        setting = FINE | {"neighbour_extent": 0, "rounded": rounded}
+        xyz = runs(SERIES[name]).prepare(heightfield, wd.Coherence(), **setting)(scattering_vectors, gains, 2)
+        errors.append(np.median(np.linalg.norm(xyz - exact, axis=1) / np.linalg.norm(exact, axis=1)))
     assert errors[0] < 1e-2
     assert errors[1] > 0.1
 
@@ -107,7 +107,7 @@ def test_too_coarse_a_height_field_is_refused():
         numpy_peer.prepare(wd.gratings.fingers(pitch_um=0.13), wd.Coherence(), **FINE)
 
 
-def test_all_casters_meet_what_brute_force_meets():
+def test_all_casters_find_the_hits_of_brute_force():
     view = wd.View((0.4, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
     rays = raycasters.rays_of(meshes.tube(segments_along=40, segments_around=24), view)
     exact, sure = raycasters.truth(rays, np.arange(48 * 36))
@@ -115,8 +115,8 @@ def test_all_casters_meet_what_brute_force_meets():
     for name, caster in raycasters.casters(rays).items():
         for threads in (1, 2):
             caster.trace(threads)
-            found = caster.found()
-            np.testing.assert_array_equal(found.hit[sure], exact.hit[sure], err_msg=name)
+            hits = caster.hits()
+            np.testing.assert_array_equal(hits.hit[sure], exact.hit[sure], err_msg=name)
             both = sure & exact.hit
-            cosine = np.abs(np.einsum("ij,ij->i", found.normal[both], exact.normal[both]))
+            cosine = np.abs(np.einsum("ij,ij->i", hits.normal[both], exact.normal[both]))
             np.testing.assert_allclose(cosine, 1.0, atol=1e-6, err_msg=name)

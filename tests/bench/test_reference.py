@@ -72,9 +72,9 @@ def test_spectra_equal_the_direct_sum(name, kind, rng):
     lights[0] = [np.sin(np.radians(85.0)), 0.0, np.cos(np.radians(85.0))]
     views[0] = lights[0] * [-1.0, -1.0, 1.0]
     exact = direct_reflectance(heightfield, lights, views, WAVELENGTHS_UM, coherence)
-    found = reference.reference_spectral(heightfield, lights, views, WAVELENGTHS_UM, coherence)
+    values = reference.reference_spectral(heightfield, lights, views, WAVELENGTHS_UM, coherence)
     assert exact.size >= 200
-    error = np.abs(found - exact) / np.maximum(exact, 1e-3 * np.percentile(exact, 99.0))
+    error = np.abs(values - exact) / np.maximum(exact, 1e-3 * np.percentile(exact, 99.0))
     assert error.max() <= 1e-6
     assert np.count_nonzero(exact > 1e-6 * exact.max()) > 20
 
@@ -97,8 +97,8 @@ def test_colours_equal_the_direct_sum(kind, rng):
     lights, views = hemisphere(rng, 4, lowest=0.3), hemisphere(rng, 4)
     views[0] = lights[0] * [-1.0, -1.0, 1.0]
     exact = integral(heightfield, lights, views, coherence)
-    found = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-6)
-    np.testing.assert_allclose(found, exact, rtol=1e-5, atol=1e-10 * exact.max())
+    values = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-6)
+    np.testing.assert_allclose(values, exact, rtol=1e-5, atol=1e-10 * exact.max())
 
 
 def resonances(heightfield, lights, views, periods):
@@ -126,13 +126,13 @@ def test_lines_of_many_copies(rng):
     errors = []
     for count in (1000, 4000):
         periods = Coherence("replicas", periods=(1, count))
-        found = reference.reference_reflectance(heightfield, lights, views, periods)
+        values = reference.reference_reflectance(heightfield, lights, views, periods)
         sharp = resonances(heightfield, lights, views, periods)
         illuminated = sharp[:, 1] > 0.0
         assert illuminated.sum() >= 4
         errors.append(
             np.max(
-                np.linalg.norm(found[illuminated] - sharp[illuminated], axis=1)
+                np.linalg.norm(values[illuminated] - sharp[illuminated], axis=1)
                 / np.linalg.norm(sharp[illuminated], axis=1)
             )
         )
@@ -166,8 +166,8 @@ def test_a_moved_window(rng):
     lights, views = hemisphere(rng, 8), hemisphere(rng, 8)
     coherence = Coherence("centred", 2.0, centre_um=(0.7, 2.9))
     exact = direct_reflectance(heightfield, lights, views, np.array([0.45, 0.7]), coherence)
-    found = reference.reference_spectral(heightfield, lights, views, [0.45, 0.7], "centred", 2.0, centre=(0.7, 2.9))
-    np.testing.assert_allclose(found, exact, rtol=1e-6, atol=1e-9 * exact.max())
+    values = reference.reference_spectral(heightfield, lights, views, [0.45, 0.7], "centred", 2.0, centre=(0.7, 2.9))
+    np.testing.assert_allclose(values, exact, rtol=1e-6, atol=1e-9 * exact.max())
 
 
 def test_white():

@@ -1,4 +1,4 @@
-"""The suite of charts: what it compares, refuses and writes. What it measures is no matter of a test."""
+"""The suite of charts: comparisons, refusals and files. Its measurements are not tested."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bench.truth import reference
 
 def results(path, **figures):
     """A file of results with figures of (value, least, most)."""
-    path.write_text(json.dumps({"figures": {name: [*each, "s"] for name, each in figures.items()}}))
+    path.write_text(json.dumps({"figures": {name: [*values, "s"] for name, values in figures.items()}}))
     return path
 
 
-def test_what_moved_is_told_from_noise(tmp_path):
+def test_changes_are_distinguished_from_noise(tmp_path):
     old = results(
         tmp_path / "old.json", steady=(1.0, 0.9, 1.1), noisy=(1.0, 0.5, 2.0), slower=(1.0, 0.98, 1.02),
         little=(1.0, 1.0, 1.0), none=(0.0, 0.0, 0.0), gone=(1.0, 1.0, 1.0),
@@ -33,17 +33,17 @@ def test_what_moved_is_told_from_noise(tmp_path):
         little=(1.05, 1.05, 1.05), none=(0.1, 0.1, 0.1), added=(1.0, 1.0, 1.0),
     )  # fmt: skip
     lines = runner.compare(old, new)
-    assert lines[0] == "2 of 5 figures moved by more than their noise and 10 %."
+    assert lines[0] == "2 of 5 figures changed by more than their noise and 10 %."
     assert lines[1].startswith("none: 0 to 0.1 s")
     assert lines[2] == "slower: 1 to 3 s, 3.00 times"
-    assert lines[3:] == ["no longer there: gone", "new: added"]
-    assert runner.compare(old, old) == ["0 of 6 figures moved by more than their noise and 10 %."]
+    assert lines[3:] == ["removed: gone", "new: added"]
+    assert runner.compare(old, old) == ["0 of 6 figures changed by more than their noise and 10 %."]
 
 
 def test_comparing_from_the_command_line(tmp_path, capsys):
     path = results(tmp_path / "a.json", one=(1.0, 1.0, 1.0))
     assert command.main(["--compare", str(path), str(path)]) == 0
-    assert "0 of 1 figures moved" in capsys.readouterr().out
+    assert "0 of 1 figures changed" in capsys.readouterr().out
     assert command.main(["--compare", str(path), str(tmp_path / "none.json")]) == 2
     assert "none.json does not exist" in capsys.readouterr().err
     (tmp_path / "b.json").write_text("{}")
@@ -52,7 +52,7 @@ def test_comparing_from_the_command_line(tmp_path, capsys):
 
 
 def test_unknown_parts_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"filter must name some of previews, pareto, .* got nonsense"):
+    with pytest.raises(ValueError, match=r"--filter must name parts out of previews, pareto, .* got nonsense"):
         runner.run(tmp_path / "folder", parts=["pareto", "nonsense"])
     assert not (tmp_path / "folder").exists()
 
@@ -66,7 +66,7 @@ def test_an_unwritable_folder_is_refused_before_measuring(tmp_path, monkeypatch,
     assert "is not writable; use another one" in capsys.readouterr().err
 
 
-def test_figures_are_one_a_line(tmp_path):
+def test_each_figure_is_one_line(tmp_path):
     runner.write_csv(tmp_path / "results.csv", {"a/b": [1.0, 0.9, 1.2, "µs"], "c, d": [2.0, 2.0, 2.0, "error"]})
     with (tmp_path / "results.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
@@ -77,20 +77,20 @@ def test_figures_are_one_a_line(tmp_path):
     ]
 
 
-def test_a_run_says_where_it_was_made():
-    held = runner.machine(runner.Setting(True, None, 2, None, 3))
-    assert held["warpdiff"] == wd.__version__
-    assert held["threads"] == 2
-    assert held["packages"]["numpy"] == np.__version__
-    assert held["processor"]
-    json.dumps(held)
+def test_a_run_states_its_machine():
+    machine = runner.machine(runner.Setting(True, None, 2, None, 3))
+    assert machine["warpdiff"] == wd.__version__
+    assert machine["threads"] == 2
+    assert machine["packages"]["numpy"] == np.__version__
+    assert machine["processor"]
+    json.dumps(machine)
 
 
-def test_some_directions_are_spread_over_all():
+def test_a_subset_of_directions_is_spread_over_all():
     n = np.arange(10.0)
-    some = Directions(np.stack([n] * 3, axis=1), np.stack([n] * 3, axis=1), n).some(4)
-    np.testing.assert_array_equal(some.gains, [0, 3, 6, 9])
-    assert len(some.some(100).gains) == 4
+    subset = Directions(np.stack([n] * 3, axis=1), np.stack([n] * 3, axis=1), n).subset(4)
+    np.testing.assert_array_equal(subset.gains, [0, 3, 6, 9])
+    assert len(subset.subset(100).gains) == 4
 
 
 @pytest.fixture(scope="module")
@@ -98,21 +98,21 @@ def fingers(tmp_path_factory):
     """The scene of synthetic fingers, as where there is no scan."""
     empty = tmp_path_factory.mktemp("empty")
     assert inputs.scan(empty) is None
-    (found,) = [each for each in scenes(empty) if each.name == "fingers"]
-    return found
+    (result,) = [scene for scene in scenes(empty) if scene.name == "fingers"]
+    return result
 
 
 def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
     """Their gains and colours are those of the picture that the preview shows."""
-    assert [each.kind for each in fingers.coherences] == ["averaged", "centred", "source"]
+    assert [coherence.kind for coherence in fingers.coherences] == ["averaged", "centred", "source"]
     window = fingers.coherences[0]
-    seen, illuminated = fingers.seen(window, width=48)
+    directions, illuminated = fingers.directions(window, width=48)
     view = fingers.view(48)
     image = wd.shade(fingers.mesh, fingers.heightfield, fingers.light, view, coherence=window, footprint=False)
     np.testing.assert_array_equal(np.flatnonzero(image.illuminated.ravel()), illuminated)
-    some = seen.some(20)
-    exact = some.gains[:, None] * reference.colours(
-        fingers.heightfield, some.scattering_vectors, some.to_lights, window, tolerance=1e-3
+    subset = directions.subset(20)
+    exact = subset.gains[:, None] * reference.colours(
+        fingers.heightfield, subset.scattering_vectors, subset.to_lights, window, tolerance=1e-3
     )
     ours = image.xyz.reshape(-1, 3)[illuminated][np.linspace(0, len(illuminated) - 1, 20).astype(int)]
     floor = 1e-3 * np.percentile(image.xyz[image.illuminated][:, 1], 99.0)
