@@ -46,7 +46,7 @@ calls = {
     "map of 16384 × 16384 pixels": lambda: wd.reflectance_map(heightfield, (0, 0, 1), size=16384),
     "samples_per_pixel=256": lambda: wd.reflectance_map(heightfield, (0, 0, 1), size=1024, samples_per_pixel=256),
     "cell of 6000 × 6000 samples": lambda: wd.order_efficiencies(rough, (0, 0, 1), [500.0]),
-    "coefficients of heightfield, 6000 × 6000 samples": lambda: wd.plan(rough),
+    "heightfield of 6000 × 6000 samples": lambda: wd.plan(rough),
     "periods() of a field of 6000 × 6000 samples": rough.periods,
     "heights_um of 20000 × 20000 samples": lambda: wd.HeightField(np.broadcast_to(0.0, (20000, 20000)), 0.05),
     "'scan.npy' of 20000 × 20000 samples": lambda: wd.HeightField.load("scan.npy", pitch_um=0.05),
@@ -93,7 +93,7 @@ UNFORESEEN = """
 import dataclasses
 from warpdiff.core import memory
 
-plan = wd.plan(heightfield, coherence=short, method="low-rank/table", tolerance=0.2)
+plan = wd.plan(heightfield, coherence=short, method="low-rank", integration="table", tolerance=0.2)
 wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=plan)
 memory.require_memory = lambda *_: None
 fine = dataclasses.replace(plan, azimuths_per_width=300.0)
@@ -102,7 +102,8 @@ limit(taken + (1 << 28))
 try:
     wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
 except MemoryError as error:
-    assert str(error).startswith("reflectance() requires another ") and "GB are free: take a larger" in str(error), error
+    message = str(error)
+    assert message.startswith("reflectance() requires another ") and "GB are free: take a larger" in message, error
 else:
     raise AssertionError
 """
@@ -154,7 +155,7 @@ def test_bodies_that_do_not_fit_after_all_say_so(monkeypatch):
 
 def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=3)
-    plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=3.25), method="low-rank/table", tolerance=0.2)
+    plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=3.25), integration="table", tolerance=0.2)
     fine = dataclasses.replace(plan, rings_per_octave=2 * plan.rings_per_octave)
     monkeypatch.setattr(memory, "available", lambda: 1e5)
     with pytest.raises(MemoryError, match=f"table of rings_per_octave={fine.rings_per_octave}"):
@@ -163,10 +164,9 @@ def test_tables_of_plans_that_are_too_fine_are_refused(monkeypatch):
 
 def test_tables_of_very_small_sources_are_refused():
     heightfield = wd.gratings.fingers(size_um=6.4, seed=3)
-    plan = wd.plan(
-        heightfield, coherence=wd.Coherence("source", angular_diameter_deg=5.0), method="low-rank/table", tolerance=0.2
-    )
-    for changes in ({}, {"azimuths_per_width": 1e9}, {"nodes": 28}):
+    source = wd.Coherence("source", angular_diameter_deg=5.0)
+    plan = wd.plan(heightfield, coherence=source, integration="table", tolerance=0.2)
+    for changes in ({}, {"azimuths_per_width": 1e9}, {"rings_per_octave": 28}):
         small = wd.Coherence("source", angular_diameter_deg=1e-15)
         with pytest.raises(
             MemoryError, match=r"table of rings_per_octave=\d+ and azimuths_per_width=.* GB are free: take"
