@@ -139,7 +139,7 @@ def test_reciprocity(rng):
 
 
 def test_orders_beyond_the_samples_are_told():
-    with pytest.warns(wd.WarpdiffWarning, match="orders up to 9 propagate along x, but 12 samples represent half as many"):
+    with pytest.warns(wd.WarpdiffWarning, match="9 propagate along x, but 12 samples represent half as many"):
         wd.order_efficiencies(wd.gratings.sinusoidal(5.0, 0.1, samples=12), (0, 0, 1), 500.0)
 
 
@@ -148,10 +148,10 @@ def test_orders_beyond_the_samples_are_told():
     [
         ({"heightfield": np.zeros((4, 4))}, TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
         ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
-        ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon, z > 0, got \(1, 0, 0\)"),
+        ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon .z > 0., got \(1, 0, 0\)"),
         ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
         ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm"),
-        ({"ior": 0.5}, ValueError, "ior must be an index of refraction > 1"),
+        ({"ior": 0.5}, ValueError, "ior must be a number, more than 1"),
     ],
 )
 def test_bad_input(arguments, error, message):

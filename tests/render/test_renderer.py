@@ -136,7 +136,7 @@ def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_s
             expected = wd.shade(tube, fingers, lights, camera, plan=plan, **options)
             same(image, expected)
             np.testing.assert_array_equal(image.error, expected.error)
-            assert vars(image.plan) == vars(expected.plan)
+            assert image.plan == expected.plan
 
 
 DISC = wd.DirectionalLight((0.3, 0.8, 0.9), angular_diameter_deg=9.0)

@@ -62,7 +62,7 @@ _FINDINGS = (
 )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """The numbers of a computation, and the reasons for them.
 
