@@ -18,12 +18,12 @@ import time
 import traceback
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.apps.cli_options import Flags, given, word
+from warpdiff.apps.cli_options import Flags, given, integer, number, word
 from warpdiff.core import disk_cache, validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, marked, ref, renaming, spelled
@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser of the command line; only the named command gets flags, which are imported."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="warpdiff",
         description="Iridescent colours of diffraction gratings given as measured height fields.",
         epilog="start with:\n  warpdiff demo\n  warpdiff render tube --heightfield fingers -o tube.png\n"
@@ -140,6 +140,14 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     return parser
 
 
+class _Parser(argparse.ArgumentParser):
+    """Report an error in one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        text = message.removeprefix("argument ").replace(": must ", " must ", 1)
+        self.exit(2, f"{self.prog}: {text}. See {self.prog} --help\n")
+
+
 class _Version(argparse.Action):
     """Print the version, which takes long to find."""
 
@@ -153,7 +161,7 @@ def _add_demo(demo: argparse.ArgumentParser) -> None:
     demo.add_argument(
         "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
     )
-    demo.add_argument("--scale", type=float, default=1.0, help="factor on the pictures' sizes (default: 1)")
+    demo.add_argument("--scale", type=number, default=1.0, help="factor on the pictures' sizes (default: 1)")
     flags = Flags(demo)
     flags.add(demo, describe(wd.Image.save), only=("display", "gamut"))
     flags.finish(scale="--scale", output="--output")
@@ -186,11 +194,11 @@ def _add_sequence(sequence: argparse.ArgumentParser) -> None:
         "-o", "--output", required=True, metavar="FOLDER",
         help="folder of the frames; frames of the same sequence that exist are kept",
     )  # fmt: skip
-    group.add_argument("--count", type=int, help="number of frames (default: 36, or the rows of --path)")
+    group.add_argument("--count", type=integer, help="number of frames (default: 36, or the rows of --path)")
     kind = group.add_mutually_exclusive_group()
-    kind.add_argument("--turns", type=float, default=1.0, help="turns of the body about its target (default: 1)")
+    kind.add_argument("--turns", type=number, default=1.0, help="turns of the body about its target (default: 1)")
     kind.add_argument(
-        "--light-to", type=float, nargs=3, metavar=("X", "Y", "Z"), help="last direction of a light that moves"
+        "--light-to", type=number, nargs=3, metavar=("X", "Y", "Z"), help="last direction of a light that moves"
     )
     kind.add_argument("--path", metavar="FILE", help="the camera's path: a CSV file, see warpdiff.camera_path")
     group.add_argument(
@@ -210,8 +218,8 @@ def _add_brdf(brdf: argparse.ArgumentParser) -> None:
         "-o", "--output", required=True, metavar="FILE", help="picture, .png (display) or .exr (linear XYZ and RGB)"
     )
     group = flags.group("map")
-    group.add_argument("--incidence-deg", type=float, default=0.0, help="light's angle from the normal (default: 0)")
-    group.add_argument("--azimuth-deg", type=float, default=0.0, help="light's angle from the x axis (default: 0)")
+    group.add_argument("--incidence-deg", type=number, default=0.0, help="light's angle from the normal (default: 0)")
+    group.add_argument("--azimuth-deg", type=number, default=0.0, help="light's angle from the x axis (default: 0)")
     flags.add(group, describe(wd.reflectance_map), only=("size", "samples_per_pixel"))
     flags.finish(**_words() | {"to_light": "--incidence-deg"})
 
@@ -252,7 +260,7 @@ def _add_view(view: argparse.ArgumentParser) -> None:
         "--environment", nargs="+", action="extend", default=[], metavar="FILE",
         help="skies or rooms that the page offers as lights, EXR or HDR in latitude and longitude, linear sRGB",
     )  # fmt: skip
-    view.add_argument("--port", type=int, default=0, help="port of the server (default: pick a free port)")
+    view.add_argument("--port", type=integer, default=0, help="port of the server (default: pick a free port)")
     view.add_argument(
         "--host", default="127.0.0.1",
         help="address to listen on; for other machines the page's address contains a token (default: 127.0.0.1)",
@@ -264,7 +272,7 @@ def _add_view(view: argparse.ArgumentParser) -> None:
 
 def _add_cache(cache: argparse.ArgumentParser) -> None:
     less = cache.add_mutually_exclusive_group()
-    less.add_argument("--trim-mib", type=float, metavar="MIB", help="keep at most this size, the last used files")
+    less.add_argument("--trim-mib", type=number, metavar="MIB", help="keep at most this size, the last used files")
     less.add_argument("--clear", action="store_true", help="delete all files")
 
 
@@ -285,10 +293,12 @@ def _add_height_field(flags: Flags, *, default: str | None = None, several: bool
         help=_HEIGHT_FIELD_HELP + (f" (default: {default})" if default else ""), **how,
     )  # fmt: skip
     flags.add(group, describe(wd.HeightField.load), only=("extent_um", "pitch_um", "height_range_um"))
-    group.add_argument("--level", type=int, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)")
+    group.add_argument(
+        "--level", type=integer, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)"
+    )
     group.add_argument("--despike", action="store_true", help="remove dust")
     group.add_argument("--fill", action="store_true", help="fill missing samples from those around them")
-    group.add_argument("--crop-um", type=float, metavar="SIZE", help="keep a square of this size from the middle")
+    group.add_argument("--crop-um", type=number, metavar="SIZE", help="keep a square of this size from the middle")
     group.add_argument("--periodic", action="store_true", help="make opposite edges match")
 
 

@@ -10,11 +10,30 @@ from warpdiff.core.options import REQUIRED
 from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from warpdiff.core.options import Option
 
-_TYPES: dict[str, type] = {"integer": int, "integers": int, "number": float, "numbers": float, "pair": float}
+
+def integer(text: str) -> int:
+    """Return the integer of a text."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be an integer, got {text!r}") from None
+
+
+def number(text: str) -> float:
+    """Return the number of a text."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number, got {text!r}") from None
+
+
+_TYPES: dict[str, Callable[[str], Any]] = {
+    "integer": integer, "integers": integer, "number": number, "numbers": number, "pair": number,
+}  # fmt: skip
 _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "choices": "NAME", "object": "VALUE"}
 
 
@@ -88,8 +107,8 @@ class Flags:
 def _shape(option: Option) -> dict[str, Any]:
     """Return type, number and placeholder of the values of a flag."""
     if option.name in VECTORS:
-        return {"type": float, "nargs": 3, "metavar": ("X", "Y", "Z")}
-    kind = type(option.choices[0]) if option.choices else _TYPES.get(option.kind, str)
+        return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
+    kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
         return {"type": kind, "metavar": placeholder}
