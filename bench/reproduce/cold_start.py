@@ -1,9 +1,8 @@
-"""Cold start: what a new process takes to import the package and to its first picture.
+"""Cold start: time of a new process to import the package, and to its first picture.
 
 A process imports the package, makes synthetic fingers of 25.6 µm and a tube, shades and saves 640 × 480 pixels, and
-ends; the picture is there before the process has ended. Processes with an empty folder for compiled kernels take turns
-with those that find it filled. Plotting libraries that other extras may have installed are hidden, as colour-science
-imports them where they are.
+ends. Processes with an empty folder of compiled kernels are interleaved with processes that find it filled. Plotting
+libraries are hidden, because colour-science imports them if they are installed.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ PICTURE = HIDE + (
 )
 
 
-# A process holds some 240 MiB of libraries before.
+# Libraries alone require about 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
@@ -42,8 +41,8 @@ PRECOMPUTE = HIDE + (
 
 
 def precompute(scan: Path) -> None:
-    """Print what comes before the first picture of a scan, in a process that finds its kernels compiled."""
-    print("\n| scan | s | MiB of the process, at most |\n| --- | --- | --- |", flush=True)
+    """Print the preparation time of a scan, in a process that finds its kernels compiled."""
+    print("\n| scan | s | peak memory [MiB] |\n| --- | --- | --- |", flush=True)
     environment = os.environ | {"WARPDIFF_CACHE_DIR": ""}
     for kind in ("averaged", "centred"):
         command = [sys.executable, "-W", "ignore", "-c", PRECOMPUTE, str(scan), kind]
@@ -52,24 +51,24 @@ def precompute(scan: Path) -> None:
 
 
 def seconds(code: str, cache: Path) -> tuple[float, float]:
-    """Time of a process from its start to what it says is there, or to its end, and to its end."""
+    """Return the time from the start of a process to its result, or its end if it prints none, and to its end."""
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}
-    ran = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code, str(cache)], env=environment, check=True, stdout=subprocess.PIPE, text=True
     )
     end = time.monotonic()
-    return float(ran.stdout.split()[-1] if ran.stdout else end) - begin, end - begin
+    return float(result.stdout.split()[-1] if result.stdout else end) - begin, end - begin
 
 
 def main() -> None:
-    """Time a few of each."""
+    """Time all kinds of processes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5, help="processes of each kind (5)")
-    parser.add_argument("--scan", type=Path, help="the scan of 1332 × 1332 samples, for what comes before its pictures")
-    given = parser.parse_args()
-    rounds = given.rounds
-    taken: dict[str, list[tuple[float, float]]] = {}
+    parser.add_argument("--scan", type=Path, help="scan of 1332 × 1332 samples, whose preparation is timed")
+    options = parser.parse_args()
+    rounds = options.rounds
+    times: dict[str, list[tuple[float, float]]] = {}
     for _ in range(rounds):
         with tempfile.TemporaryDirectory() as folder:
             cache = Path(folder)
@@ -79,13 +78,13 @@ def main() -> None:
                 ("first picture, no kernel compiled", PICTURE),
                 ("first picture, kernels compiled before", PICTURE),
             ):
-                taken.setdefault(name, []).append(seconds(code, cache))
-    print("| process | s, median | least | most | to the process's end |\n| --- | --- | --- | --- | --- |")
-    for name, pairs in taken.items():
+                times.setdefault(name, []).append(seconds(code, cache))
+    print("| process | s, median | least | most | to the end of the process |\n| --- | --- | --- | --- | --- |")
+    for name, pairs in times.items():
         there, ended = zip(*pairs, strict=True)
         print(f"| {name} | {np.median(there):.2f} | {min(there):.2f} | {max(there):.2f} | {np.median(ended):.2f} |")
-    if given.scan is not None:
-        precompute(given.scan)
+    if options.scan is not None:
+        precompute(options.scan)
 
 
 if __name__ == "__main__":

@@ -270,8 +270,8 @@ def main() -> None:
         return
     heads = (
         "body | surface | distance | tolerance | rays | interior | convergence | P50 / tolerance | P99 "
-        "| silhouettes, P95 | shadow edges, P95 | ΔE2000, P99 | bounded | rank correlation | estimated / actual | method "
-        "| warned"
+        "| silhouettes, P95 | shadow edges, P95 | ΔE2000, P99 | bounded | rank correlation | estimated / actual "
+        "| method | warned"
     )
     print(f"| {heads} |\n{'| --- ' * (heads.count('|') + 1)}|")
     within, everything, begin = 0, 0, time.perf_counter()

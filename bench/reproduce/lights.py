@@ -1,8 +1,8 @@
-"""Lights of a size and environments: pictures against sums over directions.
+"""Disc lights and environments: pictures against sums over directions.
 
-``--sizes`` compares lights of a size, of cases that ``--seed`` draws, with sums over points of their discs, ``--skies``
-environments with sums over at least 16 times as many directions, which share no code with them
-(``bench/truth/sky_sums.py``). ``--picture`` saves the README's snake under a sky.
+``--sizes`` compares disc lights in random cases with sums over points of their discs. ``--skies`` compares environments
+with sums over at least 16 times as many directions, which share no code with them (``bench/truth/sky_sums.py``).
+``--picture`` saves the README's snake under a sky.
 """
 
 from __future__ import annotations
@@ -26,10 +26,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 DIAMETERS = (1.0, 5.0, 10.0, 20.0, 60.0)
+COLUMNS = (
+    "| {} | body, surface | pixels | by | median | P90 | P99 | estimated | reported | frame |\n" + 10 * "| --- " + "|"
+)
 
 
 def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth_deg: float = 1.0) -> np.ndarray:
-    """A clear sky that grows whiter and brighter towards the horizon, over dark ground, with a sun of so much power."""
+    """Return a clear sky, whiter and brighter towards the horizon, over dark ground, with a sun of a given power."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     up = np.maximum(np.cos(polar), 0.0)[:, None, None]
     colour = np.array([0.25, 0.45, 1.0]) + (np.array([0.9, 0.95, 1.0]) - [0.25, 0.45, 1.0]) * (1.0 - up) ** 3
@@ -40,8 +43,8 @@ def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth
     return radiance
 
 
-def drawn_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
-    """A grey sky by its kind: with a low or a high sun, a room with a window, overcast with a gradient."""
+def random_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """Return a random grey sky: with a low or a high sun, a room with a window, or overcast with a gradient."""
     height = 128
     azimuth_deg = rng.uniform(-180.0, 180.0)
     if kind in ("low sun", "high sun"):
@@ -59,8 +62,8 @@ def drawn_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
     return np.where(elevation > 0.0, bright, rng.uniform(0.05, 0.3))
 
 
-def drawn_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
-    """Name, sky, body, surface, view and the deviation of the window [µm] of cases."""
+def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
+    """Yield name, sky, mesh, height field, view and the σ of the window [µm] of random cases."""
     rng = np.random.default_rng(seed)
     scan = inputs.levelled_scan()
     bodies: dict[str, Callable[[], Any]] = {
@@ -81,9 +84,9 @@ def drawn_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFiel
     if scan is not None:
         surfaces["scan"] = lambda: scan
     kinds = ["window", "low sun", "overcast", "window", "high sun"] * 2
-    names = [rng.permutation(list(each)) for each in (bodies, surfaces)]
+    names = [rng.permutation(list(makers)) for makers in (bodies, surfaces)]
     for index, kind in enumerate(kinds):
-        body, surface = (each[index % len(each)] for each in names)
+        body, surface = (of_kind[index % len(of_kind)] for of_kind in names)
         mesh = bodies[body]()
         middle, radius = mesh.bounds.mean(axis=0), 0.5 * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0)))
         towards = rng.normal(size=3)
@@ -91,54 +94,54 @@ def drawn_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFiel
         eye = middle + 5.0 * radius * towards / np.linalg.norm(towards)
         view = wd.View(tuple(eye), tuple(middle), fov_y_deg=16.0, width=96, height=72)
         name = f"{kind} | {body}, {surface}"
-        yield name, drawn_sky(kind, rng), mesh, surfaces[surface](), view, 16.25 if surface == "scan" else 8.0
+        yield name, random_sky(kind, rng), mesh, surfaces[surface](), view, 16.25 if surface == "scan" else 8.0
 
 
-def distances(found: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Errors of colours (n, 3), as ``tolerance`` has them, of a picture of which so ``bright`` is P99 of Y."""
+def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
+    """Return errors of colours (n, 3) as for ``tolerance``; ``bright`` is the 99th percentile of the picture's Y."""
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
-    return np.asarray(np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
+    return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
 
 
 def percentiles(errors: np.ndarray, between: str = " | ") -> str:
-    """Their median, percentiles 90 and 99."""
+    """Return the median and the 90th and 99th percentiles as text."""
     return between.join(f"{100.0 * value:.1f} %" for value in np.percentile(errors, [50.0, 90.0, 99.0]))
 
 
 def sizes(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of lights of a size, of cases that are drawn, against sums over rays from points of the disc."""
+    """Print errors of disc lights in random cases against sums over points of the disc."""
     rng = np.random.default_rng(seed + 2)
-    print("| light | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
-    for index, (case, _, mesh, heightfield, view, sigma_um) in enumerate(drawn_cases(seed)):
+    print(COLUMNS.format("light"))
+    for index, (case, _, mesh, heightfield, view, sigma_um) in enumerate(random_cases(seed)):
         window = wd.Coherence(sigma_um=sigma_um)
         sums = SkySums(mesh, heightfield, view, window)
         inside = rng.permutation(sums.interior())[:pixels]
-        # From where the eye is, or aside.
+        # Light from near the eye, or from the side.
         towards = np.asarray(view.eye) - np.asarray(view.target)
         towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
         degrees = DIAMETERS[index % len(DIAMETERS)]
         light = wd.DirectionalLight(tuple(towards), angular_diameter_deg=degrees)
         name = f"{degrees:g}° | {case.split(' | ')[1]}"
         _judge(name, inside, functools.partial(sums.under_disc, light=light), across, seed, tolerances, options={
-            "mesh": mesh, "heightfield": heightfield, "light": light, "view": view, "coherence": window,
+            "mesh": mesh, "heightfield": heightfield, "lights": light, "view": view, "coherence": window,
         })  # fmt: skip
 
 
 def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of environments against sums over directions, of ``across``² rays a pixel or more, for some pixels.
+    """Print errors of environments against sums over directions, by at least ``across``² rays per pixel.
 
-    Beside them are what the sums may err by, what ``image.error`` tells at the same percentiles, for how many of the
-    pixels that err by more than the tolerance it tells so, and a frame's time.
+    Further columns are the error of the sums, ``image.error`` at the same percentiles, the number of pixels beyond the
+    tolerance for which ``image.error`` exceeds it, too, and the time of a frame.
     """
     rng = np.random.default_rng(seed + 1)
-    print("| sky | body, surface | pixels | by | median | P90 | P99 | told | seen | frame |\n" + "| --- " * 10 + "|")
-    for name, grey, mesh, heightfield, view, sigma_um in drawn_cases(seed):
+    print(COLUMNS.format("sky"))
+    for name, grey, mesh, heightfield, view, sigma_um in random_cases(seed):
         window = wd.Coherence(sigma_um=sigma_um)
         sums = SkySums(mesh, heightfield, view, window)
         environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
         inside = rng.permutation(sums.interior())[:pixels]
         _judge(name, inside, functools.partial(sums.under_sky, sky=grey), across, seed, tolerances, options={
-            "mesh": mesh, "heightfield": heightfield, "light": environment, "view": view, "coherence": window,
+            "mesh": mesh, "heightfield": heightfield, "lights": environment, "view": view, "coherence": window,
         })  # fmt: skip
 
 
@@ -146,57 +149,57 @@ def _judge(
     name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
     *, options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Print what pixels of pictures with ``options`` err by against sums that settle, and what is told of it."""
+    """Print the errors of pictures with ``options`` against converged sums, and their estimates."""
     if not len(chosen):
         print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
         return
-    exact, unconverged_share, rays = settled(summed, chosen, across, seed, min(tolerances) / 3.0)
-    keeps = (unconverged_share <= min(tolerances) / 3.0) & (exact[:, 1] > 0.0)
-    unserved_gain = (
-        f"sums by {rays:,} rays or more, {np.count_nonzero(~keeps)} do not settle or are black, and are left out"
+    exact, spread, rays = converged_means(summed, chosen, across, seed, min(tolerances) / 3.0)
+    converged = (spread <= min(tolerances) / 3.0) & (exact[:, 1] > 0.0)
+    note = (
+        f"sums by at least {rays:,} rays; {np.count_nonzero(~converged)} do not converge or are black, and are excluded"
     )
-    print(f"| {name} | {len(chosen)} | {unserved_gain} | {percentiles(unconverged_share)} | | | |", flush=True)
-    if not keeps.any():
+    print(f"| {name} | {len(chosen)} | {note} | {percentiles(spread)} | | | |", flush=True)
+    if not converged.any():
         return
-    exact, at = exact[keeps], tuple(chosen[keeps].T)
+    exact, at = exact[converged], tuple(chosen[converged].T)
     for tolerance in tolerances:
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, shadows=False, strict=False)
         took = time.perf_counter() - begin
-        # Pixels that are chosen may all be darker than what the picture's tolerance is relative to.
+        # The chosen pixels may all be darker than the luminance that the picture's tolerance is relative to.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
-        found, expected = distances(image.xyz[at], exact, bright), image.error[at]
-        wrong = found > tolerance
-        seen = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
+        errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
+        wrong = errors > tolerance
+        reported = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
         print(
-            f"| {name} | {len(exact)} | {tolerance:g}, {image.plan.light_sample_count:,} | {percentiles(found)} | "
-            f"{percentiles(expected, ' / ')} | {seen} | {took:.1f} s |", flush=True,
+            f"| {name} | {len(exact)} | {tolerance:g}, {image.plan.light_sample_count:,} | {percentiles(errors)} | "
+            f"{percentiles(expected, ' / ')} | {reported} | {took:.1f} s |", flush=True,
         )  # fmt: skip
 
 
-def settled(
+def converged_means(
     summed: Callable[..., np.ndarray], chosen: np.ndarray, across: int, seed: int, bound: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Means of four sums each, what they may err by, and of how many rays they are at least.
+    """Return means of four sums, their standard errors, and their least number of rays.
 
-    Where the four do not tell their mean well enough, there are four and sixteen times as many rays.
+    Where the standard error is too large, the sums have four and sixteen times as many rays.
     """
     sets = np.zeros((4, len(chosen), 3))
-    unconverged_share = np.zeros(len(chosen))
-    again = np.arange(len(chosen))
+    spread = np.zeros(len(chosen))
+    active = np.arange(len(chosen))
     for more in (1, 2, 4):
-        sets[:, again] = [summed(chosen[again], across=more * across, seed=4 * seed + each) for each in range(4)]
+        sets[:, active] = [summed(chosen[active], across=more * across, seed=4 * seed + number) for number in range(4)]
         exact = sets.mean(axis=0)
-        unconverged_share = np.sqrt(sum(distances(each, exact) ** 2 for each in sets) / 12.0)
-        again = np.flatnonzero(unconverged_share > bound)
-    return exact, unconverged_share, len(sets) * across**2
+        spread = np.sqrt(sum(distances(means, exact) ** 2 for means in sets) / 12.0)
+        active = np.flatnonzero(spread > bound)
+    return exact, spread, len(sets) * across**2
 
 
 def picture(path: str) -> None:
     """Save the scan on a snake under a clear sky with a sun."""
     scan = inputs.levelled_scan()
     if scan is None:
-        raise FileNotFoundError("--picture takes the scan, which is not in the folder of WARPDIFF_DATA")
+        raise FileNotFoundError("--picture requires the scan, which is not in the folder of WARPDIFF_DATA")
     view = wd.View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=12.2, width=480, height=288)
     above = wd.Environment(sky(sun=10.0, height=128, elevation_deg=50.0, azimuth_deg=95.0))
     image = wd.shade(wd.meshes.snake(), scan, above, view, tolerance=1e-1, pigment=0.05)
@@ -204,15 +207,15 @@ def picture(path: str) -> None:
 
 
 def main() -> int:
-    """Print the tables that are asked for, or all."""
+    """Print the requested tables, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", action="store_true", help="lights of a size against sums over points of the disc")
-    parser.add_argument("--skies", action="store_true", help="drawn environments against sums")
+    parser.add_argument("--sizes", action="store_true", help="disc lights against sums over points of the disc")
+    parser.add_argument("--skies", action="store_true", help="random environments against sums")
     parser.add_argument("--picture", metavar="FILE", help="save a snake under a sky")
-    parser.add_argument("--seed", type=int, default=0, help="of the cases of --sizes and --skies (0)")
-    parser.add_argument("--pixels", type=int, default=150, help="that are judged of each such case (150)")
-    parser.add_argument("--across", type=int, default=3, help="rays along a side of these (3)")
-    parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of environments (0.1 0.03)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of --sizes and --skies (0)")
+    parser.add_argument("--pixels", type=int, default=150, help="number of pixels per case (150)")
+    parser.add_argument("--across", type=int, default=3, help="rays along a side of a pixel (3)")
+    parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of pictures (0.1 0.03)")
     options = parser.parse_args()
     if options.picture:
         picture(options.picture)

@@ -1,9 +1,10 @@
-"""Published ways to evaluate the reflectance that are wrong on purpose, for ``thesis.py`` to lay beside the library's.
+"""Published methods with known errors, which ``thesis.py`` compares with the library.
 
-- ``neighbours``: the Gaussian window as a sum over the 3 × 3 coefficients that floor() finds, without the phase that
+- ``neighbours``: the Gaussian window as a sum over the 3 × 3 coefficients that floor() selects, without the phase that
   moves the window off the transform's origin (Single 2014, eq. 3.34): a window on the patch's seam.
-- ``periods``: whole copies of the patch (eq. 3.50), whose coefficients are interpolated linearly or by a sinc (eq. 3.51)
-  cut off. They lack a phase, too: the sinc's is the transform of the patch with its halves swapped, its seam inside.
+- ``periods``: whole periods of the patch (eq. 3.50), whose coefficients are interpolated linearly or by a truncated
+  sinc (eq. 3.51). They lack a phase, too: the sinc's is the transform of the patch with its halves swapped, its seam
+  inside.
 - ``order_colour``: the integral over λ as a mean over the wavelengths at which an order falls on the direction.
 - ``stam_directions`` and ``stam_picture``: Stam's analytic model of ``peers.stam_analytic``.
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 SERIES = EXPANSIONS["jacobi-anger"]
 ACCURACY = 1e-6
-# Coefficients on either side of the nearest at which the sinc is cut off.
+# Coefficients on either side of the nearest at which the sinc is truncated.
 SINC_REACH = 3
 CHUNK = 1 << 15
 
@@ -51,7 +52,7 @@ def neighbours(
     sigma_um: float = 16.25,
     masking: bool = True,
 ) -> Floats:
-    """ρ by 3 × 3 coefficients around the one that floor() finds.
+    """Return ρ by 3 × 3 coefficients around the one that floor() selects.
 
     Args:
         heightfield: The height field.
@@ -83,7 +84,7 @@ def periods(
     interpolation: str,
     masking: bool = True,
 ) -> Floats:
-    """ρ of so many copies (y, x) by ``interpolation``, "linear" or "sinc"; the rest as in :func:`neighbours`."""
+    """Return ρ of ``count`` periods (y, x) by ``interpolation``, "linear" or "sinc"; see :func:`neighbours`."""
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
         if heightfield.shape[axis] == 1:
@@ -104,7 +105,7 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Orders from ``first`` to ``last`` beside the given ones, shape (p, k); an axis of one sample has the order 0."""
+    """Return orders from ``first`` to ``last`` around orders, shape (p, k); an axis of one sample has the order 0."""
     return order[:, None] + np.arange(first, last + 1) if samples > 1 else np.zeros((len(order), 1))
 
 
@@ -140,8 +141,8 @@ def _reflectance(
         for j in range(places[0].shape[1]):
             # In the plane of incidence every row but the middle one weighs nothing in an interpolation.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
-                found = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
-                amplitude += factors[0][:, j] * factors[1][:, k] * found
+                coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
+                amplitude += factors[0][:, j] * factors[1][:, k] * coefficients
         result[part] = np.abs(amplitude) ** 2
     return gains[:, None] * result.reshape(len(scattering_vectors), len(tau))
 
@@ -150,7 +151,7 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Rows of the coefficients up to a frequency [1/µm], which they are, and the 2πa [µm] of the series' argument."""
+    """Return coefficients up to a frequency [1/µm], their block, and the 2πa [µm] of the series' argument."""
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)
     block = fourier_coefficients.Block.covering(
@@ -162,17 +163,16 @@ def _coefficients(
 def order_colour(
     rho: Floats, scattering_vectors: Floats, size_um: tuple[float, float], *, jacobian: bool = False
 ) -> Floats:
-    """XYZ from the wavelengths L|u|/n and L|v|/n alone, as if they were evenly spread over the spectrum.
+    """Return XYZ from the wavelengths L|u|/n and L|v|/n alone, as if they covered the spectrum evenly.
 
     Args:
         rho: ρ at 380, 381 … 780 nm, shape (n, 401); it is interpolated linearly.
         scattering_vectors: (u, v, w), shape (n, 3).
         size_um: The patch's extent (y, x) [µm].
-        jacobian: Whether a wavelength stands for what of the spectrum lies between it and the next, λ²/(L|u|), so that
-            it weighs λ².
+        jacobian: Whether a wavelength represents the interval to the next, λ²/(L|u|), and has the weight λ².
 
     Returns:
-        Shape (n, 3); 0 where no order is in sight, which is so around the mirror direction.
+        Shape (n, 3); 0 where no order is visible, as around the mirror direction.
     """
     products = colorimetry.colour_products()
     total, white = np.zeros((len(rho), 3)), np.zeros(len(rho))
@@ -181,11 +181,11 @@ def order_colour(
         path = 1e3 * length * np.abs(along)
         for order in range(1, math.floor(path.max() / colorimetry.LAMBDA_MIN_NM) + 1):
             wavelength = path / order
-            seen = (wavelength >= colorimetry.LAMBDA_MIN_NM) & (wavelength <= colorimetry.LAMBDA_MAX_NM)
+            visible = (wavelength >= colorimetry.LAMBDA_MIN_NM) & (wavelength <= colorimetry.LAMBDA_MAX_NM)
             place = np.clip(wavelength - colorimetry.LAMBDA_MIN_NM, 0.0, len(products) - 1.0)
             below = np.minimum(place.astype(int), len(products) - 2)
             share = place - below
-            weight = seen * (wavelength**2 if jacobian else 1.0)
+            weight = visible * (wavelength**2 if jacobian else 1.0)
             curves = (1.0 - share[:, None]) * products[below] + share[:, None] * products[below + 1]
             value = (1.0 - share) * rho[row, below] + share * rho[row, below + 1]
             total += (weight * value)[:, None] * curves
@@ -196,7 +196,7 @@ def order_colour(
 def stam_directions(
     heightfield: wd.HeightField, scattering_vectors: Floats, gains: Floats, *, colours: str
 ) -> NDArray[np.float32]:
-    """XYZ of Stam's analytic model, shape (n, 3); ``colours`` is "rainbow", as published, or "cie"."""
+    """Return XYZ of Stam's analytic model, shape (n, 3); ``colours`` is "rainbow", as published, or "cie"."""
     return stam_analytic.prepare(heightfield, wd.Coherence(), colours=colours)(
         scattering_vectors, gains, resolve_threads(None)
     )
@@ -205,11 +205,11 @@ def stam_directions(
 def stam_picture(
     mesh: Any, heightfield: wd.HeightField, light: wd.DirectionalLight, view: wd.View, *, colours: str
 ) -> NDArray[np.float32]:
-    """XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
+    """Return XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
     window, normal = wd.Coherence(), reflectance_factors.normal_reflectance(1.5)
     frame = Picture(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
     frame.set_lights(lobes_of(light), window, 1.0, normal=normal)
     frame.measure_directions(heightfield, window)
     scattering_vectors, _, gains = frame.directions()
-    found = light.power * stam_directions(heightfield, scattering_vectors, np.float64(gains), colours=colours)
-    return np.where(gains[:, None] > 0.0, found, 0.0).reshape(view.height, view.width, 3)
+    xyz = light.power * stam_directions(heightfield, scattering_vectors, np.float64(gains), colours=colours)
+    return np.where(gains[:, None] > 0.0, xyz, 0.0).reshape(view.height, view.width, 3)

@@ -1,8 +1,8 @@
-"""Judge calls by directions that their plans never read, the float64 reference, and the design's error.
+"""Errors of calls on directions that their plans never read, against the float64 reference.
 
-A call of fewer directions than ``configurations.FEW`` is judged on all that are lit. Of a larger one, at least
-``COUNT`` lit directions are drawn, none of which its plan has seen; those that come out bright are drawn more often
-where they are few, and weigh less.
+A call of fewer directions than ``configurations.FEW`` is evaluated on all illuminated ones. For a larger call, at least
+``COUNT`` illuminated directions are sampled, none of which its plan has read. Bright directions are sampled more often
+if they are few, and have smaller weights.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 COUNT = 2000
-# Of these, at least so many bright ones, if there are.
+# Least number of bright directions among them, if there are as many.
 BRIGHT = 600
-# What is asked of the reference is half of a call's tolerance, and half of this at most.
+# The tolerance of the reference is half of a call's tolerance, and at most half of this.
 TRUTH_TOLERANCE = 1e-3
-# A source nearer to the horizon is foreshortened so much that its truth takes half a million wavelengths; left out.
+# A source nearer to the horizon is so foreshortened that the reference would require half a million wavelengths.
 LOWEST_SOURCE = 0.02
-# The reference settles to this share of a mirror's Y, and f is no smaller.
+# The reference converges to this share of a mirror's Y, and f is at least that.
 LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """What a call makes of its lit directions, and which of them its plan read."""
+    """Results of a call for its illuminated directions, and a mask of those that its plan read."""
 
     xyz: np.ndarray  # (n, 3)
     to_light: np.ndarray  # (n, 3)
@@ -48,14 +48,14 @@ class Result(NamedTuple):
 
     @property
     def white(self) -> float:
-        """Y* of all directions, as the call has it."""
+        """Y* of all directions, from the results of the call."""
         return reference_luminance(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
 
 
 class Figure(NamedTuple):
     """The error of a call: percentiles 99 of e over all, over bright ones (Y >= f), and over the others."""
 
-    whole: float
+    overall: float
     bright: float
     dim: float
     share_dim: float
@@ -64,36 +64,36 @@ class Figure(NamedTuple):
 
     @property
     def value(self) -> float:
-        """What the tolerance bounds."""
-        return max(self.whole, self.bright)
+        """The error that the tolerance bounds."""
+        return max(self.overall, self.bright)
 
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
     """Record (u, v, w) of all directions that plans read."""
-    seen: list[np.ndarray] = []
+    vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):
         def __init__(
-            self, plan: Any, heightfield: Any, direction_range: Any, sample: Any, *others: Any, **options: Any
+            self, plan: Any, request: Any, direction_range: Any, sample: Any, *others: Any, **options: Any
         ) -> None:
-            seen.append(sample.scattering_vectors)
-            super().__init__(plan, heightfield, direction_range, sample, *others, **options)
+            vectors.append(sample.scattering_vectors)
+            super().__init__(plan, request, direction_range, sample, *others, **options)
 
     original, trial.Trial = trial.Trial, Witness  # type: ignore[misc]
     try:
-        yield seen
+        yield vectors
     finally:
         trial.Trial = original  # type: ignore[misc]
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
-    """Make the call, as a user would."""
+    """Make the call like a user."""
     arguments: dict[str, Any] = {
         "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
         "strict": strict,
     }  # fmt: skip
-    with witnessed() as seen, warnings.catch_warnings(record=True) as caught:
+    with witnessed() as planned, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         if case.picture is not None:
             picture = case.picture
@@ -116,22 +116,22 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
             views = np.stack([x, y, np.sqrt(1.0 - (x * x + y * y))], axis=1)
             lights = np.broadcast_to(case.to_light, views.shape)
         else:
-            given = case.heightfield, case.to_light, case.to_view
-            xyz = wd.reflectance(*given, illuminant=case.illuminant, **arguments)
+            operands = case.heightfield, case.to_light, case.to_view
+            xyz = wd.reflectance(*operands, illuminant=case.illuminant, **arguments)
             warnings.simplefilter("ignore", wd.WarpdiffWarning)
-            plan = wd.plan(*given, illuminant=case.illuminant, **arguments)
+            plan = wd.plan(*operands, illuminant=case.illuminant, **arguments)
             lights, views = case.to_light, case.to_view
     lowest = LOWEST_SOURCE if case.coherence.kind == "source" else HORIZON
     illuminated = (lights[:, 2] > lowest) & (views[:, 2] > HORIZON)
     scattering_vectors = -(lights + views)[illuminated]
-    known = {row.tobytes() for each in seen for row in np.round(each + 0.0, 9)}
+    known = {row.tobytes() for vectors in planned for row in np.round(vectors + 0.0, 9)}
     read = np.array([row.tobytes() in known for row in np.round(scattering_vectors + 0.0, 9)], dtype=bool)
-    told = "; ".join(dict.fromkeys(str(each.message) for each in caught))
-    return Result(np.asarray(xyz)[illuminated], lights[illuminated], views[illuminated], read, plan, told)
+    messages = "; ".join(dict.fromkeys(str(warning.message) for warning in caught))
+    return Result(np.asarray(xyz)[illuminated], lights[illuminated], views[illuminated], read, plan, messages)
 
 
-def drawn(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Which of a call's directions judge it, and for how many of all each of them stands."""
+def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of a sample of a call's directions, and the number of directions that each represents."""
     count = len(result.xyz)
     if count < FEW:
         return np.arange(count), np.ones(count)
@@ -146,14 +146,14 @@ def drawn(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndar
     first = min(max(share, BRIGHT, COUNT - len(groups[1])), len(groups[0]))
     for group, among, most in zip(groups, (bright, ~bright), (first, COUNT - first), strict=True):
         if len(group):
-            some = rng.permutation(group)[:most]
-            chosen.append(some)
-            weights.append(np.full(len(some), np.count_nonzero(among) / max(len(some), 1)))
+            part = rng.permutation(group)[:most]
+            chosen.append(part)
+            weights.append(np.full(len(part), np.count_nonzero(among) / max(len(part), 1)))
     return np.concatenate(chosen), np.concatenate(weights)
 
 
 def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: float = 1.0) -> np.ndarray:
-    """XYZ by the reference of some directions."""
+    """Return XYZ of some directions by the reference."""
     tolerance = 0.5 * min(case.tolerance, TRUTH_TOLERANCE) / closer
     return np.asarray(
         reference.reference_reflectance(
@@ -164,18 +164,18 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
 
 
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
-    """The design's error of a picture, of XYZ against the truth, both (n, 3) and all lit, but for f's lower limit.
+    """Return the error of XYZ against the reference, both (n, 3) and all illuminated; f has a lower limit.
 
-    Y* is that of the truth, or that of the whole call if it is smaller: a part may see a mirror that is not to be seen
-    from elsewhere.
+    Y* is that of the reference, or that of the whole call if it is smaller: a sample may contain a mirror reflection
+    that is rare in the call.
     """
     weights = np.ones(len(exact)) if weights is None else weights
-    moved = np.linalg.norm(xyz - exact, axis=1)
-    moved[~np.isfinite(moved)] = math.inf
+    distances = np.linalg.norm(xyz - exact, axis=1)
+    distances[~np.isfinite(distances)] = math.inf
     white = min(reference_luminance(exact[:, 1], weights), white)
     floor = max(FLOOR * white, LEAST)
-    errors = moved / np.maximum(np.linalg.norm(exact, axis=1), floor)
+    errors = distances / np.maximum(np.linalg.norm(exact, axis=1), floor)
     above = exact[:, 1] >= floor
-    whole, bright, dim = (percentile(errors[some], weights[some], 0.99) for some in (slice(None), above, ~above))
+    overall, bright, dim = (percentile(errors[group], weights[group], 0.99) for group in (slice(None), above, ~above))
     share_dim = float(weights[~above].sum() / max(weights.sum(), 1e-300))
-    return Figure(whole, bright, dim, share_dim, white, errors)
+    return Figure(overall, bright, dim, share_dim, white, errors)

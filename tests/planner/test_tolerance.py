@@ -26,13 +26,13 @@ def scan_or_none() -> wd.HeightField | None:
 def check(case: Configuration, count: int = 400) -> None:
     """A call against the reference on some of its directions, of large ones on such as the plan has not read."""
     result = judge.evaluate(case)
-    chosen, weights = judge.drawn(result, np.random.default_rng(SEED))
+    chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
     # Bright ones come first.
     places = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
     chosen, weights = chosen[places], weights[places]
     figure = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
     assert figure.value <= case.tolerance, (
-        f"{case}: {figure.whole:.2e} of all, {figure.bright:.2e} of bright directions"
+        f"{case}: {figure.overall:.2e} of all, {figure.bright:.2e} of bright directions"
     )
     assert not result.warned
 
@@ -127,11 +127,11 @@ def test_the_judge_sees_an_error_in_a_hundredth_of_the_directions_and_in_the_bri
     wrong = np.array(exact)
     wrong[4900:] += 1e-4
     figure = judge.figure(wrong, exact)
-    assert (figure.whole > 0.05, figure.bright) == (True, 0.0)
+    assert (figure.overall > 0.05, figure.bright) == (True, 0.0)
     wrong = np.array(exact)
     wrong[:10] *= 1.1
     figure = judge.figure(wrong, exact)
-    assert (figure.whole, figure.bright > 0.05) == (0.0, True)
+    assert (figure.overall, figure.bright > 0.05) == (0.0, True)
 
 
 def test_directions_that_a_plan_read_are_not_judged(rng):
@@ -140,7 +140,7 @@ def test_directions_that_a_plan_read_are_not_judged(rng):
     views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
     case = call(wd.gratings.fingers(size_um=6.4), to_light=np.broadcast_to(UP, views.shape), to_view=views)
     result = judge.evaluate(case)
-    chosen, weights = judge.drawn(result, rng)
+    chosen, weights = judge.sampled(result, rng)
     assert 100 < np.count_nonzero(result.read) <= 9000
     assert len(chosen) == len(np.unique(chosen)) == judge.COUNT
     assert not result.read[chosen].any()
