@@ -9,12 +9,9 @@ import socket
 import threading
 import time
 
-import numpy as np
 import pytest
 
-import warpdiff as wd
 from warpdiff.apps.viewer.controls import checked, controls, defaults, described
-from warpdiff.apps.viewer.page_calls import NamedFiles, Scene
 
 websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs it")
 from websockets.sync.client import connect  # noqa: E402 (what may be absent)
@@ -26,10 +23,10 @@ KNOWN = controls()
 
 
 class Studio:
-    """Draws nothing, and remembers what was wanted."""
+    """Draws nothing, and records requests."""
 
     def __init__(self):
-        self.sessions, self.seen = [], []
+        self.sessions, self.requests = [], []
 
     def session(self, send):
         self.sessions.append(send)
@@ -41,11 +38,8 @@ class Studio:
     def acknowledge(self, session):
         session({"kind": "picture"}, bytes(100_000))
 
-    def want(self, _, wanted):
-        self.seen.append(wanted)
-
-    def wanted(self, *operands, **options):
-        return operands, options
+    def request(self, _, request):
+        self.requests.append(request)
 
 
 @contextlib.contextmanager
@@ -92,12 +86,12 @@ def page_of(server, **options):
     return connect(address, origin=f"http://127.0.0.1:{server.port}", **options)
 
 
-def want(**changes):
-    told = {
-        "do": "want", "generation": 1, "values": defaults(KNOWN), "aspect": 1.5, "moving": False, "probe": [0.5, 0.5],
+def draw(**changes):
+    message = {
+        "do": "draw", "generation": 1, "values": defaults(KNOWN), "aspect": 1.5, "moving": False, "probe": [0.5, 0.5],
         "camera": None,
     }  # fmt: skip
-    return json.dumps(told | changes)
+    return json.dumps(message | changes)
 
 
 def test_nothing_but_the_page_is_served():
@@ -181,7 +175,7 @@ def test_connections_that_say_nothing_are_closed(monkeypatch):
 @pytest.mark.parametrize(
     "message",
     ["", "x", "[]", "1", "null", "{}", '{"do": "rm"}', '{"do": "save", "as": "../x"}', "[" * 9000, b"\0\1", "1e999",
-     '{"do": ["want"]}', "{" + '"a":{' * 2000],
+     '{"do": ["draw"]}', "{" + '"a":{' * 2000],
 )  # fmt: skip
 def test_messages_that_no_page_sends_end_the_connection(message):
     with serving() as (server, studio), page_of(server) as page:
@@ -189,7 +183,7 @@ def test_messages_that_no_page_sends_end_the_connection(message):
         page.send(message)
         with pytest.raises(websockets.exceptions.ConnectionClosedError, match="1008"):
             page.recv(timeout=5.0)
-        assert not studio.seen
+        assert not studio.requests
 
 
 def test_a_message_of_any_size_takes_no_memory():
@@ -214,18 +208,20 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
         cases += [{"camera": camera | {name: value}} for name in camera for value in fuzz]
         refused = 0
         for case in cases:
-            before = len(studio.seen)
-            page.send(want(**case))
-            page.send(want(generation=7))
+            before = len(studio.requests)
+            page.send(draw(**case))
+            page.send(draw(generation=7))
             # What follows it is served.
             give_up = time.monotonic() + 5.0
-            while time.monotonic() < give_up and not (len(studio.seen) > before and studio.seen[-1][0][0] == 7):
+            while time.monotonic() < give_up and not (
+                len(studio.requests) > before and studio.requests[-1].generation == 7
+            ):
                 time.sleep(0.0005)
-            assert studio.seen[-1][0][0] == 7, case
-            refused += len(studio.seen) == before + 1
-            if len(studio.seen) > before + 1:
+            assert studio.requests[-1].generation == 7, case
+            refused += len(studio.requests) == before + 1
+            if len(studio.requests) > before + 1:
                 # Of those that are let through, all is what the controls say.
-                values = studio.seen[before][0][1]
+                values = studio.requests[before].values
                 assert checked(KNOWN, values) == values
         assert refused > 0.75 * len(cases)
         errors = 0
@@ -247,28 +243,3 @@ def test_a_page_that_reads_nothing_is_let_go():
             time.sleep(0.02)
         assert not studio.sessions
         page.socket.close()
-
-
-def test_every_control_is_part_of_a_scene(tmp_path):
-    np.save(tmp_path / "h.npy", np.zeros((8, 8)))
-    levelled = ("levelled", (("order", 1),))
-    skies = tmp_path / "s.exr", tmp_path / "r.hdr"
-    files = NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), skies, (("pitch_um", 0.1),), (levelled,))
-    known = controls(["m.obj"], ["h.npy"], ["s.exr", "r.hdr"])
-    first = checked(known, {"mesh": "snake", "surface": "fingers", "light": "far"})
-    of_picture = {"height", "display", "exposure_stops", "held", "background"}
-    for control in known.values():
-        shown = {name: values[0] for name, values in control.shown}
-        if control.choices:
-            others = [value for value, _ in control.choices]
-        elif isinstance(control.default, bool):
-            others = [True, False]
-        else:
-            others = [control.least, control.most]
-        base = first | shown
-        scenes = {str(Scene.of(base | {control.name: value}, files)) for value in others}
-        assert len(scenes) == (1 if control.name in of_picture else len(others)), control.name
-    scene = Scene.of(first | {"surface": "file 0"}, files)
-    assert isinstance(scene.heightfield.make(), wd.HeightField)
-    assert str(scene.heightfield) == f"wd.HeightField.load('{tmp_path}/h.npy', pitch_um=0.1).levelled(order=1)"
-    assert Scene.of(first, files).mesh.make().faces.shape[1] == 3

@@ -1,4 +1,4 @@
-"""``warpdiff view``: a page in the browser on which body, light and surface are turned by hand."""
+"""``warpdiff view``: the interactive viewer, a page in the browser."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 import webbrowser
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.apps.viewer.controls import controls, defaults
+from warpdiff.apps.viewer.controls import defaults
 from warpdiff.apps.viewer.server import ViewServer
 
 if TYPE_CHECKING:
@@ -30,36 +30,35 @@ def run(
     """Serve the viewer until it is interrupted.
 
     Args:
-        files: What was named beside the sample bodies and gratings.
-        host: The address to listen on; beyond this machine a token is asked for.
-        port: 0 takes a free one.
+        files: Files that the page offers besides the sample bodies and gratings.
+        host: Address to listen on; an address that other machines reach requires a token.
+        port: Port; 0 picks a free one.
         opens_browser: Whether to open the page.
         device: As in :func:`warpdiff.shade`.
         threads: As in :func:`warpdiff.shade`.
-        say: Called with the line that names the address.
+        say: Function that is called with the line that contains the page's address.
     """
-    known = controls(*([each.name for each in named] for named in (files.meshes, files.heights, files.environments)))
 
     def begin() -> Studio:
-        # A second's worth of imports, while the browser already loads the page.
+        # These imports take a second, during which the browser loads the page.
         from warpdiff.apps.viewer.session import Studio
 
-        return Studio(files, defaults(known), device=device, threads=threads)
+        return Studio(files, defaults(files.controls), device=device, threads=threads)
 
     async def serve() -> None:
         studio = asyncio.ensure_future(asyncio.to_thread(begin))
-        server = ViewServer(known, lambda: asyncio.shield(studio), host, port)
+        server = ViewServer(files.controls, lambda: asyncio.shield(studio), host, port)
 
         def ready() -> None:
-            say(f"{server.address}  (Ctrl-C ends it)")
+            say(f"{server.address}  (Ctrl-C stops the viewer)")
             if opens_browser:
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # What cannot begin is told at once.
+        # A studio or server that fails to start raises its error now.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
-        for each in done:
-            each.result()
+        for task in done:
+            task.result()
         await serving
 
     asyncio.run(serve())

@@ -1,23 +1,31 @@
-"""What a page of the viewer may set: each control once, with its range, for the page that shows it and for its check.
+"""Controls of the viewer's page: options of the library with the page's labels, groups and sliders.
 
-A new control is one entry of :func:`controls`, and one line of ``scene.py`` that says what it is for.
+Type, choices, unit and meaning come from the descriptions of options. An option of pictures that has no entry in
+:func:`controls` gets a control from its description alone.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass
+import re
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.lights.light_types import ONE_LOBE_DEG
-from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, KINDS
-from warpdiff.request.plan import METHODS
+from warpdiff.core import validation
+from warpdiff.core.options import Kind, Option, describe
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.image.image import Image
+from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
+from warpdiff.lights.environment import Environment
+from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, Coherence
+from warpdiff.request.settings import PictureSettings
+from warpdiff.samples import gratings
+from warpdiff.scene.camera import View
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
 BODIES = {"snake": "snake", "tube": "tube", "disc": "disc"}
-# Those that have a direction along the body, besides that around it.
+# Bodies whose texture also has a direction along the body.
 LONG_BODIES = ("snake", "tube")
 GRATINGS = {
     "fingers": "nano-fingers", "bumps": "bumps", "sinusoidal": "sinusoidal", "lamellar": "lamellar", "blazed": "blazed",
@@ -31,197 +39,286 @@ METALS = {
     "Al": "aluminium", "Ag": "silver", "Au": "gold", "Cr": "chromium", "Cu": "copper", "Ni": "nickel",
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
-ENERGIES = {"stam": "Stam's", "normalised": "normalised"}
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
-# Rows of a picture at rest.
-HEIGHTS = (240, 360, 480, 720, 960)
-# Of an environment, from how many a pixel sums its light where it is not by the tolerance.
-DIRECTIONS = (256, 1024, 4096)
-# The one that is most exact is for single pictures.
-_METHODS = {name: name for name in METHODS if "/" not in name and name != "direct"}
+# Options of pictures without a control of their own.
+EXCLUDED = (
+    # Set by other controls: by those of coherence and material, and by the x axis of the height field.
+    *("coherence", "material", "tangents"),
+    # Set by the command that starts the viewer.
+    *("device", "threads"),
+    # The viewer refines in stages, the last of which meets the tolerance.
+    *("tolerance", "refine", "strict", "plan"),
+    # The planner selects them by the tolerance and the coherence.
+    *("integration", "footprint", "samples_per_pixel"),
+)
+_SKY = "Environment"
+# Label and meaning of two controls.
+_X_AXIS = "x axis of the height field", "Direction of the height field's x axis on the body."
+_DIRECTIONS = {0: "from the tolerance", 256: "256", 1024: "1024", 4096: "4096"}
+_TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
+_DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
+# Heights of a picture [pixels].
+_ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
+# Words for arguments of the library that no control sets.
+_WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
+_UNITS = {"um": "µm", "deg": "°"}
+# Lowest value, highest value and step.
+Slider = tuple[float, float, float] | None
+_JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 
 @dataclass(frozen=True)
 class Control:
-    """A number on a slider, a choice, or a switch.
+    """A control of the page.
 
     Attributes:
-        name: What settings call it.
-        label: What the page calls it.
-        group: Under which heading it stands.
-        default: Its value at first.
-        choices: By value, what the page calls it; none for numbers and switches.
-        least: Of a number.
-        most: Of a number.
-        step: Of a number; whole ones make an integer.
-        unit: Of a number.
-        ratio: Whether the slider goes in equal ratios.
-        shown: Of other controls, the values with which this one has a meaning.
+        option: Type, choices, meaning, unit and default.
+        group: Heading that it stands under.
+        label: Text beside it.
+        slider: Lowest value, highest value and step of a number.
+        log: Whether the slider is logarithmic.
+        shown_if: Names of other controls, with their values for which this one is shown and has an effect.
+        default: Initial value; None is the option's.
+        labels: Texts of the choices, by value; empty for the values of the option.
+        name: Name on the page; empty is the option's.
+        call: Call that the value is an argument of: ``"picture"``, ``"coherence"``, ``"heightfield"``, ``"light"`` or
+            ``"environment"``; empty if the page uses it otherwise.
+        element: Index of the value in a pair (y, x); None is the whole value.
     """
 
-    name: str
-    label: str
+    option: Option
     group: str
-    default: Any
-    choices: tuple[tuple[Any, str], ...] = ()
-    least: float = 0.0
-    most: float = 0.0
-    step: float = 0.0
-    unit: str = ""
-    ratio: bool = False
-    shown: tuple[tuple[str, tuple[Any, ...]], ...] = ()
+    label: str
+    slider: Slider = None
+    log: bool = False
+    shown_if: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    default: Any = None
+    labels: Mapping[Any, str] = field(default_factory=dict)
+    name: str = ""
+    call: str = ""
+    element: int | None = None
 
-    def checked(self, value: Any) -> Any:
+    def __post_init__(self) -> None:
+        default = self.option.default if self.default is None else self.default
+        # Frozen: these follow from the option.
+        vars(self).update(
+            name=self.name or self.option.name,
+            default=default if self.element is None or not isinstance(default, tuple) else default[self.element],
+            labels=self.labels or {choice: str(choice) for choice in self.option.choices},
+        )
+
+    def check(self, value: Any) -> Any:
         """Return a value if it is one of this control's."""
-        if self.choices:
-            # Hashing what came from outside might fail.
-            if type(value) not in (str, int, float) or value not in [each for each, _ in self.choices]:
-                raise ValueError(f"{self.name} must be one of {', '.join(repr(each) for each, _ in self.choices)}")
-            return value
-        if isinstance(self.default, bool):
-            if not isinstance(value, bool):
-                raise ValueError(f"{self.name} must be true or false")  # noqa: TRY004 (bad input has one kind here)
-            return value
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{self.name} must be a number")  # noqa: TRY004
-        # An integer of a thousand digits is none that a float holds.
-        if not (self.least <= value <= self.most):
-            raise ValueError(f"{self.name} must lie within {self.least:g} to {self.most:g}")
-        return round(value) if isinstance(self.default, int) else float(value)
+        if self.labels:
+            # Values from outside may have no hash.
+            if type(value) not in (str, int, float) or value not in self.labels:
+                names = ", ".join(map(repr, self.labels.values()))
+                raise ArgumentValueError(f"{ref(self.name)} must be one of {names}, got {value!r:.60}")
+            return next(choice for choice in self.labels if choice == value)
+        if self.slider is None:
+            return validation.flag(value, self.name)
+        low, high, _ = self.slider
+        number = validation.number(value, self.name, least=low, most=high)
+        return round(number) if self.option.kind in ("integer", "integers") else number
 
+    def is_shown(self, values: Mapping[str, Any]) -> bool:
+        """Whether the page shows it for these values, so that its own value counts."""
+        return all(values.get(name) in choices for name, choices in self.shown_if.items())
 
-def _choice(name: str, label: str, group: str, choices: dict[Any, str], default: Any = None, **more: Any) -> Control:
-    first = next(iter(choices)) if default is None else default
-    return Control(name, label, group, first, choices=tuple(choices.items()), **more)
+    @property
+    def argument(self) -> str:
+        """The argument that it sets, as messages of the library name it."""
+        return self.option.name if self.element is None else f"{self.option.name}[{self.element}]"
 
-
-def _number(
-    name: str, label: str, group: str, default: float, least: float, most: float, step: float, unit: str = "",
-    **more: Any,
-) -> Control:  # fmt: skip
-    return Control(name, label, group, default, least=least, most=most, step=step, unit=unit, **more)
+    @property
+    def schema(self) -> dict[str, Any]:
+        """Its description in JSON, with the keys of JSON Schema; further ones are in ``"x-ui"``."""
+        low, high, step = self.slider or (None, None, None)
+        kind = "integer" if self.option.kind in ("integer", "integers") else _JSON_TYPES[type(self.default)]
+        described = {
+            "name": self.name, "title": self.label, "description": _plain(self.option.help), "type": kind,
+            "enum": list(self.labels) or None, "minimum": low, "maximum": high, "default": self.default,
+        }  # fmt: skip
+        unit = self.option.unit or _UNITS.get(self.option.name.rpartition("_")[2], "")
+        ui = {
+            "group": self.group, "labels": list(self.labels.values()), "step": step, "log": self.log, "unit": unit,
+            "shown_if": self.shown_if,
+        }  # fmt: skip
+        return {key: value for key, value in described.items() if value is not None} | {"x-ui": ui}
 
 
 def controls(
     meshes: Sequence[str] = (), heights: Sequence[str] = (), environments: Sequence[str] = ()
 ) -> dict[str, Control]:
-    """All controls by name, with files that were named when the viewer was started, by their names on the page."""
-    bodies = {f"file {index}": name for index, name in enumerate(meshes)} | BODIES
-    surfaces = {f"file {index}": name for index, name in enumerate(heights)} | GRATINGS
-    named = tuple(each for each in bodies if each not in LONG_BODIES)
+    """Return all controls by name.
 
-    def of(*kinds: str) -> tuple[tuple[str, tuple[Any, ...]], ...]:
-        return (("surface", kinds),)
-
-    waves = of("sinusoidal", "lamellar", "blazed")
-    body, surface, light, optics, picture = "Body", "Surface", "Light", "Optics", "Picture"
-    found = [
-        _choice("mesh", "mesh", body, bodies),
-        _choice("along", "height field's x", body, {"around": "around the body", "along": "along the body"} | AXES,
-                shown=(("mesh", LONG_BODIES),)),
-        _choice("tangent", "height field's x", body, {"texture": "texture's u"} | AXES, shown=(("mesh", named),)),
-        _number("pigment", "pigment", body, 0.05, 0.0, 2.0, 0.01),
-        Control("smooth", "smooth normals", body, default=True),
-        _choice("surface", "height field", surface, surfaces),
-        _number("fingers_size_um", "size", surface, 25.6, 6.4, 64.0, 0.1, "µm", shown=of("fingers")),
-        _number("fingers_period_um", "period", surface, 1.1, 0.6, 4.0, 0.01, "µm", shown=of("fingers")),
-        _number("fingers_length_um", "length", surface, 3.0, 0.8, 6.0, 0.01, "µm", shown=of("fingers")),
-        _number("fingers_height_um", "height", surface, 0.3, 0.0, 2.0, 0.01, "µm", shown=of("fingers")),
-        _number("bumps_height_um", "height", surface, 0.15, 0.0, 1.0, 0.005, "µm", shown=of("bumps")),
-        _number("bumps_width_um", "width, along x", surface, 0.5, 0.1, 2.0, 0.01, "µm", shown=of("bumps")),
-        _number("bumps_length_um", "length, along y", surface, 1.0, 0.1, 2.0, 0.01, "µm", shown=of("bumps")),
-        _number("bumps_spacing_x_um", "spacing along x", surface, 1.0, 0.5, 8.0, 0.01, "µm", shown=of("bumps")),
-        _number("bumps_spacing_y_um", "spacing along y", surface, 2.0, 0.5, 8.0, 0.01, "µm", shown=of("bumps")),
-        _number("period_um", "period", surface, 2.0, 0.3, 20.0, 0.01, "µm", ratio=True, shown=waves),
-        _number("depth_um", "depth", surface, 0.25, 0.0, 2.0, 0.005, "µm", shown=waves),
-        _number("duty", "share that is high", surface, 0.5, 0.05, 0.95, 0.01, shown=of("lamellar")),
-        _choice("disc_kind", "kind", surface, {"CD": "CD", "DVD": "DVD", "Blu-ray": "Blu-ray"}, shown=of("disc")),
-        _number("disc_length_um", "length", surface, 25.6, 16.0, 64.0, 0.1, "µm", shown=of("disc")),
-        _number("seed", "seed", surface, 0, 0, 999, 1, shown=of("fingers", "disc")),
-        *(_of_environments(environments) if environments else ()),
-        _choice("light", "light", light,
-                {**({"none": "none"} if environments else {}), "far": "far away", "near": "at a place"}),
-        _number("azimuth_deg", "azimuth", light, 150.0, -180.0, 180.0, 0.1, "°", shown=(("light", ("far", "near")),)),
-        _number("elevation_deg", "elevation", light, 60.0, -90.0, 90.0, 0.1, "°", shown=(("light", ("far", "near")),)),
-        _number("distance", "distance from the body's centre", light, 2.0, 1.1, 20.0, 0.01, "its radii", ratio=True,
-                shown=(("light", ("near",)),)),
-        # Wider ones are several lights.
-        _number("light_diameter_deg", "diameter", light, 0.0, 0.0, ONE_LOBE_DEG, 0.01, "°",
-                shown=(("light", ("far",)), ("coherence", ("averaged",)))),
-        _choice("illuminant", "illuminant", light, ILLUMINANTS, shown=(("light", ("far", "near")),)),
-        Control("shadows", "shadows", light, default=True),
-        _choice("coherence", "coherence", optics, {each: each for each in KINDS}),
-        _number("sigma_um", "σ", optics, DEFAULT_SIGMA_UM, 1.0, 100.0, 0.05, "µm", ratio=True,
-                shown=(("coherence", ("averaged", "centred")),)),
-        _number("angular_diameter_deg", "source's diameter", optics, 0.53, 0.1, 20.0, 0.01, "°", ratio=True,
-                shown=(("coherence", ("source",)),)),
-        _number("copies_y", "copies along y", optics, 2, 1, 50, 1, shown=(("coherence", ("replicas",)),)),
-        _number("copies_x", "copies along x", optics, 2, 1, 50, 1, shown=(("coherence", ("replicas",)),)),
-        _choice("material", "material", optics, MATERIALS),
-        _number("ior", "index of refraction", optics, 1.5, 1.01, 4.0, 0.01, shown=(("material", ("dielectric",)),)),
-        _choice("energy", "energy", optics, ENERGIES),
-        Control("masking", "masking and shadowing of the relief", optics, default=True,
-                shown=(("energy", ("stam",)),)),
-        _choice("height", "rows", picture, {each: str(each) for each in HEIGHTS}, 360),
-        _choice("tolerance", "tolerance", picture, {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}, 0.03),
-        _choice("method", "method", picture, _METHODS),
-        _choice("display", "display", picture,
-                {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}),
-        _number("exposure_stops", "exposure", picture, 0.0, -8.0, 8.0, 0.1, "stops"),
-        Control("held", "hold the automatic exposure", picture, default=False),
-        _number("background", "background", picture, 0.1, 0.0, 1.0, 0.01),
+    Args:
+        meshes: Names of the mesh files that the page offers.
+        heights: Names of the files of height fields that it offers.
+        environments: Names of the files of environments that it offers.
+    """
+    bodies, surfaces, skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
+    lights = ({"none": "none"} if environments else {}) | {"directional": "directional", "point": "point"}
+    others = tuple(name for name in bodies if name not in LONG_BODIES)
+    picture, window, saving = describe(PictureSettings), describe(Coherence), describe(Image.save)
+    light, sky = describe(DirectionalLight), describe(Environment.load)
+    methods = {method: method for method in picture["method"].choices if method != "direct"}
+    any_light, any_window = {"light": ("directional", "point")}, {"coherence": ("averaged", "centred")}
+    averaged, source, replicas = ({"coherence": (kind,)} for kind in ("averaged", "source", "replicas"))
+    any_sky = averaged | {"environment": tuple(skies)}
+    waves = "sinusoidal", "lamellar", "blazed"
+    entries = [
+        _own("mesh", "Body", "mesh", "Mesh whose surface carries the height field.", labels=bodies),
+        _own("along", "Body", *_X_AXIS, shown_if={"mesh": LONG_BODIES},
+             labels={"around": "around the body", "along": "along the body"} | AXES),
+        _own("tangent", "Body", *_X_AXIS, shown_if={"mesh": others}, labels={"texture": "texture's u"} | AXES),
+        Control(picture["pigment"], "Body", "pigment", (0.0, 2.0, 0.01), default=0.05, call="picture"),
+        Control(picture["smooth"], "Body", "smooth normals", call="picture"),
+        _own("surface", "Surface", "height field", "Height field on the body's surface.", labels=surfaces),
+        _of_gratings("size_um", "size", (6.4, 64.0, 0.1), "fingers"),
+        _of_gratings("period_um", "period", (0.6, 4.0, 0.01), "fingers"),
+        _of_gratings("length_um", "length", (0.8, 6.0, 0.01), "fingers"),
+        _of_gratings("height_um", "height", (0.0, 2.0, 0.01), "fingers"),
+        _of_gratings("height_um", "height", (0.0, 1.0, 0.005), "bumps"),
+        _of_gratings("width_um", "width along x", (0.1, 2.0, 0.01), "bumps"),
+        _of_gratings("length_um", "length along y", (0.1, 2.0, 0.01), "bumps"),
+        *(_of_gratings("spacing_um", f"spacing along {axis}", (0.5, 8.0, 0.01), "bumps",
+                       name=f"bumps_spacing_{axis}_um", element=element) for element, axis in enumerate("yx")),
+        _of_gratings("period_um", "period", (0.3, 20.0, 0.01), *waves, log=True, default=2.0),
+        _of_gratings("depth_um", "depth", (0.0, 2.0, 0.005), *waves, default=0.25),
+        _of_gratings("duty", "duty cycle", (0.05, 0.95, 0.01), "lamellar"),
+        _of_gratings("kind", "kind", None, "disc"),
+        _of_gratings("length_um", "length", (16.0, 64.0, 0.1), "disc"),
+        _of_gratings("seed", "seed", (0, 999, 1), "fingers", "disc"),
+        _own("environment", _SKY, "environment", "Sky or room.", shown_if=averaged, labels=skies | {"none": "none"}),
+        Control(sky["rotation_deg"], _SKY, "rotation", (-180.0, 180.0, 0.1), shown_if=any_sky,
+                name="environment_rotation_deg", call="environment"),
+        Control(sky["scale"], _SKY, "scale", (0.01, 100.0, 0.01), log=True, shown_if=any_sky,
+                name="environment_scale", call="environment"),
+        Control(sky["directions"], _SKY, "directions per pixel", shown_if=any_sky, default=0, labels=_DIRECTIONS,
+                name="environment_directions", call="environment"),
+        # A mirror shows a radiance of 1 about 10,000 times as bright as a light of power 1.
+        Control(light["power"], _SKY, "power of the light", (1.0, 1e6, 1.0), log=True, shown_if=any_sky | any_light,
+                default=1e4, name="light_power", call="light"),
+        _own("environment_behind", _SKY, "show as background", "Whether it is the background.", True, shown_if=any_sky),
+        _own("light", "Light", "light", "Kind of light.", labels=lights),
+        _own("azimuth_deg", "Light", "azimuth", "Angle about +y, from the front to the right.", 150.0,
+             slider=(-180.0, 180.0, 0.1), shown_if=any_light),
+        _own("elevation_deg", "Light", "elevation", "Angle above the horizon.", 60.0, slider=(-90.0, 90.0, 0.1),
+             shown_if=any_light),
+        _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
+             slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
+        # A wider disc is several lobes in pictures that are not refined.
+        Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
+                shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
+        Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),
+        Control(picture["shadows"], "Light", "shadows", call="picture"),
+        Control(window["kind"], "Optics", "coherence", name="coherence", call="coherence"),
+        Control(window["sigma_um"], "Optics", "σ", (1.0, 100.0, 0.05), log=True, shown_if=any_window,
+                default=DEFAULT_SIGMA_UM, call="coherence"),
+        Control(window["angular_diameter_deg"], "Optics", "angular diameter of the source", (0.1, 20.0, 0.01), log=True,
+                shown_if=source, default=0.53, name="source_diameter_deg", call="coherence"),
+        *(Control(window["periods"], "Optics", f"periods along {axis}", (1, 50, 1), shown_if=replicas, default=2,
+                  name=f"periods_{axis}", call="coherence", element=element) for element, axis in enumerate("yx")),
+        _own("material", "Optics", "material", "Material of the surface.", labels=MATERIALS),
+        Control(picture["ior"], "Optics", "index of refraction", (1.01, 4.0, 0.01), default=1.5, call="picture",
+                shown_if={"material": ("dielectric",)}),
+        Control(picture["energy"], "Optics", "energy", call="picture"),
+        Control(picture["masking"], "Optics", "masking and shadowing", shown_if={"energy": ("stam",)}, call="picture"),
+        Control(describe(View)["height"], "Picture", "height", default=360, labels=_ROWS),
+        Control(picture["tolerance"], "Picture", "tolerance", default=0.03, labels=_TOLERANCES),
+        Control(picture["method"], "Picture", "method", labels=methods, call="picture"),
+        Control(saving["display"], "Picture", "display", labels=_DISPLAYS),
+        Control(saving["exposure_stops"], "Picture", "exposure", (-8.0, 8.0, 0.1)),
+        _own("lock_exposure", "Picture", "lock the exposure", "Whether the automatic exposure stays.", False),
+        _own("background", "Picture", "background", "Encoded grey level.", 0.1, slider=(0.0, 1.0, 0.01)),
     ]  # fmt: skip
-    return {each.name: each for each in found}
+    known = [control for control in entries if environments or control.group != _SKY]
+    known += _further({control.option.name for control in known if control.call == "picture"} | set(EXCLUDED))
+    return {control.name: control for control in known}
 
 
-def _of_environments(names: Sequence[str]) -> list[Control]:
-    """Of the sky that lights a body, beside its light or in place of it."""
-    sky, files = "Environment", {f"file {index}": name for index, name in enumerate(names)}
-    is_shown = (("environment", tuple(files)), ("coherence", ("averaged",)))
-    counts = {0: "by the tolerance", **{each: str(each) for each in DIRECTIONS}}
-    return [
-        _choice("environment", "environment", sky, files | {"none": "none"}, shown=is_shown[1:]),
-        _number("environment_rotation_deg", "rotation", sky, 0.0, -180.0, 180.0, 0.1, "°", shown=is_shown),
-        _number("environment_scale", "scale", sky, 1.0, 0.01, 100.0, 0.01, ratio=True, shown=is_shown),
-        _choice("environment_directions", "directions a pixel", sky, counts, shown=is_shown),
-        # A mirror shows a radiance of 1 some ten thousand times as bright as a light of a power of 1.
-        _number("light_power", "power of the light beside it", sky, 1e4, 1.0, 1e6, 1.0, ratio=True,
-                shown=(*is_shown, ("light", ("far", "near")))),
-        Control("environment_behind", "shown behind the body", sky, default=True, shown=is_shown),
-    ]  # fmt: skip
+def _files(names: Sequence[str]) -> dict[str, str]:
+    return {f"file {index}": name for index, name in enumerate(names)}
+
+
+def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
+    """Return a control that sets no argument: a choice whose first value is the default, a number, or a flag."""
+    labels = more.get("labels")
+    kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
+    return Control(Option(name, kind, next(iter(labels or (default,))), text, unit=unit), group, label, **more)
+
+
+def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more: Any) -> Control:
+    """Return the control of an argument that these gratings share."""
+    option = describe(getattr(gratings, kinds[0]))[argument]
+    more = {"name": f"{kinds[0]}_{argument}"} | more
+    return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)
+
+
+def _further(known: set[str]) -> list[Control]:
+    """Return the controls of the other options of pictures, as far as the page can show them."""
+    result = []
+    for option in describe(PictureSettings).values():
+        slider: Slider = None
+        low, high = option.gt if option.ge is None else option.ge, option.le
+        if option.kind in ("integer", "number") and low is not None and high is not None:
+            step = 1 if option.kind == "integer" else (high - low) / 200.0
+            slider = (low if option.ge is not None else low + step, high, step)
+        if option.name not in known and not option.optional and (slider or option.kind in ("flag", "choice")):
+            result.append(Control(option, "Picture", option.name.replace("_", " "), slider, call="picture"))
+    return result
+
+
+def _plain(text: str) -> str:
+    """Return the meaning of an option without the marks of docstrings."""
+    return re.sub(r":\w+:`~?([^`]*)`|``([^`]*)``", lambda match: (match[1] or match[2]).replace('"', ""), text)
 
 
 def described(known: dict[str, Control]) -> list[dict[str, Any]]:
-    """Controls as the page takes them, in JSON."""
-    return [asdict(each) for each in known.values()]
+    """Return the controls as the page receives them, in JSON."""
+    return [control.schema for control in known.values()]
 
 
 def defaults(known: dict[str, Control]) -> dict[str, Any]:
-    """Values at first."""
-    return {name: each.default for name, each in known.items()}
+    """Return the initial values."""
+    return {name: control.default for name, control in known.items()}
 
 
 def checked(known: dict[str, Control], values: Any) -> dict[str, Any]:
-    """Values for all controls: those that are given, else defaults; a ``ValueError`` tells of any that is none."""
+    """Return a value for each control, the given one or its default; raise an error that names a wrong one."""
     if not isinstance(values, dict):
-        raise ValueError("settings must be an object")  # noqa: TRY004
-    if unknown := [str(each)[:40] for each in values if each not in known]:
-        raise ValueError(f"there is no control {unknown[0]!r}")
-    return defaults(known) | {name: known[name].checked(value) for name, value in values.items()}
+        raise ArgumentTypeError("the values of the controls must be a JSON object")
+    if unknown := [str(name)[:40] for name in values if name not in known]:
+        raise ArgumentValueError(f"there is no control {unknown[0]!r}")
+    return defaults(known) | {name: known[name].check(value) for name, value in values.items()}
 
 
-def vector(value: Any, name: str) -> tuple[float, float, float]:
-    """Three finite numbers from outside."""
-    if not isinstance(value, list) or len(value) != 3:
-        raise ValueError(f"{name} must be three numbers")
-    for each in value:
-        if isinstance(each, bool) or not isinstance(each, (int, float)) or not math.isfinite(_float(each)):
-            raise ValueError(f"{name} must be three finite numbers")
-    return _float(value[0]), _float(value[1]), _float(value[2])
+def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -> dict[str, Any]:
+    """Return the arguments of a call that shown controls set, without those that equal the library's default."""
+    result: dict[str, Any] = {}
+    standard: dict[str, Any] = {}
+    for control in known.values():
+        if control.call == call and control.is_shown(values):
+            option, value = control.option, values[control.name]
+            result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
+            # For None the page begins with the value that the library then takes.
+            is_none = option.default is None and control.element is None
+            standard[option.name] = control.default if is_none else option.default
+    return {name: value for name, value in result.items() if value != standard[name]}
 
 
-def _float(value: float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
+def word(known: dict[str, Control], values: Mapping[str, Any]) -> Callable[[str, str | None], str]:
+    """Return the function that writes an argument as the page does: by the label of the control that sets it."""
+    labels = _WORDS | {control.name: control.label for control in known.values()}
+    for control in known.values():
+        if control.call and control.is_shown(values):
+            labels[control.argument] = control.label
+            labels.setdefault(control.option.name, control.label.partition(" along ")[0])
+
+    def write(name: str, value: str | None) -> str:
+        first, last = re.split(r"[\[.(]", name, maxsplit=1)[0], name.rpartition(".")[2]
+        label = labels.get(name) or labels.get(last) or labels.get(first, name)
+        return label if value is None else f"{label} = {value.strip(chr(39))}"
+
+    return write

@@ -1,4 +1,4 @@
-"""Pictures of the viewer as bytes: JPEG on the way, PNG for the finest, PNG and EXR files to be kept."""
+"""Encoding of pictures: JPEG for previews, PNG for the final picture, PNG and EXR for files."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# JPEG shows colours of narrow orders wrongly where it subsamples them.
+# Subsampled colours of a JPEG are wrong at narrow orders.
 _JPEG = {"quality": 92, "subsampling": 0}
-KINDS = ("png", "exr")
 
 
-def shown(image: wd.Image, *, exact: bool, **how: Any) -> NDArray[np.uint8]:
-    """What :meth:`warpdiff.Image.display` gives, in 8 bits as its files have them."""
-    encoded: NDArray[np.float64] = image.display(exact=exact, **how).astype(np.float64)
-    return np.round(255.0 * encoded).astype(np.uint8)
+def displayed(image: wd.Image, *, exact: bool, **options: Any) -> NDArray[np.uint8]:
+    """Return the result of :meth:`warpdiff.Image.display` in 8 bits, as its files have them."""
+    return np.round(255.0 * image.display(exact=exact, **options).astype(np.float64)).astype(np.uint8)
 
 
 def encoded(pixels: NDArray[np.uint8], *, lossless: bool) -> bytes:
-    """A PNG or a JPEG file."""
+    """Return a PNG or a JPEG file."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -41,9 +39,9 @@ def encoded(pixels: NDArray[np.uint8], *, lossless: bool) -> bytes:
     return buffer.getvalue()
 
 
-def saved(image: wd.Image, kind: str, how: Mapping[str, Any]) -> bytes:
-    """A file as :meth:`warpdiff.Image.save` writes it."""
-    # EXR is linear, and holds alpha.
-    how = how if kind == "png" else {}
+def saved(image: wd.Image, suffix: str, options: Mapping[str, Any]) -> bytes:
+    """Return a file as :meth:`warpdiff.Image.save` writes it."""
+    # EXR files are linear and hold alpha.
+    options = options if suffix == "png" else {}
     with tempfile.TemporaryDirectory(prefix="warpdiff-") as folder:
-        return image.save(Path(folder) / f"picture.{kind}", **how).read_bytes()
+        return image.save(Path(folder) / f"picture.{suffix}", **options).read_bytes()

@@ -1,4 +1,4 @@
-"""Bodies of the viewer: kept on disk, as to build one takes longer than a picture of it; framed; their local frames."""
+"""Bodies of the viewer: sample bodies from the disk cache, their framing, and local directions at a pixel."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.page_calls import Call
 
-# Of a body, how much of the picture it fills at most.
+# Largest share of the picture that a body fills; View.fit frames a sphere, of which a body fills half.
 _FILLED = 0.92
 _FOV_Y_DEG = 25.0
-# From where a body is seen at first: a little from above.
+# Direction from a body to the first camera.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)
 
 
 def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
-    """A body made ready for rays; sample bodies are found again on disk."""
+    """Return the surface of a body; the disk cache has sample bodies, which take longer to make than a picture."""
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
-    # Of one mesh, geometries have no names.
-    named = {each.name: None for each in dataclasses.fields(Surface) if each.name != "geometry_names"}
+    # The geometry of a single mesh has no name.
+    fields = {field.name: None for field in dataclasses.fields(Surface) if field.name != "geometry_names"}
 
     def arrays() -> dict[str, Any]:
         made = dataclasses.asdict(prepare_surface(mesh.make(), tangents=tangents))
-        return {name: made[name] for name in named if made[name] is not None}
+        return {name: made[name] for name in fields if made[name] is not None}
 
-    found = disk_cache.cached_on_disk(("surface", tuple(named), str(mesh), tangents), np.zeros(0), arrays)
-    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
-    return Surface(**named | plain)
+    cached = disk_cache.cached_on_disk(("surface", tuple(fields), str(mesh), tangents), np.zeros(0), arrays)
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in cached.items()}
+    return Surface(**fields | plain)
 
 
 def framed(surface: Surface, width: int, height: int) -> wd.View:
-    """A view of the whole body."""
+    """Return a view that the body fills."""
     up = np.array([0.0, 1.0, 0.0])
     back = np.array(_TOWARDS_EYE)
     right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
@@ -85,12 +85,12 @@ def local_directions(
     device: wp.Device,
     threads: int,
 ) -> LocalDirections | None:
-    """Directions where the ray through a pixel's centre meets a body; None where it does not."""
+    """Return the directions where the ray through a pixel's centre hits a body; None if it misses."""
     frame = view.frame()
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)
     ray = x * frame.right + y * frame.up - frame.back
-    # Looked at by a picture of one pixel.
+    # A picture of one pixel holds what the ray hits.
     one = wd.View(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
@@ -113,6 +113,6 @@ def local_directions(
 
 
 def _local(axes: NDArray[np.float64], direction: NDArray[Any]) -> tuple[float, float, float]:
-    found = axes @ direction
-    x, y, z = (found / np.linalg.norm(found)).tolist()
+    local = axes @ direction
+    x, y, z = (local / np.linalg.norm(local)).tolist()
     return x, y, z

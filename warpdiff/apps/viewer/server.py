@@ -1,12 +1,12 @@
-"""The viewer's server: one page, one web socket, and nothing else, for a few pages at once.
+"""Server of the viewer: one page and one web socket, for up to 8 pages at once.
 
-A page loads no other file and asks no other host. Over the socket it sends small JSON messages, and gets pictures as
-four bytes of length, that much JSON, and a file. What a request has to be, to be answered at all:
+A page loads no other file and connects to no other host. Over the socket it sends small JSON messages, and receives
+pictures as four bytes of length, that much JSON, and a file. Requests are answered under these conditions:
 
-- its ``Host`` names this server, and a socket's ``Origin`` is the page's, so that no other page that the browser has
-  open can speak to the viewer, whatever its name resolves to;
-- where the server listens beyond this machine, it carries the token that was made for it;
-- a message has at most 16 KiB, and what has piled up for a page that reads nothing ends its connection.
+- ``Host`` names this server, and the ``Origin`` of a socket is the page's, so that no other page in the browser can
+  use the viewer, whatever its name resolves to;
+- the request carries the token of the server if other machines can reach it;
+- a message has at most 16 KiB, and a page that does not read its messages is disconnected.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Response
 
 import warpdiff as wd
-from warpdiff.apps.viewer.controls import Control, checked, described, vector
+from warpdiff.apps.viewer.controls import Control, checked, defaults, described, word
+from warpdiff.apps.viewer.page_calls import PageRequest
+from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
@@ -38,32 +41,33 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request
 
-    from warpdiff.apps.viewer.session import Studio, Wanted
+    from warpdiff.apps.viewer.session import Studio
 
 MOST_PAGES = 8
 _MOST_MESSAGE_BYTES = 16 * 1024
-_MOST_PILED_UP = 12
+_MOST_QUEUED = 12
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _FOLDER = Path(__file__).with_name("page")
 _ASPECTS = (0.2, 5.0)
-_MOST_GENERATION = 2**53
+# Integers of JavaScript are exact up to here.
+_MOST_GENERATION = 2**53 - 1
 
 
 class _HostileError(Exception):
-    """Raised by a message that no page sends."""
+    """Raised for a message that no page sends."""
 
 
 @dataclass
 class ViewServer:
-    """What is served, and to whom.
+    """Server of the page.
 
     Attributes:
-        controls: Of the page.
-        studio: Waits for the thread that draws.
-        host: The address that it is bound to.
-        port: 0 takes a free one, which stands here once it is bound.
-        token: What requests must carry; empty on this machine.
+        controls: Controls of the page.
+        studio: Function that waits for the drawing thread.
+        host: Address that it is bound to.
+        port: Port; 0 picks a free one, which is stored here once it is bound.
+        token: Token that requests must carry; empty for the loopback address.
     """
 
     controls: dict[str, Control]
@@ -77,17 +81,17 @@ class ViewServer:
             self.token = secrets.token_urlsafe(16)
         self._pages = 0
         self._logger = logging.getLogger("warpdiff.view")
-        # Whoever knocks with nonsense is not told of at length.
+        # Malformed requests are not logged at length.
         self._logger.addHandler(logging.NullHandler())
         self._logger.propagate = False
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
-        # Whoever opens it elsewhere needs a name of this machine.
+        """The address to open in a browser."""
+        # Other machines need a name of this one.
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (it is compared)
-        named = f"[{host}]" if ":" in host else host
-        return f"http://{named}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; ``ready`` is called once it listens."""
@@ -105,23 +109,23 @@ class ViewServer:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
             upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
         except LookupError:
-            return _refused(400, "a header stands there twice")
-        asked = urlsplit(request.path)
-        is_socket = asked.path == "/socket" and upgrade
-        given = parse_qs(asked.query).get("token", [""])[0]
+            return _refused(400, "a header occurs twice")
+        url = urlsplit(request.path)
+        is_socket = url.path == "/socket" and upgrade
+        token = parse_qs(url.query).get("token", [""])[0]
         origins = f"http://{host}", f"https://{host}"
         refusals = [
             # Before version 17, websockets refuses other methods itself, and requests have no such attribute.
             (getattr(request, "method", "GET") != "GET", 405, "the method must be GET"),
-            (not self._is_ours(host), 403, "another host is meant"),
+            (not self._is_ours(host), 403, "the Host header must name this server"),
             (
-                not hmac.compare_digest(given.encode(), self.token.encode()),
+                not hmac.compare_digest(token.encode(), self.token.encode()),
                 403,
-                "the token is missing or wrong: open the address that warpdiff view has printed",
+                "the token is missing or wrong: open the address that warpdiff view printed",
             ),
-            (not is_socket and (asked.path != "/" or upgrade), 404, "there is no such page"),
-            (is_socket and origin not in origins, 403, "another page asks"),
-            (is_socket and self._pages >= MOST_PAGES, 503, f"{MOST_PAGES} pages are open already: close one"),
+            (not is_socket and (url.path != "/" or upgrade), 404, "there is no such page"),
+            (is_socket and origin not in origins, 403, "the Origin header must be this server's page"),
+            (is_socket and self._pages >= MOST_PAGES, 503, f"at most {MOST_PAGES} pages can be open: close one"),
         ]
         for is_refused, status, why in refusals:
             if is_refused:
@@ -129,12 +133,12 @@ class ViewServer:
         return None if is_socket else self._document(host)
 
     def _is_ours(self, host: str) -> bool:
-        """Whether a ``Host`` names this server; beyond this machine it has names that it does not know."""
+        """Whether a ``Host`` names this server, which does not know the names that other machines use."""
         if self.host not in _LOOPBACK:
             return bool(host)
         with contextlib.suppress(ValueError):
-            named = urlsplit(f"//{host}")
-            return named.hostname in _LOOPBACK and named.port == self.port
+            url = urlsplit(f"//{host}")
+            return url.hostname in _LOOPBACK and url.port == self.port
         return False
 
     def _document(self, host: str) -> Response:
@@ -152,7 +156,7 @@ class ViewServer:
 
     async def _page(self, connection: ServerConnection) -> None:
         """Serve one page over its socket."""
-        # Several may have been let in at once.
+        # Several sockets may have been accepted at once.
         if self._pages >= MOST_PAGES:
             await connection.close(1013, "too many pages")
             return
@@ -164,18 +168,11 @@ class ViewServer:
 
 
 def _response(status: int, kind: str, body: bytes, more: Mapping[str, str]) -> Response:
-    headers = Headers(
-        {
-            "Content-Type": kind,
-            "Content-Length": str(len(body)),
-            "Cache-Control": "no-store",
-            "X-Content-Type-Options": "nosniff",
-            "Referrer-Policy": "no-referrer",
-            "Connection": "close",
-            **more,
-        }
-    )
-    return Response(status, {200: "OK"}.get(status, "Refused"), headers, body)
+    headers = {
+        "Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store", "Connection": "close",
+        "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", **more,
+    }  # fmt: skip
+    return Response(status, {200: "OK"}.get(status, "Refused"), Headers(headers), body)
 
 
 def _refused(status: int, why: str) -> Response:
@@ -188,7 +185,7 @@ class _Page:
     def __init__(self, connection: ServerConnection, controls: dict[str, Control], studio: Studio) -> None:
         self._connection, self._controls, self._studio = connection, controls, studio
         self._loop = asyncio.get_running_loop()
-        self._waiting: asyncio.Queue[str | bytes] = asyncio.Queue()
+        self._queue: asyncio.Queue[str | bytes] = asyncio.Queue()
         self._session = studio.session(self._send)
 
     def _send(self, description: dict[str, Any], data: bytes | None) -> None:
@@ -203,8 +200,8 @@ class _Page:
             self._loop.call_soon_threadsafe(self._put, message)
 
     def _put(self, message: str | bytes) -> None:
-        if self._waiting.qsize() < _MOST_PILED_UP:
-            self._waiting.put_nowait(message)
+        if self._queue.qsize() < _MOST_QUEUED:
+            self._queue.put_nowait(message)
         else:
             self._connection.transport.abort()
 
@@ -229,58 +226,53 @@ class _Page:
 
     async def _write(self) -> None:
         while True:
-            await self._connection.send(await self._waiting.get())
+            await self._connection.send(await self._queue.get())
 
     async def _take(self, message: str | bytes) -> None:
-        """Do what a message says."""
+        """Carry out a message."""
         try:
-            told = json.loads(message) if isinstance(message, str) else None
+            content = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):
-            told = None
-        if not isinstance(told, dict):
+            content = None
+        if not isinstance(content, dict):
             raise _HostileError("messages are JSON objects")
-        what = told.get("do")
-        if what == "shown":
+        action = content.get("do")
+        if action == "shown":
             self._studio.acknowledge(self._session)
-        elif what == "want":
+        elif action == "draw":
             try:
-                self._studio.want(self._session, self._wanted(told))
+                self._studio.request(self._session, self._request(content))
             except (ValueError, TypeError) as error:
-                self._put(json.dumps({"kind": "error", "text": str(error)}))
-        elif what == "save" and told.get("as") in ("png", "exr"):
-            await self._save(told["as"])
+                self._report(error)
+        elif action == "save" and content.get("as") in ("png", "exr"):
+            await self._save(content["as"])
         else:
             raise _HostileError("there is no such message")
 
-    def _wanted(self, told: dict[str, Any]) -> Wanted:
-        """What a page wants, if it makes sense."""
-        generation, aspect, probe, camera = (told.get(name) for name in ("generation", "aspect", "probe", "camera"))
-        if type(generation) is not int or not 0 <= generation < _MOST_GENERATION:
-            raise ValueError("generation must be a count")
-        if not isinstance(aspect, (int, float)) or not _ASPECTS[0] <= aspect <= _ASPECTS[1]:
-            raise ValueError(f"aspect must lie within {_ASPECTS[0]} to {_ASPECTS[1]}")
-        place = vector([*probe, 0.0] if isinstance(probe, list) else probe, "probe")[:2]
-        if not (min(place) >= 0.0 and max(place) <= 1.0):
-            raise ValueError("probe must lie in the picture, 0 to 1")
-        values = checked(self._controls, told.get("values"))
-        seen = None
+    def _report(self, error: Exception) -> None:
+        text = spelled(error, word(self._controls, defaults(self._controls)))
+        self._put(json.dumps({"kind": "error", "text": text}))
+
+    def _request(self, content: dict[str, Any]) -> PageRequest:
+        """Return the checked request of a message."""
+        generation = validation.count(content.get("generation"), "generation", least=0, most=_MOST_GENERATION)
+        aspect = validation.number(content.get("aspect"), "aspect", least=_ASPECTS[0], most=_ASPECTS[1])
+        x, y = validation.numbers(content.get("probe"), "probe", length=2)
+        if not (min(x, y) >= 0.0 and max(x, y) <= 1.0):
+            raise ArgumentValueError(f"{ref('probe')} must lie in the picture, 0 to 1, got {x, y}")
+        values, camera = checked(self._controls, content.get("values")), content.get("camera")
         if camera is not None:
             if not isinstance(camera, dict):
-                raise ValueError("camera must be an object")
-            eye, target, up = (vector(camera.get(name), name) for name in ("eye", "target", "up"))
-            fov: Any = camera.get("fov_y_deg")
-            seen = eye, target, up, fov
-            # Refuses what makes no view.
-            wd.View(eye, target, up=up, fov_y_deg=fov, width=4, height=3)
-        return self._studio.wanted(
-            generation, values, seen, float(aspect), moving=told.get("moving") is True, probe=place
-        )
+                raise ArgumentTypeError(f"{ref('camera')} must be a JSON object, got {type(camera).__name__}")
+            eye, target, up, fov = (camera.get(name) for name in ("eye", "target", "up", "fov_y_deg"))
+            camera = wd.View(eye, target, up=up, fov_y_deg=fov)  # type: ignore[arg-type]
+        return PageRequest(generation, values, camera, aspect, content.get("moving") is True, (x, y))
 
-    async def _save(self, kind: str) -> None:
+    async def _save(self, suffix: str) -> None:
         """Send the picture that is shown as a file."""
         try:
-            data = await asyncio.to_thread(self._studio.saved, self._session, kind)
+            data = await asyncio.to_thread(self._studio.saved, self._session, suffix)
         except (ValueError, OSError, MemoryError) as error:
-            self._put(json.dumps({"kind": "error", "text": str(error)}))
-            return
-        self._send({"kind": "file", "name": f"warpdiff.{kind}"}, data)
+            self._report(error)
+        else:
+            self._send({"kind": "file", "name": f"warpdiff.{suffix}"}, data)

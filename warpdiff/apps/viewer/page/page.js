@@ -1,13 +1,13 @@
-// The viewer's page: what is set here goes to the server under a generation that counts up; pictures come back with it.
+// The viewer's page: it sends its settings to the server with a generation number; pictures come back with that number.
 
 const byId = (id) => document.getElementById(id);
 const stage = byId("stage"), canvas = byId("picture"), context = canvas.getContext("2d");
-const KEPT = "warpdiff view";
+const STORAGE_KEY = "warpdiff view";
 
 // ---- Vectors -------------------------------------------------------------------------------------------------------
 
-const add = (a, b, k = 1) => a.map((each, i) => each + k * b[i]);
-const scaled = (a, k) => a.map((each) => k * each);
+const add = (a, b, k = 1) => a.map((x, i) => x + k * b[i]);
+const scaled = (a, k) => a.map((x) => k * x);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const length = (a) => Math.hypot(...a);
@@ -20,32 +20,32 @@ function turned(v, axis, angle) {
   return add(add(scaled(v, c), cross(axis, v), s), axis, dot(axis, v) * (1 - c));
 }
 
-// ---- What is set ---------------------------------------------------------------------------------------------------
+// ---- Settings ------------------------------------------------------------------------------------------------------
 
 const state = { values: {}, camera: null, probe: [0.5, 0.5] };
-let generation = 0, moving = false, body = null, known = [];
+let generation = 0, moving = false, body = null, controls = [];
 
-function keep() {
-  sessionStorage.setItem(KEPT, JSON.stringify({ ...state, generation }));
+function store() {
+  sessionStorage.setItem(STORAGE_KEY, JSON.stringify({ ...state, generation }));
 }
 
 function changed() {
   generation += 1;
-  canvas.dataset.wanted = generation;
+  canvas.dataset.requested = generation;
   canvas.dataset.error = "";
-  want();
+  requestPicture();
 }
 
-// At most one message a frame of the display.
-let isAsked = false;
-function want() {
-  if (isAsked) return;
-  isAsked = true;
+// At most one message per frame of the display.
+let isScheduled = false;
+function requestPicture() {
+  if (isScheduled) return;
+  isScheduled = true;
   requestAnimationFrame(() => {
-    isAsked = false;
+    isScheduled = false;
     const aspect = clamp(stage.clientWidth / Math.max(stage.clientHeight, 1), 0.2, 5);
-    tell({ do: "want", generation, values: state.values, camera: state.camera, probe: state.probe, aspect, moving });
-    keep();
+    send({ do: "draw", generation, values: state.values, camera: state.camera, probe: state.probe, aspect, moving });
+    store();
     place();
   });
 }
@@ -54,7 +54,7 @@ function want() {
 
 let socket = null;
 
-function tell(message) {
+function send(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
@@ -65,44 +65,45 @@ function connect() {
   socket = new WebSocket(address);
   socket.binaryType = "arraybuffer";
   socket.onmessage = (event) => {
-    if (typeof event.data === "string") return meet(JSON.parse(event.data), null);
+    if (typeof event.data === "string") return receive(JSON.parse(event.data), null);
     const size = new DataView(event.data).getUint32(0, true);
-    const told = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
-    return meet(told, event.data.slice(4 + size));
+    const message = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
+    return receive(message, event.data.slice(4 + size));
   };
   socket.onclose = (event) => {
     document.body.dataset.connected = "";
-    notice(event.reason || "The server is away: trying again …");
+    notice(event.reason || "Disconnected from the server. Reconnecting …");
     setTimeout(connect, 1000);
   };
 }
 
-function meet(told, data) {
-  const kinds = { hello, picture, map, file, preparing, progress, warning: words, error: words };
-  kinds[told.kind]?.(told, data);
+function receive(message, data) {
+  const kinds = { hello, picture, map, file, preparing, progress, warning: report, error: report };
+  kinds[message.kind]?.(message, data);
 }
 
-function hello(told) {
-  document.body.dataset.connected = told.version;
+function hello(message) {
+  document.body.dataset.connected = message.version;
   notice("");
-  build(told.controls);
-  // A server that has come back has drawn nothing.
+  build(message.controls);
+  // A restarted server has drawn nothing.
   shown = [-1, -1];
-  want();
+  requestPicture();
 }
 
-function words(told) {
-  if (told.generation !== undefined && told.generation !== generation) return;
-  notice(told.text, told.kind === "warning");
-  canvas.dataset.error = told.kind === "error" ? told.text : "";
+function report(message) {
+  if (message.generation !== undefined && message.generation !== generation) return;
+  notice(message.text, message.kind === "warning");
+  canvas.dataset.error = message.kind === "error" ? message.text : "";
 }
 
-function preparing(told) {
-  if (told.generation === generation) notice(`Preparing pictures of this surface at ${told.tolerance} …`, true);
+function preparing(message) {
+  if (message.generation === generation) notice(`Planning pictures with tolerance ${message.tolerance} …`, true);
 }
 
-function progress(told) {
-  if (told.generation === generation) byId("rate").textContent = `${(100 * told.share).toFixed(0)} % of the next`;
+function progress(message) {
+  if (message.generation !== generation) return;
+  byId("rate").textContent = `next picture: ${(100 * message.share).toFixed(0)} %`;
 }
 
 function notice(text, soft = false) {
@@ -110,10 +111,10 @@ function notice(text, soft = false) {
   byId("notice").className = soft ? "soft" : "";
 }
 
-function file(told, data) {
+function file(message, data) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([data]));
-  link.download = told.name;
+  link.download = message.name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
@@ -124,66 +125,69 @@ function file(told, data) {
 let shown = [-1, -1];
 const times = [];
 
-async function picture(told, data) {
-  const bitmap = await createImageBitmap(new Blob([data], { type: told.type })).finally(() => tell({ do: "shown" }));
-  if (told.generation < shown[0] || (told.generation === shown[0] && told.stage <= shown[1])) return;
-  shown = [told.generation, told.stage];
+async function picture(message, data) {
+  const bitmap = await createImageBitmap(new Blob([data], { type: message.type })).finally(() => send({ do: "shown" }));
+  if (message.generation < shown[0] || (message.generation === shown[0] && message.stage <= shown[1])) return;
+  shown = [message.generation, message.stage];
   [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
-  body = told.body;
+  body = message.body;
   // Of an older generation it may be of another body.
-  if (state.camera === null && told.generation === generation) {
-    state.camera = told.camera;
-    keep();
+  if (state.camera === null && message.generation === generation) {
+    state.camera = message.camera;
+    store();
   }
-  report(told);
+  showStatus(message);
   place();
 }
 
-function report(told) {
+function showStatus(message) {
   const now = performance.now();
   times.push(now);
   while (times.length > 1 && now - times[0] > 1000) times.shift();
   byId("rate").textContent = moving && times.length > 2
     ? `${(((times.length - 1) * 1000) / (now - times[0])).toFixed(1)} pictures/s` : "";
-  const names = told.tolerance === null ? "one look-up a pixel" : `refined to ${told.tolerance}`;
-  const errors = told.error ? `, error ${told.error.median.toPrecision(2)}, P99 ${told.error.p99.toPrecision(2)}` : "";
-  byId("quality").textContent = `${told.width} × ${told.height}, ${names}${errors}`;
-  const ms = Object.entries(told.seconds).map(([name, s]) => `${name} ${(1000 * s).toFixed(0)}`);
+  const names = message.tolerance === null ? "preview, one sample per pixel" : `tolerance ${message.tolerance}`;
+  const { width, height, error } = message;
+  const errors = error
+    ? `, estimated error ${error.median.toPrecision(2)} (median), ${error.p99.toPrecision(2)} (99th percentile)` : "";
+  byId("quality").textContent = `${width} × ${height}, ${names}${errors}`;
+  const ms = Object.entries(message.seconds).map(([name, s]) => `${name} ${(1000 * s).toFixed(0)}`);
   byId("timing").textContent = `server: ${ms.join(", ")} ms`;
-  for (const name of ["plan", "python", "command"]) if (told[name]) byId(name).textContent = told[name];
-  if (told.generation === generation) {
+  for (const name of ["plan", "python", "command"]) if (message[name]) byId(name).textContent = message[name];
+  if (message.generation === generation) {
     notice("");
     canvas.dataset.error = "";
   }
   Object.assign(canvas.dataset, {
-    generation: told.generation, stage: told.stage, last: told.last, tolerance: told.tolerance ?? "",
-    count: Number(canvas.dataset.count ?? 0) + 1, seconds: JSON.stringify(told.seconds),
+    generation: message.generation, stage: message.stage, last: message.last, tolerance: message.tolerance ?? "",
+    count: Number(canvas.dataset.count ?? 0) + 1, seconds: JSON.stringify(message.seconds),
   });
 }
 
-async function map(told, data) {
-  if (told.generation !== generation) return;
+async function map(message, data) {
+  if (message.generation !== generation) return;
   const chart = byId("map").getContext("2d");
   chart.clearRect(0, 0, 192, 192);
-  byId("view").toggleAttribute("hidden", !told.to_view);
+  byId("view").toggleAttribute("hidden", !message.to_view);
   if (data) {
-    const bitmap = await createImageBitmap(new Blob([data], { type: told.type }));
+    const bitmap = await createImageBitmap(new Blob([data], { type: message.type }));
     chart.drawImage(bitmap, 0, 0, 192, 192);
   }
-  if (told.to_view) {
-    byId("view").setAttribute("cx", told.to_view[0]);
-    byId("view").setAttribute("cy", -told.to_view[1]);
+  if (message.to_view) {
+    byId("view").setAttribute("cx", message.to_view[0]);
+    byId("view").setAttribute("cy", -message.to_view[1]);
   }
-  const said = (name, { theta_deg, phi_deg }) => `${name}: θ ${theta_deg.toFixed(1)}°, φ ${phi_deg.toFixed(1)}°`;
-  const lines = Object.entries(told.angles ?? {}).map(([name, angles]) => said(name, angles));
-  byId("angles").textContent = [...lines, told.text ?? "reflectance for this light, over all views"].join("\n");
+  const text = (name, { theta_deg, phi_deg }) => `${name}: θ ${theta_deg.toFixed(1)}°, φ ${phi_deg.toFixed(1)}°`;
+  const lines = Object.entries(message.angles ?? {}).map(([name, angles]) => text(name, angles));
+  const caption = message.text ?? "reflectance for this light, in all view directions";
+  byId("angles").textContent = [...lines, caption].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
-  byId("map").dataset.generation = told.generation;
+  byId("map").dataset.generation = message.generation;
   // It comes after the last picture, which may be of a generation before and stand.
-  canvas.dataset.generation = told.generation;
-  if (told.at) probed = told.at;
+  canvas.dataset.generation = message.generation;
+  if (message.at) probed = message.at;
   place();
 }
 
@@ -191,62 +195,63 @@ async function map(told, data) {
 
 const inputs = new Map();
 
-function build(controls) {
-  known = controls;
+function build(schemas) {
+  controls = schemas;
   const form = byId("controls");
   form.replaceChildren();
   inputs.clear();
   const groups = new Map();
-  for (const each of controls) {
-    // Of what was kept, values that are none any more go.
-    const kept = state.values[each.name];
-    const isChoice = each.choices.length > 0;
-    const fits = isChoice ? each.choices.some(([value]) => value === kept) : typeof kept === typeof each.default;
-    state.values[each.name] = fits ? kept : each.default;
-    if (!groups.has(each.group)) {
-      const group = document.createElement("fieldset");
-      group.append(Object.assign(document.createElement("legend"), { textContent: each.group }));
-      groups.set(each.group, group);
-      form.append(group);
+  for (const control of controls) {
+    // Stored values that the control does not have any more are dropped.
+    const stored = state.values[control.name];
+    const fits = control.enum ? control.enum.includes(stored) : typeof stored === typeof control.default;
+    state.values[control.name] = fits ? stored : control.default;
+    const { group } = control["x-ui"];
+    if (!groups.has(group)) {
+      const fields = document.createElement("fieldset");
+      fields.append(Object.assign(document.createElement("legend"), { textContent: group }));
+      groups.set(group, fields);
+      form.append(fields);
     }
-    groups.get(each.group).append(isChoice ? choice(each) : each.step ? number(each) : toggle(each));
+    const make = control.enum ? choice : control.type === "boolean" ? toggle : number;
+    groups.get(group).append(make(control));
   }
   for (const name of Object.keys(state.values)) if (!inputs.has(name)) delete state.values[name];
   update();
 }
 
 function labelled(control, ...parts) {
-  const label = document.createElement("label");
-  label.append(control.unit ? `${control.label} [${control.unit}]` : control.label, ...parts);
+  const label = Object.assign(document.createElement("label"), { title: control.description });
+  const { unit } = control["x-ui"];
+  label.append(unit ? `${control.title} [${unit}]` : control.title, ...parts);
   return label;
 }
 
-function input(control, type, more) {
-  const made = document.createElement(type === "select" ? "select" : "input");
-  if (type !== "select") made.type = type;
-  return Object.assign(made, more);
+function input(type, properties) {
+  const element = document.createElement(type === "select" ? "select" : "input");
+  if (type !== "select") element.type = type;
+  return Object.assign(element, properties);
 }
 
 function set(name, value) {
   state.values[name] = value;
-  // What was framed before may be of another size.
+  // The camera framed another body.
   if (name === "mesh") state.camera = null;
   update();
   changed();
 }
 
 function choice(control) {
-  const select = input(control, "select", { id: `set-${control.name}` });
-  for (const [index, [, label]] of control.choices.entries()) select.append(new Option(label, index));
-  select.onchange = () => set(control.name, control.choices[select.value][0]);
+  const select = input("select", { id: `set-${control.name}` });
+  for (const [index, text] of control["x-ui"].labels.entries()) select.append(new Option(text, index));
+  select.onchange = () => set(control.name, control.enum[select.value]);
   const label = labelled(control, select);
-  const show = (value) => (select.value = control.choices.findIndex(([each]) => each === value));
-  inputs.set(control.name, { label, show });
+  inputs.set(control.name, { label, show: (value) => (select.value = control.enum.indexOf(value)) });
   return label;
 }
 
 function toggle(control) {
-  const box = input(control, "checkbox", { id: `set-${control.name}` });
+  const box = input("checkbox", { id: `set-${control.name}` });
   box.onchange = () => set(control.name, box.checked);
   const label = labelled(control, box);
   inputs.set(control.name, { label, show: (value) => (box.checked = value) });
@@ -254,18 +259,18 @@ function toggle(control) {
 }
 
 function number(control) {
-  const { least, most, step, ratio } = control;
-  const place = (value) =>
-    ratio ? Math.log(value / least) / Math.log(most / least) : (value - least) / (most - least);
-  const at = (share) => (ratio ? least * (most / least) ** share : least + share * (most - least));
-  const whole = (value) => clamp(Number((Math.round(value / step) * step).toFixed(6)), least, most);
-  const field = input(control, "number", { id: `set-${control.name}`, min: least, max: most, step: "any" });
-  const slider = input(control, "range", { min: 0, max: 1, step: "any", ariaLabel: control.label });
-  field.onchange = () => field.value !== "" && set(control.name, clamp(Number(field.value), least, most));
+  const { minimum, maximum } = control, { step, log } = control["x-ui"];
+  const position = (value) =>
+    log ? Math.log(value / minimum) / Math.log(maximum / minimum) : (value - minimum) / (maximum - minimum);
+  const at = (share) => (log ? minimum * (maximum / minimum) ** share : minimum + share * (maximum - minimum));
+  const rounded = (value) => clamp(Number((Math.round(value / step) * step).toFixed(6)), minimum, maximum);
+  const field = input("number", { id: `set-${control.name}`, min: minimum, max: maximum, step: "any" });
+  const slider = input("range", { min: 0, max: 1, step: "any", ariaLabel: control.title });
+  field.onchange = () => field.value !== "" && set(control.name, clamp(Number(field.value), minimum, maximum));
   // While it is dragged.
   slider.oninput = () => {
     moving = true;
-    set(control.name, whole(at(Number(slider.value))));
+    set(control.name, rounded(at(Number(slider.value))));
   };
   slider.onchange = slider.onpointerup = rest;
   const label = labelled(control, field, slider);
@@ -273,24 +278,25 @@ function number(control) {
     label,
     show: (value) => {
       field.value = value;
-      slider.value = place(value);
+      slider.value = position(value);
     },
   });
   return label;
 }
 
 function update() {
-  for (const control of known) {
+  for (const control of controls) {
     const { label, show } = inputs.get(control.name);
     show(state.values[control.name]);
-    label.hidden = !control.shown.every(([name, values]) => values.includes(state.values[name]));
+    const conditions = Object.entries(control["x-ui"].shown_if);
+    label.hidden = !conditions.every(([name, values]) => values.includes(state.values[name]));
   }
 }
 
 function rest() {
   if (!moving) return;
   moving = false;
-  want();
+  requestPicture();
 }
 
 // ---- The camera and the light in the picture -----------------------------------------------------------------------
@@ -315,17 +321,18 @@ function toLight() {
 const HANDLE = 0.75;
 
 function sphere(view) {
-  if (state.values.light === "near" && body) {
+  if (state.values.light === "point" && body) {
     return { centre: body.centre, radius: state.values.distance * body.radius };
   }
   return { centre: view.target, radius: HANDLE * view.half * view.distance };
 }
 
 function projected(point, view) {
-  const seen = add(point, view.eye, -1);
-  const depth = -dot(seen, view.back);
+  const offset = add(point, view.eye, -1);
+  const depth = -dot(offset, view.back);
   const size = stage.clientHeight / 2 / view.half / depth;
-  return [stage.clientWidth / 2 + dot(seen, view.right) * size, stage.clientHeight / 2 - dot(seen, view.top) * size];
+  const [x, y] = [dot(offset, view.right) * size, dot(offset, view.top) * size];
+  return [stage.clientWidth / 2 + x, stage.clientHeight / 2 - y];
 }
 
 function place() {
@@ -438,7 +445,7 @@ canvas.onpointerup = canvas.onpointercancel = (event) => {
   if (pointers.delete(event.pointerId) && walked < 3 && event.type === "pointerup") {
     const box = stage.getBoundingClientRect();
     const at = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
-    state.probe = at.map((each) => clamp(each, 0, 1));
+    state.probe = at.map((x) => clamp(x, 0, 1));
     changed();
   }
   if (pointers.size) return;
@@ -473,18 +480,19 @@ byId("reset").onclick = () => {
   probed = null;
   changed();
 };
-for (const kind of ["png", "exr"]) byId(kind).onclick = () => tell({ do: "save", as: kind });
+for (const kind of ["png", "exr"]) byId(kind).onclick = () => send({ do: "save", as: kind });
 for (const button of document.querySelectorAll("[data-copies]")) {
   button.onclick = () => navigator.clipboard?.writeText(byId(button.dataset.copies).textContent);
 }
 byId("controls").onsubmit = (event) => event.preventDefault();
-new ResizeObserver(() => known.length && changed()).observe(stage);
+new ResizeObserver(() => controls.length && changed()).observe(stage);
 
 try {
-  const kept = JSON.parse(sessionStorage.getItem(KEPT)) ?? {};
-  Object.assign(state, { values: kept.values ?? {}, camera: kept.camera ?? null, probe: kept.probe ?? [0.5, 0.5] });
-  canvas.dataset.wanted = generation = kept.generation ?? 0;
+  const stored = JSON.parse(sessionStorage.getItem(STORAGE_KEY)) ?? {};
+  const { values = {}, camera = null, probe = [0.5, 0.5] } = stored;
+  Object.assign(state, { values, camera, probe });
+  canvas.dataset.requested = generation = stored.generation ?? 0;
 } catch {
-  sessionStorage.removeItem(KEPT);
+  sessionStorage.removeItem(STORAGE_KEY);
 }
 connect();

@@ -1,0 +1,206 @@
+"""Calls for the values of a page: those that are made, written as Python and written as a command line are the same."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import shlex
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.apps import cli
+from warpdiff.apps.viewer import controls as viewer_controls
+from warpdiff.apps.viewer import page_calls
+from warpdiff.apps.viewer.controls import checked, controls, word
+from warpdiff.apps.viewer.page_calls import Call, NamedFiles, Scene
+from warpdiff.core.options import Option, describe
+from warpdiff.core.wording import spelled
+
+VALUES = checked(controls(), {"mesh": "disc", "surface": "blazed", "sigma_um": 4.0, "azimuth_deg": 20.0})
+VIEW = wd.View((0.0, 1.0, 3.0), (-1e-8, 0.0, 0.0), width=8, height=6)
+OF_PICTURE = {"height", "display", "exposure_stops", "lock_exposure", "background"}
+
+
+@pytest.fixture
+def files(tmp_path):
+    np.save(tmp_path / "h.npy", 1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0) ** 2))
+    skies = tmp_path / "s.exr", tmp_path / "r.hdr"
+    levelled = ("levelled", (("order", 1),))
+    return NamedFiles((tmp_path / "m.obj",), (tmp_path / "h.npy",), skies, (("pitch_um", (0.1, 0.2)),), (levelled,))
+
+
+def extremes(control):
+    """Two or more values of a control."""
+    return list(control.labels) or ([True, False] if control.slider is None else list(control.slider[:2]))
+
+
+def scenes(files):
+    """By control, the scenes of its values, where it is shown."""
+    first = checked(files.controls, {"mesh": "snake", "surface": "fingers", "light": "directional"})
+    for control in files.controls.values():
+        shown = first | {name: values[0] for name, values in control.shown_if.items()}
+        yield control, [Scene.of(shown | {control.name: value}, files) for value in extremes(control)]
+
+
+def test_every_control_is_part_of_a_scene(files, tmp_path):
+    for control, made in scenes(files):
+        assert len(set(map(str, made))) == (1 if control.name in OF_PICTURE else len(made)), control.name
+    first = checked(files.controls, {"mesh": "snake", "surface": "fingers"})
+    scene = Scene.of(first | {"surface": "file 0"}, files)
+    assert isinstance(scene.heightfield.make(), wd.HeightField)
+    path = f"{tmp_path}/h.npy"
+    assert str(scene.heightfield) == f"wd.HeightField.load('{path}', pitch_um=(0.1, 0.2)).levelled(order=1)"
+    assert Scene.of(first, files).mesh.make().faces.shape[1] == 3
+
+
+@pytest.fixture
+def recorded(monkeypatch, tmp_path):
+    """Makes gratings, bodies and environments the names of their functions with all arguments."""
+
+    def recorder(function):
+        @functools.wraps(function)
+        def record(*operands, **options):
+            bound = inspect.signature(function).bind(*operands, **options)
+            bound.apply_defaults()
+            return function.__qualname__, bound.arguments
+
+        return record
+
+    for module, names in ((wd.gratings, viewer_controls.GRATINGS), (wd.meshes, viewer_controls.BODIES)):
+        for name in names:
+            monkeypatch.setattr(module, name, recorder(getattr(module, name)))
+    monkeypatch.setattr(wd.Environment, "load", recorder(wd.Environment.load))
+    monkeypatch.chdir(tmp_path)
+
+
+def operands_of(value):
+    return (value.heights_um.tolist(), value.pitch_um) if isinstance(value, wd.HeightField) else value
+
+
+def by_python(lines):
+    """The arguments of the renderer that lines of Python make."""
+    names = {}
+    recording = lines.partition("renderer.image()")[0].replace("wd.Renderer(", "(lambda *a, **k: (a, k))(")
+    exec(recording, names)  # noqa: S102 (the viewer's own lines)
+    (mesh, heightfield, lights, view), options = names["renderer"]
+    lights = lights if isinstance(lights, list) else [lights]
+    return mesh, operands_of(heightfield), lights, view, options
+
+
+def by_command(command, monkeypatch):
+    """The arguments of the picture that a command line draws."""
+    calls = []
+
+    def shade(mesh, heightfield, lights, view, **options):
+        assert not options.pop("progress")
+        settings = {name: value for name, value in options.items() if value is not None}
+        calls.append((mesh, operands_of(heightfield), lights, view, settings))
+        raise InterruptedError
+
+    monkeypatch.setattr(wd, "shade", shade)
+    cli.main(shlex.split(command)[1:])
+    (call,) = calls
+    return call
+
+
+@pytest.mark.usefixtures("recorded")
+def test_python_and_command_line_ask_for_the_same(files, monkeypatch):
+    saving = {"display": "clip", "exposure": 1.5, "background": (0.1, 0.1, 0.1)}
+    texts = {}
+    for _, made in scenes(files):
+        for scene in made:
+            placed = scene.placed((1.0, 2.0, 3.0), 2.0)
+            texts[placed.python(VIEW, 0.1, saving)] = placed.command(VIEW, 0.1, saving)
+    assert len(texts) > 100
+    for lines, command in texts.items():
+        assert by_python(lines) == by_command(command, monkeypatch), command
+
+
+def test_a_further_option_of_pictures_reaches_both_texts(monkeypatch):
+    def described(owner):
+        options = describe(owner)
+        if owner is not viewer_controls.PictureSettings:
+            return options
+        sparkle = Option("sparkle", "number", 0.5, "Strength of a probe.", ge=0.0, le=2.0)
+        return options | {"sparkle": sparkle, "glitter": Option("glitter", "flag", default=True, help="Another probe.")}
+
+    for module in (viewer_controls, page_calls):
+        monkeypatch.setattr(module, "describe", described)
+    values = checked(controls(), {"sparkle": 1.5, "glitter": False})
+    scene = Scene.of(values, NamedFiles())
+    assert (scene.shading["sparkle"], scene.shading["glitter"]) == (1.5, False)
+    assert "    sparkle=1.5,\n    glitter=False,\n" in scene.python(VIEW, 0.1, {})
+    assert " --sparkle 1.5 --no-glitter " in scene.command(VIEW, 0.1, {})
+    assert "sparkle" not in scene.of(checked(controls(), {"sparkle": 0.5}), NamedFiles()).shading
+
+
+def test_a_scene_has_a_light_or_an_environment_or_both(files):
+    scene = Scene.of(checked(files.controls, {"light": "point"}), files).placed((0.0, 0.0, 0.0), 1.0)
+    light = scene.light.make()
+    assert light.power == pytest.approx(1e4 * np.dot(light.position, light.position))
+    words = scene.command(VIEW, 0.1, {"background": (0, 0, 0)}).split()
+    assert {"--light", "--environment", "--environment-behind"} < set(words)
+    assert "--background" not in words
+    assert scene.at(None).shading["shadows"] is False
+    values = VALUES | {"light": "none"}
+    with pytest.raises(ValueError, match="there is no light") as error:
+        Scene.of(values, NamedFiles())
+    assert spelled(error.value, word(controls(), values)) == (
+        "there is no light: select a light, or an environment, which requires coherence = averaged"
+    )
+
+
+def test_scenes_are_written_as_they_are_made():
+    scene = Scene.of(VALUES | {"coherence": "source", "masking": False, "material": "mirror"}, NamedFiles())
+    _, _, lights, view, options = by_python(scene.python(VIEW, 0.5, {}))
+    assert (lights, view) == ([scene.light.make()], VIEW)
+    assert options == {
+        "tolerance": 0.5,
+        "coherence": wd.Coherence("source", angular_diameter_deg=0.53),
+        "ior": np.inf,
+        "masking": False,
+        "pigment": 0.05,
+    }
+    words = scene.command(VIEW, 0.5, {"display": "clip"}).split()
+    assert words[:5] == ["warpdiff", "render", "disc", "--heightfield", "blazed:period_um=2.0,depth_um=0.25"]
+    assert words[words.index("--ior") + 1] == "inf"
+    assert words[words.index("--coherence") + 1] == "source"
+    assert {"--no-masking", "--display"} < set(words)
+    # Normalised energy replaces masking, whatever that was before.
+    scene = Scene.of(VALUES | {"energy": "normalised", "masking": False}, NamedFiles())
+    assert dict(scene.options).keys() == {"coherence", "energy", "pigment"}
+    words = scene.command(VIEW, 0.5, {}).split()
+    assert words[words.index("--energy") + 1] == "normalised"
+
+
+def test_lights_of_a_scene_are_directional_or_points_and_have_a_size():
+    wide = Scene.of(VALUES | {"light_diameter_deg": 2.0}, NamedFiles())
+    assert wide.placed((1.0, 2.0, 3.0), 2.0) is wide
+    assert wide.light.make().angular_diameter_deg == 2.0
+    words = wide.command(VIEW, 0.5, {}).split()
+    assert words[words.index("--light") + 1].endswith(",angular_diameter_deg=2.0")
+    near = Scene.of(VALUES | {"light": "point", "distance": 3.0, "illuminant": "A"}, NamedFiles())
+    light = near.placed((1.0, 2.0, 3.0), 2.0).light.make()
+    away = np.subtract(light.position, (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(away, 6.0 * np.array(wide.light.make().to_light), atol=1e-5)
+    assert (light.power, light.illuminant) == (36.0, "A")
+    words = near.placed((1.0, 2.0, 3.0), 2.0).command(VIEW, 0.5, {}).split()
+    position = "x".join(map(str, light.position))
+    assert words[words.index("--light") + 1] == f"point:position={position},illuminant=A,power=36.0"
+
+
+def test_metals_of_a_scene_are_written():
+    scene = Scene.of(VALUES | {"material": "Au", "ior": 2.0}, NamedFiles())
+    assert scene.shading["material"] == wd.Material.metal("Au")
+    assert "material=wd.Material.metal('Au')" in scene.python(VIEW, 0.5, {})
+    words = scene.command(VIEW, 0.5, {}).split()
+    assert words[words.index("--material") + 1] == "Au"
+    assert "--ior" not in words
+
+
+def test_calls_are_made_as_they_are_written():
+    call = Call("rotated", (1,), (), Call.of("HeightField", ((0.0, 0.1),), 0.5))
+    assert str(call) == "wd.HeightField(((0.0, 0.1),), 0.5).rotated(1)"
+    np.testing.assert_array_equal(call.make().heights_um, eval(str(call)).heights_um)  # noqa: S307 (our own line)
