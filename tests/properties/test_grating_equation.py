@@ -53,8 +53,8 @@ def test_peak_angles(name):
         lights, _, expected = np.array(peaks).T
         views = expected[:, None] + away
         rho = wd.spectral_reflectance(
-            heightfield, at_angle(np.repeat(lights, len(away))), at_angle(views.ravel()), 1e3 * wavelength, masking=False,
-            plan=plan,
+            heightfield, at_angle(np.repeat(lights, len(away))), at_angle(views.ravel()), 1e3 * wavelength,
+            masking=False, plan=plan,
         ).reshape(views.shape)  # fmt: skip
         for each, theta, (theta_i, order, angle) in zip(rho, views, peaks, strict=True):
             top = int(np.argmax(each))

@@ -18,7 +18,7 @@ from warpdiff.core import memory
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.diffraction import chebyshev
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import reflectance_table
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
 
 # Rings an octave, and rays in a standard deviation of a lobe, from small to large tables.
-_RUNGS = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
+_TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
 # Lobes are narrowest where light is bluest: at this wavelength what is narrower hardly shows [µm].
 _BLUE_UM = 0.43
 # Of the tolerance, what functions of w may leave out, and, in relative errors of XYZ for one of ΔE2000, what the table
@@ -55,7 +55,7 @@ _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # A material's reflectance is kept at so many angles, and every so many nanometres.
 _ANGLES, _EACH_NM = 65, 5
 # Directions that judge, and that functions are fitted to: as many at random as for being bright, of so many.
-_JUDGES, _DRAWN, _SEED = 2048, 32_768, 27
+_VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
 _SHOWN, _FLOOR = 0.2, 1e-3
 _BYTES_A_NODE = 170
@@ -129,44 +129,44 @@ def bake(
 class _Bakery:
     """What a height field's colours are sampled by, and the directions that judge a table."""
 
-    def __init__(self, request: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
-        self._request, self._illuminant, self._tolerance = request, illuminant, tolerance
-        direction_range, sample, _ = directions_of(request)
-        plan = plan_for(request, direction_range, sample, _LOOK_UPS)
+    def __init__(self, evaluation: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
+        self._evaluation, self._illuminant, self._tolerance = evaluation, illuminant, tolerance
+        direction_range, sample, _ = directions_of(evaluation)
+        plan = plan_for(evaluation, direction_range, sample, _LOOK_UPS)
         seconds = 1e-6 * plan.microseconds * _LOOK_UPS
         if seconds > _MOST_S:
-            raise ValueError(
-                f"coherence takes {plan.wavelengths:,} wavelengths a colour, some {seconds:,.0f} s of a core in all, "
-                f"with the {request.coherence}: take one over shorter distances"
+            raise ArgumentValueError(
+                f"{ref('coherence')} must be shorter to be baked: a colour with the {evaluation.coherence} requires "
+                f"{plan.wavelengths:,} wavelengths, about {seconds:,.0f} s on one core in all"
             )
         self._lookup = ColourLookup(
-            request.heightfield,
+            evaluation.heightfield,
             plan,
             direction_range,
             zeroth_order=False,
-            device=request.device,
-            threads=request.threads,
+            device=evaluation.device,
+            threads=evaluation.threads,
         )
-        self._judged, self._gains, self._truth, self._bright = self._drawn(_SEED)
+        self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
         # As many nodes of |w| as a power of the shortest wavelength oscillates over them.
-        phase = math.pi * LARGEST_KAPPA * request.heightfield.height_range_um
+        phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
         """The first table that keeps the tolerance, or the largest."""
         principal = self._functions()
-        coherence = self._request.coherence
+        coherence = self._evaluation.coherence
         width = coherence.spread
         if coherence.sigma_um is not None:
             width = _BLUE_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
-        zeroth = zeroth_powers(self._request.heightfield, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
-        material = self._request.illuminated[0].material
+        zeroth = zeroth_powers(self._evaluation.heightfield, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
+        material = self._evaluation.illuminated[0].material
         reflectances = None if material is None else reflectance_table(material, _ANGLES)[:, ::_EACH_NM].copy()
         functions = self._between_nodes(np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)) @ principal
-        for index, (rings, azimuths_per_width) in enumerate(_RUNGS):
+        for index, (rings, azimuths_per_width) in enumerate(_TABLE_SIZES):
 
             def at(share: float, index: int = index) -> None:
-                progress((index + share) / len(_RUNGS))
+                progress((index + share) / len(_TABLE_SIZES))
 
             grid = PolarGrid.for_lobes(width, rings, azimuths_per_width)
             result = self._table(grid, principal, functions.astype(np.float32), zeroth, reflectances, at)
@@ -174,10 +174,13 @@ class _Bakery:
                 break
         progress(1.0)
         if result.error > self._tolerance:
-            told = f"tolerance={self._tolerance:g} is out of reach of the largest table, which keeps {result.error:.2g}"
-            if self._request.strict:
-                raise ValueError(f"{told}: take a larger tolerance, or strict=False")
-            warn(told)
+            message = (
+                f"{ref('delta_e', self._tolerance)} cannot be met: the largest table reaches {result.error:.2g}; use a "
+                f"larger {ref('delta_e')}"
+            )
+            if self._evaluation.strict:
+                raise ToleranceError(f"{message}; {ref('strict', False)} bakes it anyway")
+            warn(message)
         return result
 
     def _table(
@@ -192,36 +195,40 @@ class _Bakery:
         """A table with the nodes of a grid, judged."""
         memory.require_memory(
             _BYTES_A_NODE * grid.nodes, f"a table of {grid.nodes} nodes",
-            "take a larger tolerance, or a smaller sigma_um",
+            f"use a larger {ref('delta_e')}, or a smaller {ref('sigma_um')}",
         )  # fmt: skip
         values = self._projected(grid.places(), principal, progress)
         coefficients = grid.coefficients(values)
         for dtype in (np.int8, np.int16):
             result = BakedLobes(
-                self._request.coherence, self._illuminant, self._tolerance, 0.0, grid, functions,
+                self._evaluation.coherence, self._illuminant, self._tolerance, 0.0, grid, functions,
                 *quantisation.quantise(coefficients, dtype), zeroth, reflectances,
             )  # fmt: skip
-            result = replace(result, error=self._error(result.colours(self._judged, zeroth_order=False)))
+            result = replace(result, error=self._error(result.colours(self._validation_set, zeroth_order=False)))
             if result.error <= self._tolerance:
                 break
         return result
 
-    def _drawn(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+    def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
         """Deflections at random, and as many that were drawn for being bright, with their gains and colours.
 
         The last is how bright all are: percentile 99, or, of sparse ones, that above which half of the light lies.
         """
-        lights, views = hemisphere_pairs(_DRAWN, seed)
-        gains = reflectance_factors.gain(lights, views, normal=self._request.normal_reflectance, masking=True)
+        lights, views = hemisphere_pairs(_CANDIDATES, seed)
+        gains = reflectance_factors.gain(lights, views, normal=self._evaluation.normal_reflectance, masking=True)
         scattering_vectors = -lights - views
         colours = self._colours(scattering_vectors)
         luminance = gains * np.maximum(colours[:, 1], 0.0)
         order = np.argsort(luminance)
         shares = np.cumsum(luminance[order])
         half = luminance[order][np.searchsorted(shares, 0.5 * shares[-1])]
-        weights = np.where(np.arange(_DRAWN) < _JUDGES, 0.0, luminance + _FLOOR * luminance.mean() + 1e-300)
-        bright = np.random.default_rng(seed).choice(_DRAWN, _JUDGES, replace=False, p=weights / weights.sum())
-        places = np.concatenate([np.arange(_JUDGES), bright])
+        weights = np.where(
+            np.arange(_CANDIDATES) < _VALIDATION_SIZE, 0.0, luminance + _FLOOR * luminance.mean() + 1e-300
+        )
+        bright = np.random.default_rng(seed).choice(
+            _CANDIDATES, _VALIDATION_SIZE, replace=False, p=weights / weights.sum()
+        )
+        places = np.concatenate([np.arange(_VALIDATION_SIZE), bright])
         level = max(float(np.percentile(luminance, 99.0)), float(half))
         return scattering_vectors[places], gains[places], colours[places], level
 
@@ -229,11 +236,11 @@ class _Bakery:
         """XYZ without the zeroth order, of light from above, for gains of 1, (n, 3)."""
         count = len(scattering_vectors)
         above = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1))
-        xyz = wp.zeros(count, dtype=wp.vec3f, device=self._request.device)
+        xyz = wp.zeros(count, dtype=wp.vec3f, device=self._evaluation.device)
         self._lookup.accumulate(
-            wp.array(scattering_vectors, dtype=wp.vec3d, device=self._request.device),
-            wp.array(above, dtype=wp.vec3f, device=self._request.device),
-            wp.ones(count, dtype=wp.float32, device=self._request.device), self._request.illuminated[0], xyz,
+            wp.array(scattering_vectors, dtype=wp.vec3d, device=self._evaluation.device),
+            wp.array(above, dtype=wp.vec3f, device=self._evaluation.device),
+            wp.ones(count, dtype=wp.float32, device=self._evaluation.device), self._evaluation.illuminated[0], xyz,
         )  # fmt: skip
         return np.asarray(xyz.numpy().astype(np.float64))
 
@@ -251,18 +258,18 @@ class _Bakery:
     @single_threaded_blas()
     def _functions(self) -> NDArray[np.float64]:
         """Orthonormal functions at the nodes of |w|, as few as keep their share of the tolerance, (nodes, K)."""
-        found = self._over_w(self._drawn(_SEED + 1)[0][:, :2])
-        sizes = np.sqrt(np.mean(found**2, axis=2, keepdims=True))
-        rows = (found / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))
+        samples = self._over_w(self._sampled(_SEED + 1)[0][:, :2])
+        sizes = np.sqrt(np.mean(samples**2, axis=2, keepdims=True))
+        rows = (samples / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))
         principal = np.linalg.eigh(rows.T @ rows)[1][:, ::-1]
-        judged, w = self._over_w(self._judged[:, :2]), -self._judged[:, 2]
+        validation, w = self._over_w(self._validation_set[:, :2]), -self._validation_set[:, 2]
         between = self._between_nodes(w) * (w * w)[:, None]
         for count in range(1, min(MOST_W_BASIS, len(self._ws)) + 1):
-            kept = principal[:, :count]
-            colours = np.einsum("ncj,jk,nk->nc", judged, kept, between @ kept)
+            basis = principal[:, :count]
+            colours = np.einsum("ncj,jk,nk->nc", validation, basis, between @ basis)
             if self._error(colours) <= _FUNCTIONS_SHARE * self._tolerance:
                 break
-        return np.asarray(kept)
+        return np.asarray(basis)
 
     def _projected(
         self, uv: NDArray[np.float64], principal: NDArray[np.float64], progress: Callable[[float], None]
@@ -281,7 +288,7 @@ class _Bakery:
         """
         if self._bright <= 0.0:
             return 0.0
-        luminance = self._gains * self._truth[:, 1]
+        luminance = self._gains * self._reference[:, 1]
         exposed = (self._gains * _SHOWN / np.maximum(luminance, _FLOOR * self._bright))[:, None]
-        found = colorimetry.colour_difference(exposed * np.maximum(colours, 0.0), exposed * self._truth)
-        return max(float(np.percentile(each, 99.0)) for each in np.split(found, 2))
+        differences = colorimetry.colour_difference(exposed * np.maximum(colours, 0.0), exposed * self._reference)
+        return max(float(np.percentile(part, 99.0)) for part in np.split(differences, 2))

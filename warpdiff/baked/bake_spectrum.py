@@ -70,16 +70,17 @@ def bake_spectrum(
         table = coefficient_table.table_for(
             heightfield, plan, direction_range, device=request.device, threads=request.threads
         )
-        found, terms = table.coefficients, min(plan.terms, table.coefficients.terms)
+        coefficients = table.coefficients
+        terms = min(plan.terms, coefficients.terms)
         memory.require_memory(
             8.0 * size * size * terms, f"a spectrum of {size} × {size} cells", "take {side} of the size"
         )
-        reached = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
-        kappas = np.linspace(reached.kappa_low, reached.kappa_high, _ENTRIES)
+        kappa_range = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
+        kappas = np.linspace(kappa_range.kappa_low, kappa_range.kappa_high, _ENTRIES)
         along = 2.0 * math.pi * (window.sigma_um or 0.0)
         largest = direction_range.max_uv * 1e3 / direction_range.lambda_min_nm
         at = table.arguments
-        rows = found.rows[:, :, 0, :terms].copy()
+        rows = coefficients.rows[:, :, 0, :terms].copy()
         rows[at.origin_y, at.origin_x] = 0.0
         across_y = _shares(size, largest, (np.arange(at.count_y) - at.origin_y) / at.length_y, along)
         across_x = _shares(size, largest, (np.arange(at.count_x) - at.origin_x) / at.length_x, along)
@@ -87,8 +88,8 @@ def bake_spectrum(
         for term in range(terms):
             powers[:, :, term] = across_y @ rows[:, :, term] @ across_x.T
     return BakedSpectrum(
-        float(window.sigma_um or 0.0), largest, powers, reached.kappa_low, reached.kappa_high,
-        found.basis_at(kappas)[:, :terms].astype(np.float32), zeroth_powers(heightfield, kappas),
+        float(window.sigma_um or 0.0), largest, powers, kappa_range.kappa_low, kappa_range.kappa_high,
+        coefficients.basis_at(kappas)[:, :terms].astype(np.float32), zeroth_powers(heightfield, kappas),
     )  # fmt: skip
 
 

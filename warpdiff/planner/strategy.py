@@ -128,10 +128,9 @@ def plan(
         result = plan_for(request, direction_range, sample, count)
     if result.scalar_error >= diagnostics.SCALAR_INVALID:
         warn(
-            f"scalar diffraction is {diagnostics.scalar_error_text(result.scalar_error)}; {ref('heightfield')} has a standard "
-            f"deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: use a "
-            "rigorous "
-            "solver, or interpret the colours only qualitatively"
+            f"scalar diffraction is {diagnostics.scalar_error_text(result.scalar_error)}; {ref('heightfield')} has "
+            f"a standard deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: use "
+            "a rigorous solver, or interpret the colours only qualitatively"
         )
     return result
 
@@ -228,7 +227,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     check_cycles(heightfield, direction_range.kappas[1])
     pitch = diagnostics.coarsest_pitch_um(heightfield)
     colour = request.integrates
-    upper_bound_plan = _ample(
+    upper_bound_plan = _upper_bound_plan(
         heightfield, direction_range, tolerance=tolerance, method=method, coherence=coherence, colour=colour
     )
     between = coherence.centre_um is not None and method != "direct"
@@ -249,7 +248,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     is_searched = len(sample) > 0 and (affordable > 0.0 or is_truncated or count >= fewest)
     if method == "auto" and not is_searched:
         # Amplitudes take no longer.
-        upper_bound_plan = _ample(
+        upper_bound_plan = _upper_bound_plan(
             heightfield,
             direction_range,
             tolerance=tolerance,
@@ -309,7 +308,7 @@ def search_plan(
     """
     heightfield, tolerance, colour = request.heightfield, plan.tolerance, request.integrates
     method, integration = _expansion(request)
-    coarse = _ample(
+    coarse = _upper_bound_plan(
         heightfield,
         direction_range,
         tolerance=_COARSE_TOLERANCE,
@@ -367,7 +366,7 @@ def affordable_table_cost(heightfield: HeightField, plan: Plan, count: float) ->
     return saved if saved > cost_model.table_multiply_adds(heightfield, smallest) else 0.0
 
 
-def _ample(
+def _upper_bound_plan(
     heightfield: HeightField,
     direction_range: DirectionRange,
     *,
