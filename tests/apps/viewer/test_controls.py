@@ -35,7 +35,10 @@ def test_initial_values_stand_for_those_that_the_library_takes_for_none():
 
 def test_controls_are_described_by_the_keys_of_json_schema():
     schemas = {schema["name"]: schema for schema in json.loads(json.dumps(described(KNOWN)))}
-    assert schemas["sigma_um"] | {"type": "number", "minimum": 1.0, "maximum": 100.0, "default": 16.25} == schemas["sigma_um"]
+    assert (
+        schemas["sigma_um"] | {"type": "number", "minimum": 1.0, "maximum": 100.0, "default": 16.25}
+        == schemas["sigma_um"]
+    )
     assert schemas["energy"]["enum"] == ["stam", "normalised"]
     assert schemas["shadows"]["type"] == "boolean"
     assert schemas["fingers_seed"]["type"] == "integer"

@@ -48,12 +48,12 @@ class Viewer:
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True
         )
         line = self.process.stdout.readline()
-        found = re.match(r"(http://\S+:(\d+)/\S*)", line)
-        assert found, (line, self.process.stderr.read())
-        self.url, self.port = found[1], int(found[2])
+        match = re.match(r"(http://\S+:(\d+)/\S*)", line)
+        assert match, (line, self.process.stderr.read())
+        self.url, self.port = match[1], int(match[2])
 
     def end(self):
-        """Interrupt it, and return what it said on standard error."""
+        """Interrupt it, and return its standard error."""
         self.process.send_signal(signal.SIGINT)
         error = self.process.communicate(timeout=30)[1]
         assert self.process.returncode == 130, error
@@ -75,8 +75,8 @@ def served(cache):
         return made[-1]
 
     yield begin
-    for each in made:
-        each.process.kill()
+    for viewer in made:
+        viewer.process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -88,10 +88,10 @@ def waves(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def viewer(cache, waves):
-    made = Viewer("--height", waves, "--pixel-um", "0.05", cache=cache)
+    made = Viewer("--heightfield", waves, "--pitch-um", "0.05", cache=cache)
     yield made
-    said = made.end()
-    assert "Traceback" not in said, said
+    errors = made.end()
+    assert "Traceback" not in errors, errors
 
 
 @pytest.fixture(scope="module")
@@ -105,28 +105,28 @@ def chromium():
 
 
 class Page:
-    """A page with what it said on its console."""
+    """A page with the lines of its console."""
 
     def __init__(self, browser, url, size=SMALL):
         self.context = browser.new_context(viewport=size)
         self.page = self.context.new_page()
-        self.said = []
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.console = []
+        self.page.on("console", lambda message: self.console.append(message.text))
+        self.page.on("pageerror", lambda error: self.console.append(str(error)))
         self.page.goto(url)
 
     def rest(self):
-        """Wait until the finest picture of what is set is there."""
+        """Wait for the final picture of the present settings."""
         self.page.wait_for_function(
             "() => { const c = document.getElementById('picture').dataset;"
-            "return c.error || (c.last === 'true' && c.generation === c.wanted); }",
+            "return c.error || (c.last === 'true' && c.generation === c.requested); }",
             timeout=WAIT_MS,
         )
         assert not self.page.eval_on_selector("#picture", "c => c.dataset.error")
         return self.pixels()
 
     def pixels(self):
-        """What is on the canvas."""
+        """The pixels of the canvas."""
         url = self.page.eval_on_selector("#picture", "c => c.toDataURL('image/png')")
         image = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2])))
         return np.asarray(image.convert("RGB")).astype(int)
@@ -134,7 +134,7 @@ class Page:
     def set(self, name, value):
         """Set a control as its user does."""
         field = self.page.locator(f"#set-{name}")
-        kind = field.evaluate("each => each.type")
+        kind = field.evaluate("field => field.type")
         if kind == "checkbox":
             field.set_checked(value)
         elif kind == "select-one":
@@ -142,7 +142,7 @@ class Page:
         else:
             field.fill(str(value))
             field.press("Enter")
-            field.evaluate("each => each.blur()")
+            field.evaluate("field => field.blur()")
 
     def drag(self, dx, dy, button="left", steps=4):
         box = self.page.locator("#stage").bounding_box()
@@ -154,7 +154,7 @@ class Page:
 
     def close(self):
         self.context.close()
-        assert not self.said
+        assert not self.console
 
 
 @pytest.fixture
@@ -167,13 +167,13 @@ def page(chromium, viewer):
     made.close()
 
 
-def changed(found, before):
-    return np.mean(np.abs(found - before).max(axis=2) > 8)
+def changed(pixels, before):
+    return np.mean(np.abs(pixels - before).max(axis=2) > 8)
 
 
 def test_the_picture_changes_with_what_is_set_and_comes_back(page):
-    # Otherwise a mirror is but exposed otherwise.
-    page.set("held", True)
+    # With automatic exposure a mirror would look the same.
+    page.set("lock_exposure", True)
     first = page.rest()
     assert first.shape == (240, 320, 3)
     assert first.std() > 10.0
@@ -191,9 +191,9 @@ def test_the_picture_changes_with_what_is_set_and_comes_back(page):
         ("display", "clipped", "ACES 2.0"),
     ):
         page.set(name, value)
-        found = page.rest()
+        pixels = page.rest()
         # Pigment is of bodies that have a colour.
-        assert (changed(found, first) > 2e-3) == (name != "pigment"), name
+        assert (changed(pixels, first) > 2e-3) == (name != "pigment"), name
         page.set(name, back)
         np.testing.assert_array_equal(page.rest(), first, err_msg=name)
 
@@ -222,8 +222,8 @@ def test_the_light_is_dragged_by_its_handle(page):
     page.page.mouse.down()
     page.page.mouse.move(x - 60, y + 10, steps=5)
     page.page.mouse.up()
-    found = page.rest()
-    assert changed(found, before) > 0.01
+    pixels = page.rest()
+    assert changed(pixels, before) > 0.01
     assert page.page.locator("#set-azimuth_deg").input_value() != azimuth
     box = page.page.locator("#light").bounding_box()
     assert np.hypot(box["x"] + box["width"] / 2 - (x - 60), box["y"] + box["height"] / 2 - (y + 10)) < 2.0
@@ -234,35 +234,35 @@ def test_at_rest_it_is_the_picture_that_its_lines_make(page, tmp_path, monkeypat
     page.set("sigma_um", 8)
     page.set("tolerance", "3e-2")
     page.drag(-40, 15)
-    found = page.rest()
+    pixels = page.rest()
     lines = page.page.locator("#python").text_content()
     made = {}
     exec(lines, made)  # noqa: S102 (it is ours)
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
-    assert np.abs(found - saved).max() <= 1
+    assert np.abs(pixels - saved).max() <= 1
     # And of shade, by the plan that is stated.
-    asked = re.sub(
+    single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )
-    asked = asked.replace("\n)", "\n    plan=plan,\n)").replace("renderer.image()", "image")
-    exec(asked, {"plan": made["renderer"].plan})  # noqa: S102
+    single = single.replace("\n)", "\n    plan=plan,\n)").replace("renderer.image()", "image")
+    exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
-    assert np.abs(found - saved).max() <= 1
+    assert np.abs(pixels - saved).max() <= 1
     # The command makes a plan for its own directions: the same within the tolerances.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
-    assert saved.shape == found.shape
-    assert np.percentile(np.abs(found - saved), 99.0) <= 8
+    assert saved.shape == pixels.shape
+    assert np.percentile(np.abs(pixels - saved), 99.0) <= 8
 
 
 def test_pictures_are_saved(page):
-    found = page.rest()
+    pixels = page.rest()
     with page.page.expect_download() as download:
         page.page.locator("#png").click()
     saved = np.asarray(Image.open(download.value.path()).convert("RGB")).astype(int)
-    np.testing.assert_allclose(saved, found, atol=2)
+    np.testing.assert_allclose(saved, pixels, atol=2)
     with page.page.expect_download() as download:
         page.page.locator("#exr").click()
     assert download.value.suggested_filename == "warpdiff.exr"
@@ -300,7 +300,7 @@ def test_two_pages_at_once_and_one_page_s_error_reaches_no_other(page, chromium,
     other.set("surface", "bumps")
     other.set("bumps_width_um", 2)
     other.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)
-    assert "spacing_um[1] must be at least width_um = 2" in other.page.locator("#notice").text_content()
+    assert "spacing along x must be at least width along x = 2" in other.page.locator("#notice").text_content()
     page.set("azimuth_deg", -20)
     assert changed(page.rest(), first) > 2e-3
     other.set("surface", "nano-fingers")
@@ -318,7 +318,7 @@ def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, w
     out.write_image(radiance)
     out.close()
     wd.meshes.tube().export(tmp_path / "body.obj")
-    files = tmp_path / "body.obj", "--height", waves, "--pixel-um", "0.05", "--environment", tmp_path / "sky.hdr"
+    files = tmp_path / "body.obj", "--heightfield", waves, "--pitch-um", "0.05", "--environment", tmp_path / "sky.hdr"
     server = served(*files)
     made = Page(chromium, server.url)
     simple = {
@@ -341,7 +341,7 @@ def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, w
     made.set("environment_behind", False)
     plain = made.rest()
     assert np.ptp(plain[0]) == 0
-    made.set("light", "far away")
+    made.set("light", "directional")
     illuminated = made.rest()
     assert changed(illuminated, plain) > 0.05
     assert made.page.locator("#light").is_visible()
@@ -365,14 +365,14 @@ def test_the_server_may_go_and_come_back(chromium, served):
     before = made.rest()
     server.end()
     made.page.wait_for_function("() => !document.body.dataset.connected", timeout=WAIT_MS)
-    assert "away" in made.page.locator("#notice").text_content()
+    assert "Disconnected" in made.page.locator("#notice").text_content()
     server = served(port=server.port)
     made.page.wait_for_function("() => document.body.dataset.connected", timeout=WAIT_MS)
     made.set("azimuth_deg", 10)
     assert changed(made.rest(), before) > 0.01
     server.end()
     # The browser itself tells of a server that refuses.
-    made.said = [each for each in made.said if "ERR_CONNECTION_REFUSED" not in each]
+    made.console = [line for line in made.console if "ERR_CONNECTION_REFUSED" not in line]
     made.close()
 
 
@@ -389,7 +389,7 @@ def test_touch_orbits_and_pinches(chromium, viewer):
     page = context.new_page()
     page.goto(viewer.url)
     page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
-    kept = "() => JSON.parse(sessionStorage.getItem('warpdiff view')).camera"
+    camera = "() => JSON.parse(sessionStorage.getItem('warpdiff view')).camera"
     session = context.new_cdp_session(page)
 
     def touch(kind, *points):
@@ -398,13 +398,13 @@ def test_touch_orbits_and_pinches(chromium, viewer):
             {"type": kind, "touchPoints": [{"x": x, "y": y, "id": id_} for id_, (x, y) in enumerate(points)]},
         )
 
-    before = page.evaluate(kept)
+    before = page.evaluate(camera)
     touch("touchStart", (60, 60))
     for k in range(5):
         touch("touchMove", (60 + 8 * k, 60))
     touch("touchEnd")
     time.sleep(0.3)
-    orbited = page.evaluate(kept)
+    orbited = page.evaluate(camera)
     assert not np.allclose(orbited["eye"], before["eye"])
     np.testing.assert_allclose(orbited["target"], before["target"])
     touch("touchStart", (60, 60), (120, 60))
@@ -412,21 +412,21 @@ def test_touch_orbits_and_pinches(chromium, viewer):
         touch("touchMove", (60 - 4 * k, 60), (120 + 4 * k, 60))
     touch("touchEnd")
     time.sleep(0.3)
-    pinched = page.evaluate(kept)
-    apart = [np.linalg.norm(np.subtract(each["eye"], each["target"])) for each in (orbited, pinched)]
+    pinched = page.evaluate(camera)
+    apart = [np.linalg.norm(np.subtract(camera["eye"], camera["target"])) for camera in (orbited, pinched)]
     assert apart[1] < 0.8 * apart[0]
     context.close()
 
 
-def test_what_a_page_keeps_and_is_none_any_more_does_no_harm(chromium, viewer):
+def test_stored_values_that_are_no_longer_valid_are_dropped(chromium, viewer):
     context = chromium.new_context(viewport=SMALL)
     page = context.new_page()
-    said = []
-    page.on("pageerror", lambda error: said.append(str(error)))
-    kept = {"values": {"mesh": "file 7", "gone": 3, "sigma_um": "x"}, "camera": None, "generation": 5}
-    page.add_init_script(f"sessionStorage.setItem('warpdiff view', {json.dumps(json.dumps(kept))})")
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    stored = {"values": {"mesh": "file 7", "gone": 3, "sigma_um": "x"}, "camera": None, "generation": 5}
+    page.add_init_script(f"sessionStorage.setItem('warpdiff view', {json.dumps(json.dumps(stored))})")
     page.goto(viewer.url)
     page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
-    assert not said
+    assert not errors
     assert wd.Coherence().sigma_um == float(page.locator("#set-sigma_um").input_value())
     context.close()

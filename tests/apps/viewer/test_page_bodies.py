@@ -20,12 +20,12 @@ def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
     # Studios of other tests may still draw.
-    monkeypatch.setattr(Call, "make", lambda each: pytest.fail("it is kept") if each is call else make(each))
-    again = page_bodies.surface_of(call, None)
+    monkeypatch.setattr(Call, "make", lambda other: pytest.fail("it is cached") if other is call else make(other))
+    cached = page_bodies.surface_of(call, None)
     for name, value in vars(first).items():
-        assert type(getattr(again, name)) is type(value), name
-        np.testing.assert_array_equal(getattr(again, name), value)
-    assert prepare_surface(again) is again
+        assert type(getattr(cached, name)) is type(value), name
+        np.testing.assert_array_equal(getattr(cached, name), value)
+    assert prepare_surface(cached) is cached
 
 
 def test_a_body_is_framed_whole():

@@ -74,11 +74,11 @@ def ask(server, text, wait_s=5.0):
     """What a connection gets to read for these bytes."""
     with socket.create_connection(("127.0.0.1", server.port), timeout=wait_s) as connection:
         connection.sendall(text if isinstance(text, bytes) else text.replace("\n", "\r\n").encode())
-        found = b""
+        answer = b""
         with contextlib.suppress(OSError):
             while part := connection.recv(65536):
-                found += part
-    return found.decode(errors="replace")
+                answer += part
+    return answer.decode(errors="replace")
 
 
 def page_of(server, **options):
@@ -131,10 +131,10 @@ def test_beyond_this_machine_a_token_is_asked_for():
         assert len(server.token) > 20
         assert server.address.endswith(f"/?token={server.token}")
         host = f"Host: example.org:{server.port}\n"
-        for given in ("", "?token=", "?token=x", f"?token={server.token}x", f"?tokens={server.token}", "?token=%ff"):
-            assert ask(server, f"GET /{given} HTTP/1.1\n{host}\n").startswith("HTTP/1.1 403"), given
+        for query in ("", "?token=", "?token=x", f"?token={server.token}x", f"?tokens={server.token}", "?token=%ff"):
+            assert ask(server, f"GET /{query} HTTP/1.1\n{host}\n").startswith("HTTP/1.1 403"), query
             with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
-                connect(f"ws://127.0.0.1:{server.port}/socket{given}", origin=f"http://127.0.0.1:{server.port}")
+                connect(f"ws://127.0.0.1:{server.port}/socket{query}", origin=f"http://127.0.0.1:{server.port}")
         assert ask(server, f"GET /?token={server.token} HTTP/1.1\n{host}\n").startswith("HTTP/1.1 200")
         origin = f"http://127.0.0.1:{server.port}"
         with connect(f"ws://127.0.0.1:{server.port}/socket?token={server.token}", origin=origin) as page:
@@ -167,8 +167,8 @@ def test_connections_that_say_nothing_are_closed(monkeypatch):
             stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5.0)) for _ in range(100)
         ]
         # Or this times out.
-        for each in silent:
-            while each.recv(1000):
+        for connection in silent:
+            while connection.recv(1000):
                 pass
 
 

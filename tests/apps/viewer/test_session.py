@@ -19,6 +19,7 @@ from warpdiff.apps import cli
 from warpdiff.apps.viewer.controls import checked, controls
 from warpdiff.apps.viewer.page_calls import NamedFiles, PageRequest
 from warpdiff.apps.viewer.session import Studio, stages_to
+from warpdiff.render import picture
 
 KNOWN = controls()
 VALUES = checked(
@@ -38,17 +39,17 @@ def studio():
 
 class Page:
     def __init__(self, studio):
-        self.got = queue.Queue()
-        self.studio, self.session = studio, studio.session(lambda *sent: self.got.put(sent))
+        self.messages = queue.Queue()
+        self.studio, self.session = studio, studio.session(lambda *sent: self.messages.put(sent))
 
     def until(self, holds):
         """All messages until something holds; each picture is shown at once."""
-        found = []
-        while not found or not holds(found[-1][0]):
-            found.append(self.got.get(timeout=WAIT_S))
-            if found[-1][0]["kind"] == "picture":
+        received = []
+        while not received or not holds(received[-1][0]):
+            received.append(self.messages.get(timeout=WAIT_S))
+            if received[-1][0]["kind"] == "picture":
                 self.studio.acknowledge(self.session)
-        return found
+        return received
 
     def __enter__(self):
         return self
@@ -66,8 +67,8 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         studio.request(page.session, page_request(1, tolerance=0.03, energy="normalised"))
         messages = page.until(lambda message: message["kind"] == "map")
         pictures = [part for part in messages if part[0]["kind"] == "picture"]
-        assert [each["tolerance"] for each, _ in pictures] == [None, 0.1, 0.03]
-        assert [each["type"] for each, _ in pictures] == ["image/jpeg", "image/jpeg", "image/png"]
+        assert [message["tolerance"] for message, _ in pictures] == [None, 0.1, 0.03]
+        assert [message["type"] for message, _ in pictures] == ["image/jpeg", "image/jpeg", "image/png"]
         assert pictures[2][0]["error"]["p99"] <= pictures[1][0]["error"]["p99"] < 3 * 0.1
         assert messages[-1][0]["angles"]["light"]["theta_deg"] == pytest.approx(
             np.degrees(np.arccos(pictures[2][0]["to_light"][2])), abs=0.5
@@ -76,8 +77,8 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
-        found = np.asarray(Image.open(io.BytesIO(data)))
-        assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+        pixels = np.asarray(Image.open(io.BytesIO(data)))
+        assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
 
 
 @pytest.fixture(scope="module")
@@ -113,24 +114,26 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
         exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
-        found = np.asarray(Image.open(io.BytesIO(data))).astype(int)
-        assert np.abs(found - np.round(255.0 * made["shown"])).max() <= 1
+        pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
+        assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
         # The file is the same, and so is the command's but for its plan.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
-        assert np.abs(np.asarray(saved)[..., :3].astype(int) - found).max() <= 1
+        assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
         command = shlex.split(last["command"])
         assert cli.main(command[1:]) == 0
-        assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - found), 99.0) <= 8
-        # It is seen where nothing is before it.
-        studio.request(
-            page.session, PageRequest(2, rotated | {"environment_behind": False}, None, 0.25, False, (0.5, 0.5))
-        )
+        assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - pixels), 99.0) <= 8
+        # It fills the background. From another view its maps are the same arrays on the device.
+        uploads, upload = [], picture.upload_sky
+        monkeypatch.setattr(picture, "upload_sky", lambda *operands: uploads.append(operands) or upload(*operands))
+        values, camera = rotated | {"environment_behind": False}, wd.View((0.5, 2.0, 3.0), (0.0, 0.0, 0.0))
+        studio.request(page.session, PageRequest(2, values, camera, 0.25, False, (0.5, 0.5)))
         (*_, (_, plain)) = page.until(is_last)
         corner = np.asarray(Image.open(io.BytesIO(plain)))[0, 0].astype(int)
         assert np.ptp(corner) == 0
-        assert not np.array_equal(corner, found[0, 0])
+        assert not np.array_equal(corner, pixels[0, 0])
+        assert not uploads
 
 
 def test_what_is_let_go_is_refined_at_once(studio):
@@ -208,9 +211,9 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
             studio.request(page.session, page_request(generation, moving=True, azimuth_deg=3.0 * generation))
             time.sleep(0.05)
         time.sleep(0.5)
-        moving = [message for message, _ in page.got.queue if message["kind"] == "picture"]
+        moving = [message for message, _ in page.messages.queue if message["kind"] == "picture"]
         assert len(moving) == 2
-        assert {each["tolerance"] for each in moving} == {None}
+        assert {message["tolerance"] for message in moving} == {None}
         assert moving[0]["height"] < 240
         page.until(lambda message: is_last(message) and message["generation"] == 9)
 
@@ -240,7 +243,7 @@ def test_an_error_is_told_and_ends_nothing(studio):
         assert other.until(is_last)
         studio.request(page.session, page_request(2))
         assert page.until(is_last)
-        assert other.got.empty() or all(each["kind"] == "map" for each, _ in other.got.queue)
+        assert other.messages.empty() or all(part["kind"] == "map" for part, _ in other.messages.queue)
 
 
 def test_a_page_s_first_picture_does_not_wait_for_the_finest_of_another(studio, monkeypatch):
@@ -262,6 +265,6 @@ def test_stages_end_with_the_tolerance():
     for tolerance in (0.5, 0.1, 0.03, 0.01):
         first, *finer = stages_to(tolerance)
         assert first.tolerance is None
-        assert [each.tolerance for each in finer] == sorted({each.tolerance for each in finer}, reverse=True)
+        assert [stage.tolerance for stage in finer] == sorted({stage.tolerance for stage in finer}, reverse=True)
         assert finer[-1] == (tolerance, True)
-        assert not any(each.last for each in (first, *finer[:-1]))
+        assert not any(stage.last for stage in (first, *finer[:-1]))

@@ -23,9 +23,9 @@ def run(
     host: str,
     port: int,
     opens_browser: bool,
-    device: Any,
-    threads: int | None,
     say: Callable[[str], None],
+    device: Any = None,
+    threads: int | None = None,
 ) -> None:
     """Serve the viewer until it is interrupted.
 
@@ -34,9 +34,9 @@ def run(
         host: Address to listen on; an address that other machines reach requires a token.
         port: Port; 0 picks a free one.
         opens_browser: Whether to open the page.
+        say: Function that is called with the line that contains the page's address.
         device: As in :func:`warpdiff.shade`.
         threads: As in :func:`warpdiff.shade`.
-        say: Function that is called with the line that contains the page's address.
     """
 
     def begin() -> Studio:
