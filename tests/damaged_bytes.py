@@ -26,16 +26,8 @@ from warpdiff.scene.mesh_import import prepare_surface
 MOST_BYTES = 4 << 30
 MOST_S = 20
 EVIL_NUMBERS = [
-    b"nan",
-    b"inf",
-    b"-1",
-    b"0",
-    b"1e308",
-    b"1e-308",
-    b"2147483648",
-    b"99999999999999999999",
-    b"/etc/passwd",
-]
+    b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"2147483648", b"99999999999999999999", b"/etc/passwd",
+]  # fmt: skip
 
 
 def scans():

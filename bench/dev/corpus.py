@@ -376,14 +376,10 @@ def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
     """A case that computes the colours of a list of directions."""
     return lambda threads: {
         "xyz": wd.reflectance(
-            heightfield=fingers(),
-            to_light=directions(count)[0],
-            to_view=directions(count)[1],
-            coherence=coherence,
-            threads=threads,
-            **options,
+            heightfield=fingers(), to_light=directions(count)[0], to_view=directions(count)[1], coherence=coherence,
+            threads=threads, **options,
         )
-    }
+    }  # fmt: skip
 
 
 def spectra(threads: int) -> Values:
@@ -521,14 +517,9 @@ def mesh_files(threads: int) -> Values:
         two_geometries().export(folder / "both.glb")
         obj = wd.shade(folder / "box.obj", fingers(), ABOVE, box_view(**MEDIUM), pigment=300.0, **options)
         ply = wd.shade(
-            folder / "ball.ply",
-            fingers(),
-            ABOVE,
-            box_view(**MEDIUM),
-            pigment=300.0,
-            tangents=(0.2, 1.0, 0.3),
+            folder / "ball.ply", fingers(), ABOVE, box_view(**MEDIUM), pigment=300.0, tangents=(0.2, 1.0, 0.3),
             **options,
-        )
+        )  # fmt: skip
         glb = wd.shade(
             folder / "both.glb", fingers(), ABOVE, tube_view(**MEDIUM), material=materials,
             layers=("normal", "geometry"), **options,
@@ -553,12 +544,10 @@ def saved_pictures(threads: int) -> Values:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         calls: dict[str, Values] = {
-            "plain.exr": {},
-            "bright.exr": {"exposure": 3.0, "exposure_stops": 1.0},
-            "plain.png": {},
+            "plain.exr": {}, "bright.exr": {"exposure": 3.0, "exposure_stops": 1.0}, "plain.png": {},
             "words.png": {"bits": 16, "display": "colorimetric", "gamut": "display-p3"},
             "grey.png": {"background": (0.2, 0.2, 0.2), "exposure_stops": -0.5},
-        }
+        }  # fmt: skip
         for file, options in calls.items():
             values |= named(file, pixel_values(image.save(folder / file, **options)))
     return values

@@ -40,23 +40,14 @@ RENAMED_FUNCTIONS = (
 RENAMED_METHODS = (("Coherence", "__init__"), ("Renderer", "__init__"), ("Renderer", "draw"), ("Shot", "__init__"))
 # Attributes and methods of public classes: class, new name, old name.
 ATTRIBUTES = (
-    ("Environment", "background", "seen"),
-    ("Image", "illuminated", "lit"),
-    ("Shot", "lights", "light"),
-)
+    ("Environment", "background", "seen"), ("Image", "illuminated", "lit"), ("Shot", "lights", "light"),
+)  # fmt: skip
 # Fields of a plan and of its coherence, old name to new name. A field not listed here has the same name in both.
 PLAN_FIELDS = {
-    "nodes": "rings_per_octave",
-    "rays_per_width": "azimuths_per_width",
-    "functions": "w_basis_size",
-    "lit_by": "light_sample_count",
-    "unsettled": "unconverged_share",
-    "unsettled_edges": "unconverged_edge_share",
-    "split": "refined_share",
-    "judged": "validation_size",
-    "searched": "is_measured",
-    "max_lateral": "max_order_rate",
-}
+    "nodes": "rings_per_octave", "rays_per_width": "azimuths_per_width", "functions": "w_basis_size",
+    "lit_by": "light_sample_count", "unsettled": "unconverged_share", "unsettled_edges": "unconverged_edge_share",
+    "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
+}  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
 
 

@@ -145,16 +145,14 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         "frame: snake at 3e-2, 320 × 240": frames(wd.meshes.snake, width=320, tolerance=3e-2),
         "frame: tube at 1e-1": frames(wd.meshes.tube, tolerance=1e-1),
         "frame: tube, disc light of 3°, 320 × 240": frames(wd.meshes.tube, width=320, tolerance=1e-1, diameter_deg=3.0),
-        "frame: tube, moving light": moving_light,
-        "frame: tube under a sky, 64 × 48": sky,
-        "points: 100,000 directions": points,
-        "plan: averaged": plans(wd.Coherence(), surface()),
+        "frame: tube, moving light": moving_light, "frame: tube under a sky, 64 × 48": sky,
+        "points: 100,000 directions": points, "plan: averaged": plans(wd.Coherence(), surface()),
         "plan: averaged at 1e-1": plans(wd.Coherence(), small, tolerance=1e-1),
         "plan: centred": plans(wd.Coherence("centred"), small, tolerance=3e-2),
         "plan: source": plans(wd.Coherence("source"), small, tolerance=3e-2),
         "plan: periods": plans(wd.Coherence("replicas", periods=(4, 4)), small, tolerance=3e-2),
         "picture of a new height field": picture,
-    }
+    }  # fmt: skip
 
 
 # Rows that start processes, with the number of calls per round.

@@ -105,18 +105,12 @@ def series(
     colours = np.stack([np.interp(nodes, grid, products[:, c]) for c in range(3)], axis=1)
     falloff = falloff_um2(coherence)
     return Series(
-        rows=rows,
-        columns=block.count[1],
-        origin=block.origin,
-        lengths_um=lengths,
+        rows=rows, columns=block.count[1], origin=block.origin, lengths_um=lengths,
         falloff=(falloff / lengths[0] ** 2, falloff / lengths[1] ** 2),
-        factors=np.float32(EXPANSIONS["taylor"].basis(scale * 1e3 / nodes, terms)),
-        wavenumbers=np.float32(1e3 / nodes),
-        colours=np.float32(colours / colours[:, 1].sum()),
-        neighbour_extent=neighbour_extent,
-        shift=0.5 if rounded else 0.0,
-        powers=coherence.adds_powers,
-    )
+        factors=np.float32(EXPANSIONS["taylor"].basis(scale * 1e3 / nodes, terms)), wavenumbers=np.float32(1e3 / nodes),
+        colours=np.float32(colours / colours[:, 1].sum()), neighbour_extent=neighbour_extent,
+        shift=0.5 if rounded else 0.0, powers=coherence.adds_powers,
+    )  # fmt: skip
 
 
 @functools.lru_cache(maxsize=3)

@@ -86,12 +86,9 @@ class Errors(NamedTuple):
 def bodies(data: str | None, files: list[Path]) -> dict[str, Callable[[], Any]]:
     """Return functions that make the bodies, by name."""
     result: dict[str, Callable[[], Any]] = {
-        "snake": meshes.snake,
-        "tube": meshes.tube,
-        "disc": meshes.disc,
-        "low-poly": lambda: lumpy(3),
+        "snake": meshes.snake, "tube": meshes.tube, "disc": meshes.disc, "low-poly": lambda: lumpy(3),
         "327,680 faces": lambda: lumpy(7),
-    }
+    }  # fmt: skip
     bottle = inputs.folder(data) / "fuze.obj"
     if bottle.is_file():
         result["bottle"] = lambda: trimesh.load(bottle, force="mesh")
@@ -201,12 +198,9 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )
     return Errors(
-        error[exact.interior],
-        error[exact.silhouette],
-        error[exact.shadowed],
-        (exact.settled / size)[exact.interior],
+        error[exact.interior], error[exact.silhouette], error[exact.shadowed], (exact.settled / size)[exact.interior],
         (image.error * own / size)[exact.interior],
-    )
+    )  # fmt: skip
 
 
 def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[Crop]:
@@ -225,14 +219,8 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         image = wd.shade(
-            area.mesh,
-            area.heightfield,
-            area.light,
-            view,
-            tolerance=tolerance,
-            samples_per_pixel=samples,
-            pigment=0.0,
-        )
+            area.mesh, area.heightfield, area.light, view, tolerance=tolerance, samples_per_pixel=samples, pigment=0.0,
+        )  # fmt: skip
     return image, any(issubclass(one.category, wd.WarpdiffWarning) for one in caught)
 
 

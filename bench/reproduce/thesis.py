@@ -679,11 +679,9 @@ def map_methods(setup: Setup) -> Figure:
     weights = colorimetry.quadrature_weights(wavelengths)
     scattering_vectors = -LIGHT - disc.views
     gains = reflectance_factors.gain(
-        np.broadcast_to(LIGHT, disc.views.shape),
-        disc.views,
-        normal=reflectance_factors.normal_reflectance(1.5),
+        np.broadcast_to(LIGHT, disc.views.shape), disc.views, normal=reflectance_factors.normal_reflectance(1.5),
         masking=True,
-    )
+    )  # fmt: skip
     rows = []
     for name, heightfield, periods, factor in (
         ("blazed", wd.gratings.blazed(BLAZED_UM, BLAZED_DEPTH_UM), (1625, 26), LINE),
@@ -763,11 +761,9 @@ def renderings(setup: Setup, description: Figure, views: list[tuple[str, dict[st
 
 
 LIGHTS = {
-    "left, behind": wd.DirectionalLight((-0.9, 0.7, 0.5)),
-    "right, behind": wd.DirectionalLight((0.5, 0.75, -0.8)),
-    "above": wd.DirectionalLight((0.0, 1.0, 0.1)),
-    "front": wd.DirectionalLight((0.1, 0.6, 1.0)),
-}
+    "left, behind": wd.DirectionalLight((-0.9, 0.7, 0.5)), "right, behind": wd.DirectionalLight((0.5, 0.75, -0.8)),
+    "above": wd.DirectionalLight((0.0, 1.0, 0.1)), "front": wd.DirectionalLight((0.1, 0.6, 1.0)),
+}  # fmt: skip
 RENDERED = 10.0
 # Position on the back at which an order is visible.
 COLOURED = (-0.453, 0.190, -0.137)
@@ -847,11 +843,8 @@ def render_stam(setup: Setup) -> Figure:
             tiles.append((label, xyz, exposed))
         rows.append((name, tiles))
     return mosaic(
-        setup,
-        Figure("render_stam", "Renderings: Stam's analytic model and the library", STAM_DIFFERS),
-        rows,
-        inch=4.0,
-    )
+        setup, Figure("render_stam", "Renderings: Stam's analytic model and the library", STAM_DIFFERS), rows, inch=4.0,
+    )  # fmt: skip
 
 
 # The page.

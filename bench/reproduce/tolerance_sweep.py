@@ -207,10 +207,8 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
         / case.tolerance
     )
     figure, t, settings = (
-        judge.figure(result.xyz[chosen], exact, weights, white=result.white),
-        case.tolerance,
-        result.plan,
-    )
+        judge.figure(result.xyz[chosen], exact, weights, white=result.white), case.tolerance, result.plan,
+    )  # fmt: skip
     print(settings)
     print(
         f"error / tolerance: all {figure.overall / t:.3g}, bright {figure.bright / t:.3g}, dim {figure.dim / t:.3g}, "

@@ -44,18 +44,13 @@ METHODS = {
     "replicas": ("low-rank", "jacobi-anger", "taylor"),
 }
 STYLES = {
-    AUTOMATIC: (figures.BLACK, "*", "automatic"),
-    "low-rank, table": (figures.BLUE, "o", "low-rank, table"),
-    "low-rank": (figures.SKY, "o", "low-rank, sampled"),
-    "power": (figures.GREEN, "o", "power, sampled"),
-    "jacobi-anger": (figures.PURPLE, "o", "Jacobi–Anger, sampled"),
-    "taylor": (figures.ORANGE, "o", "Taylor, sampled"),
-    "Numba": (figures.VERMILION, "s", "published, Numba"),
-    "Dr.Jit": (figures.BROWN, "s", "published, Dr.Jit"),
-    "NumPy": (figures.GREY, "s", "published, NumPy"),
-    "Stam, rainbow": ("#999999", "D", "analytic (Stam), rainbow"),
+    AUTOMATIC: (figures.BLACK, "*", "automatic"), "low-rank, table": (figures.BLUE, "o", "low-rank, table"),
+    "low-rank": (figures.SKY, "o", "low-rank, sampled"), "power": (figures.GREEN, "o", "power, sampled"),
+    "jacobi-anger": (figures.PURPLE, "o", "Jacobi–Anger, sampled"), "taylor": (figures.ORANGE, "o", "Taylor, sampled"),
+    "Numba": (figures.VERMILION, "s", "published, Numba"), "Dr.Jit": (figures.BROWN, "s", "published, Dr.Jit"),
+    "NumPy": (figures.GREY, "s", "published, NumPy"), "Stam, rainbow": ("#999999", "D", "analytic (Stam), rainbow"),
     "Stam, CIE": ("#777777", "^", "analytic (Stam), CIE"),
-}
+}  # fmt: skip
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
@@ -303,12 +298,9 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         axes[2].plot(FRAMES, per_frame, color=colour, marker=marker, markersize=4, linewidth=1.6)
         ends.append((FRAMES[-1], per_frame[-1], title, colour))
     axes[2].set(
-        xscale="log",
-        yscale="log",
-        xlabel="frames of 150,000 illuminated pixels",
-        ylabel="time per frame [s], with preparation",
-        ylim=(1e-2, 1e2),
-    )
+        xscale="log", yscale="log", xlabel="frames of 150,000 illuminated pixels",
+        ylabel="time per frame [s], with preparation", ylim=(1e-2, 1e2),
+    )  # fmt: skip
     axes[2].set_title("at an error of 1e-2")
     figures.label_ends(axes[2], ends, gap=0.06)
     axes[2].grid(color="#00000014", linewidth=0.8)

@@ -117,18 +117,11 @@ def machine(setting: Setting) -> dict[str, Any]:
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "absent"
     return {
-        "warpdiff": wd.__version__,
-        "commit": commit(),
-        "processor": processor(),
-        "cores": os.cpu_count(),
-        "device": str(resolve_device(setting.device)),
-        "threads": setting.threads,
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "packages": versions,
-        "quick": setting.quick,
+        "warpdiff": wd.__version__, "commit": commit(), "processor": processor(), "cores": os.cpu_count(),
+        "device": str(resolve_device(setting.device)), "threads": setting.threads, "system": platform.system(),
+        "python": platform.python_version(), "packages": versions, "quick": setting.quick,
         "date": time.strftime("%Y-%m-%d %H:%M"),
-    }
+    }  # fmt: skip
 
 
 def processor() -> str:

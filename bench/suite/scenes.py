@@ -97,19 +97,13 @@ def scenes(data: Path | None) -> list[Scene]:
     """Return all scenes; fingers replace the scan if it is absent."""
     tube = meshes.tube(segments_along=128, segments_around=64)
     on_tube: dict[str, Any] = {
-        "mesh": tube,
-        "light": wd.DirectionalLight((0.1, 0.9, 1.2)),
-        "eye": (0.0, 1.6, 3.1),
-        "target": (0.0, 0.0, 0.0),
+        "mesh": tube, "light": wd.DirectionalLight((0.1, 0.9, 1.2)), "eye": (0.0, 1.6, 3.1), "target": (0.0, 0.0, 0.0),
         "fov_y_deg": 27.0,
-    }
+    }  # fmt: skip
     on_disc: dict[str, Any] = {
-        "mesh": meshes.disc(),
-        "light": wd.DirectionalLight((0.15, 0.9, 1.0)),
-        "eye": (0.0, -1.9, 2.3),
-        "target": (0.0, -0.05, 0.0),
-        "fov_y_deg": 40.0,
-    }
+        "mesh": meshes.disc(), "light": wd.DirectionalLight((0.15, 0.9, 1.0)), "eye": (0.0, -1.9, 2.3),
+        "target": (0.0, -0.05, 0.0), "fov_y_deg": 40.0,
+    }  # fmt: skip
     averaged, centred = wd.Coherence(), wd.Coherence("centred")
     source = wd.Coherence("source", angular_diameter_deg=0.53)
 

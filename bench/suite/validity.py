@@ -34,11 +34,9 @@ if TYPE_CHECKING:
 STORED = Path(__file__).with_name("rigorous.json")
 # Profile, index of refraction (None: a perfect conductor).
 CASES = {
-    "Sine, perfect mirror": ("sine", None),
-    "Square grooves, perfect mirror": ("square", None),
-    "Sawtooth, perfect mirror": ("sawtooth", None),
-    "Sine, n = 1.5": ("sine", 1.5),
-}
+    "Sine, perfect mirror": ("sine", None), "Square grooves, perfect mirror": ("square", None),
+    "Sawtooth, perfect mirror": ("sawtooth", None), "Sine, n = 1.5": ("sine", 1.5),
+}  # fmt: skip
 # Standard deviation of the heights for a depth of 1, peak to valley.
 RMS = {"sine": 1.0 / math.sqrt(8.0), "square": 0.5, "sawtooth": 1.0 / math.sqrt(12.0)}
 GRATINGS = {"sine": wd.gratings.sinusoidal, "square": wd.gratings.lamellar, "sawtooth": wd.gratings.blazed}
@@ -91,12 +89,10 @@ class Integral:
         points = 24.0 * (period + 2.0 * depth) * max(1.0, abs(index or 1.0) / 1.5)
         scan = self._solver.solve(
             self._problem(period=WAVELENGTH_NM * period, profile=profile, coating=name),
-            self._illumination(alpha=angle, polarization=polarisation),
-            [WAVELENGTH_NM],
-            boundary_points=math.ceil(finer * max(224.0, points)),
-            corner_grading=4,
+            self._illumination(alpha=angle, polarization=polarisation), [WAVELENGTH_NM],
+            boundary_points=math.ceil(finer * max(224.0, points)), corner_grading=4,
             conductivity="perfect" if index is None else "tabulated",
-        )
+        )  # fmt: skip
         efficiencies = np.asarray(scan.efficiency[0])
         absorbed = 0.0 if index is None else float(scan.absorption[0])
         return np.asarray(scan.orders), efficiencies, abs(float(efficiencies.sum()) + absorbed - 1.0)
@@ -141,12 +137,9 @@ def recompute() -> None:
         print(f"{case}: {time.perf_counter() - begin:.0f} s, {stored[case]['energy_missed']}", flush=True)
     head = {
         "made_by": "python -m bench.suite.validity --recompute",
-        "order_of_rows": "period, depth, angle; quantiles are 0.5, 0.99 and 1",
-        "periods": PERIODS.round(6).tolist(),
-        "depths": DEPTHS.round(6).tolist(),
-        "angles_deg": ANGLES,
-        "unit": UNIT,
-    }
+        "order_of_rows": "period, depth, angle; quantiles are 0.5, 0.99 and 1", "periods": PERIODS.round(6).tolist(),
+        "depths": DEPTHS.round(6).tolist(), "angles_deg": ANGLES, "unit": UNIT,
+    }  # fmt: skip
     STORED.write_text(json.dumps(head | {"cases": stored}, separators=(",", ":")) + "\n")
 
 
@@ -196,13 +189,10 @@ def measure(setting: Setting) -> dict[str, Any]:
         maps[case] = {"error": both[..., 0].tolist(), "relative_error": both[..., 1].tolist()}
         bounds[case] = [[scalar_error_bound(RMS[shape] * d, 2.0 * d / p, 1000.0) for d in depths] for p in periods]
     return {
-        "periods_in_wavelengths": periods.tolist(),
-        "depths_in_wavelengths": depths.tolist(),
-        "maps": maps,
-        "rule": {case: rule(maps[case], np.array(bounds[case])) for case in CASES},
-        "solver": solver,
+        "periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist(), "maps": maps,
+        "rule": {case: rule(maps[case], np.array(bounds[case])) for case in CASES}, "solver": solver,
         "coupled_waves": against_coupled_waves(setting.quick),
-    }
+    }  # fmt: skip
 
 
 def rule(maps: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
@@ -210,16 +200,12 @@ def rule(maps: dict[str, Any], bounds: np.ndarray) -> dict[str, float]:
     error = np.array(maps["error"])
     inside, untrusted = bounds <= LIMIT, bounds >= SCALAR_INVALID
     return {
-        "gratings": error.size,
-        "right_within_a_tenth": int(np.sum(error <= LIMIT)),
-        "inside": int(np.sum(inside)),
-        "inside_and_beyond_a_tenth": int(np.sum(inside & (error > LIMIT))),
-        "worst_inside": float(error[inside].max()),
+        "gratings": error.size, "right_within_a_tenth": int(np.sum(error <= LIMIT)), "inside": int(np.sum(inside)),
+        "inside_and_beyond_a_tenth": int(np.sum(inside & (error > LIMIT))), "worst_inside": float(error[inside].max()),
         "worst_relative_inside": float(np.array(maps["relative_error"])[inside].max()),
-        "untrusted": int(np.sum(untrusted)),
-        "untrusted_and_beyond_a_tenth": int(np.sum(untrusted & (error > LIMIT))),
+        "untrusted": int(np.sum(untrusted)), "untrusted_and_beyond_a_tenth": int(np.sum(untrusted & (error > LIMIT))),
         "median_error_of_untrusted": float(np.median(error[untrusted])),
-    }
+    }  # fmt: skip
 
 
 def against_coupled_waves(quick: bool) -> dict[str, list[float]] | str:
@@ -264,14 +250,9 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
             periods, depths, error, norm=LogNorm(1e-3, 1.0), cmap="viridis", shading="nearest", rasterized=True
         )
         lines = axis.contour(
-            periods,
-            depths,
-            np.log10(error),
-            np.log10(LEVELS),
-            colors="white",
-            linewidths=(0.7, 1, 1.6),
+            periods, depths, np.log10(error), np.log10(LEVELS), colors="white", linewidths=(0.7, 1, 1.6),
             linestyles="solid",
-        )
+        )  # fmt: skip
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
         # Depth at which the bound, which grows with the depth, reaches its limit.
         limit = [

@@ -43,18 +43,9 @@ def test_render_of_files(tmp_path, fuze_path):
     np.save(heights, 0.1 * np.sin(2.0 * np.pi * np.arange(32) / 32)[None, :] * np.ones((32, 1)))
     target = tmp_path / "fuze.png"
     arguments = [
-        "render",
-        str(fuze_path),
-        "--heightfield",
-        str(heights),
-        "--pitch-um",
-        "0.05",
-        *SMALL,
-        "--width",
-        "20",
-        "--height",
-        "30",
-    ]
+        "render", str(fuze_path), "--heightfield", str(heights), "--pitch-um", "0.05", *SMALL, "--width", "20",
+        "--height", "30",
+    ]  # fmt: skip
     more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--no-smooth"]
     assert cli.main([*arguments, *more, "-o", str(target)]) == 0
     pixels = oiio.ImageBuf(str(target)).get_pixels(oiio.FLOAT)
@@ -71,20 +62,8 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     size = {"width": 16, "height": 12}
     short = ["--tolerance", "0.5", "--sigma-um", "1"]
     command = [
-        "render",
-        "disc",
-        "--heightfield",
-        "blazed",
-        *short,
-        "--width",
-        "16",
-        "--height",
-        "12",
-        "--eye",
-        "0",
-        "1",
-        "3",
-    ]
+        "render", "disc", "--heightfield", "blazed", *short, "--width", "16", "--height", "12", "--eye", "0", "1", "3",
+    ]  # fmt: skip
     command += ["--target", "0", "0", "0", "--light", "point:position=1x2x1,power=3", "--no-refine"]
     command += ["--environment", str(tmp_path / "sky.exr"), "--environment-rotation-deg", "40"]
     command += ["--environment-scale", "2", "--environment-directions", "16"]
@@ -124,14 +103,9 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
 def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
     folder, film = tmp_path / "turn", tmp_path / "turn.webp"
     command = [
-        "sequence",
-        "disc:segments=16,rings=1",
-        "--heightfield",
-        "blazed:period_um=2.5,depth_um=0.2",
-        *SMALL,
-        "--width",
+        "sequence", "disc:segments=16,rings=1", "--heightfield", "blazed:period_um=2.5,depth_um=0.2", *SMALL, "--width",
         "24",
-    ]
+    ]  # fmt: skip
     command += ["--height", "16", "--count", "3", "-o", str(folder)]
     assert cli.main([*command, "--animation", str(film)]) == 0
     frames = {path: path.read_bytes() for path in folder.glob("frame_*.png")}
@@ -205,16 +179,8 @@ def test_info_describes_each_grating(name, monkeypatch, capsys):
 
 def test_info_of_the_scan(scan_path, capsys):
     arguments = [
-        "info",
-        "--heightfield",
-        str(scan_path),
-        "--extent-um",
-        "65",
-        "--height-range-um",
-        "0.375",
-        "--crop-um",
-        "20",
-    ]
+        "info", "--heightfield", str(scan_path), "--extent-um", "65", "--height-range-um", "0.375", "--crop-um", "20",
+    ]  # fmt: skip
     assert cli.main([*arguments, "--level", "2", "--despike", "--periodic"]) == 0
     assert "410 × 410 samples" in capsys.readouterr().out
 
@@ -476,11 +442,7 @@ def test_demo_with_the_data(name, crop_um, fuze_path, scan_path, monkeypatch):
 def test_the_module_runs(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "warpdiff", "brdf", "--heightfield", "blazed", *SMALL, "--size", "4", "-o", "map.exr"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PYTHONIOENCODING": "utf-8"},
-    )
+        cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONIOENCODING": "utf-8"},
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith("map.exr\n")

@@ -32,11 +32,9 @@ REGIMES = {
     "blazed": (lambda: gratings.blazed(2.0, 0.3), 16.25, 0.53, (400, 3000)),
     "blazed, coarse across": (lambda: HeightField(np.linspace(0.0, 0.3, 25)[None], (0.7, 0.08)), 16.25, 12.0, (3, 5)),
     "flat": (lambda: HeightField(np.zeros((6, 5)), 0.09), 16.25, 0.53, (30, 20)),
-    "fingers": (fingers, 16.25, 0.53, (20, 30)),
-    "fingers, short window": (fingers, 1.5, 5.0, (2, 1)),
-    "rough": (rough, 16.25, 0.53, (7, 5)),
-    "rough, short window": (rough, 0.8, 20.0, (1, 1)),
-}
+    "fingers": (fingers, 16.25, 0.53, (20, 30)), "fingers, short window": (fingers, 1.5, 5.0, (2, 1)),
+    "rough": (rough, 16.25, 0.53, (7, 5)), "rough, short window": (rough, 0.8, 20.0, (1, 1)),
+}  # fmt: skip
 KINDS = ["averaged", "centred", "source", "replicas"]
 
 

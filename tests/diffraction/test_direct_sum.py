@@ -65,14 +65,11 @@ def test_centred_is_one_window(small, rng, centre):
 
 
 FORMS = {
-    "averaged": wd.Coherence("averaged"),
-    "centred": wd.Coherence("centred"),
-    "sun": wd.Coherence("source", angular_diameter_deg=0.53),
-    "lamp": wd.Coherence("source", angular_diameter_deg=3.0),
-    "one-copy": wd.Coherence("replicas", periods=(1, 1)),
-    "12-copies": wd.Coherence("replicas", periods=(3, 4)),
+    "averaged": wd.Coherence("averaged"), "centred": wd.Coherence("centred"),
+    "sun": wd.Coherence("source", angular_diameter_deg=0.53), "lamp": wd.Coherence("source", angular_diameter_deg=3.0),
+    "one-copy": wd.Coherence("replicas", periods=(1, 1)), "12-copies": wd.Coherence("replicas", periods=(3, 4)),
     "200-copies": wd.Coherence("replicas", periods=(1, 200)),
-}
+}  # fmt: skip
 METHODS = ("low-rank", "power", "jacobi-anger", "taylor")
 # Powers are a basis only where powers add.
 PAIRS = [

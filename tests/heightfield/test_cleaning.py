@@ -121,16 +121,12 @@ def test_the_periodic_part_solves_moisans_equation() -> None:
 
 
 CLEAN = {
-    "sine": lambda: gratings.sinusoidal(1.6, 0.2),
-    "lamellar": lambda: gratings.lamellar(1.6, 0.2),
-    "narrow ridges": lambda: gratings.lamellar(1.6, 0.2, duty=0.1),
-    "blaze": lambda: gratings.blazed(2.0, 0.3),
-    "bumps": gratings.bumps,
-    "disc": lambda: gratings.disc(tracks=6, length_um=15.0),
-    "fingers": lambda: gratings.fingers(size_um=12.0),
-    "flat": lambda: HeightField(np.full((30, 30), 0.37), 0.05),
+    "sine": lambda: gratings.sinusoidal(1.6, 0.2), "lamellar": lambda: gratings.lamellar(1.6, 0.2),
+    "narrow ridges": lambda: gratings.lamellar(1.6, 0.2, duty=0.1), "blaze": lambda: gratings.blazed(2.0, 0.3),
+    "bumps": gratings.bumps, "disc": lambda: gratings.disc(tracks=6, length_um=15.0),
+    "fingers": lambda: gratings.fingers(size_um=12.0), "flat": lambda: HeightField(np.full((30, 30), 0.37), 0.05),
     "one sample": lambda: HeightField([[1.0]], 0.05),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CLEAN)

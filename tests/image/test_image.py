@@ -125,13 +125,9 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_what_fits_aces(plan, 
     def exposure():
         xyz = np.repeat(luminance[..., None], 3, axis=2).astype(np.float32)
         image = wd.Image(
-            xyz=xyz,
-            mask=mask,
-            illuminated=mask & ~dark,
-            coverage=mask.astype(np.float32),
-            error=0.0 * luminance,
+            xyz=xyz, mask=mask, illuminated=mask & ~dark, coverage=mask.astype(np.float32), error=0.0 * luminance,
             plan=plan,
-        )
+        )  # fmt: skip
         return image.auto_exposure
 
     illuminated = luminance[mask & ~dark]
@@ -151,13 +147,9 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_what_fits_aces(plan, 
 def test_a_black_picture_is_saved_as_one(plan, tmp_path):
     nothing = np.zeros((2, 3), np.float32)
     image = wd.Image(
-        xyz=np.zeros((2, 3, 3), np.float32),
-        mask=nothing > 0.0,
-        illuminated=nothing > 0.0,
-        coverage=nothing,
-        error=nothing,
-        plan=plan,
-    )
+        xyz=np.zeros((2, 3, 3), np.float32), mask=nothing > 0.0, illuminated=nothing > 0.0, coverage=nothing,
+        error=nothing, plan=plan,
+    )  # fmt: skip
     assert image.auto_exposure == 1.0
     for name in ("a.png", "a.exr"):
         assert not read(image.save(tmp_path / name))[1].any()

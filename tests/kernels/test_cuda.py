@@ -38,48 +38,27 @@ KERNELS = {
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
     "light_samples": {
-        "balance_energy",
-        "pixel_footprints",
-        "scattering_vectors",
-        "select_material",
-        "add_light_rotation",
+        "balance_energy", "pixel_footprints", "scattering_vectors", "select_material", "add_light_rotation",
         "add_light_extent",
     },
     "sky_sum": {"add_sky", "mirror_directions"},
     "subdivision": {
-        "accumulate",
-        "any_occluded",
-        "add_occluded_power",
-        "add_penumbra_error",
-        "select_cells",
-        "resolve_pixels",
-        "estimate_errors",
-        "splat_cells",
+        "accumulate", "any_occluded", "add_occluded_power", "add_penumbra_error", "select_cells", "resolve_pixels",
+        "estimate_errors", "splat_cells",
     },
     "coefficient_sum": {"integrate", "sample"},
     "tile_lists": {
-        "count_marks",
-        "luminance_floor",
-        "advance_batch",
-        "running_max",
-        "compact_marks",
-        "dilate_marks",
-        "mark_interior",
-        "copy_batch",
-        "luminance_histogram",
+        "count_marks", "luminance_floor", "advance_batch", "running_max", "compact_marks", "dilate_marks",
+        "mark_interior", "copy_batch", "luminance_histogram",
     },
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
-}
+}  # fmt: skip
 # Rows of powers or of amplitudes, as each form has them.
 FORMS = [
-    (8, "averaged", True),
-    slow(24, "averaged", False),
-    slow(24, "centred", False),
-    slow(8, "source", True),
-    slow(24, "source", False),
-    slow(24, "replicas", False),
-]
+    (8, "averaged", True), slow(24, "averaged", False), slow(24, "centred", False), slow(8, "source", True),
+    slow(24, "source", False), slow(24, "replicas", False),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -44,14 +44,9 @@ def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
     build = compile_options.options("footprint_lookup.h", "point_lookup.h")["extra_build_options"]
     names = [path.name for path in build.extra_build_dependencies]
     assert sorted(names) == [
-        "colour_of_w.h",
-        "fast_math.h",
-        "footprint_lookup.h",
-        "point_lookup.h",
-        "quadratic_spline.h",
-        "ring_sum.h",
+        "colour_of_w.h", "fast_math.h", "footprint_lookup.h", "point_lookup.h", "quadratic_spline.h", "ring_sum.h",
         "simd.h",
-    ]
+    ]  # fmt: skip
 
 
 def test_a_native_function_in_python_is_one_call_of_a_header():

@@ -38,11 +38,9 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     if covers:
         neighbour_extent = primary_hits.MOST_OFFSET if samples > 1 else 0.0
         find = (
-            primary_hits.rasterize,
-            scene.face_count,
-            [axes, scene.bare, sampling, Cells(), neighbour_extent],
+            primary_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), neighbour_extent],
             [pixels.nearest],
-        )
+        )  # fmt: skip
     launches = [
         (primary_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
         find,
@@ -139,14 +137,10 @@ def test_rays_and_frames_equal_brute_force(make, covers, smooth, request):
     hit &= grazing > 0.02
     np.testing.assert_allclose(got["base_colour"][hit], bary[hit], atol=2e-4)
     frame = shading_frame(
-        face[hit],
-        bary[hit],
-        directions[hit],
-        vertices,
-        surface.faces,
+        face[hit], bary[hit], directions[hit], vertices, surface.faces,
         **{name: getattr(surface, name).astype(np.float64) for name in ("normals", "tangents", "handedness")},
         smooth=smooth,
-    )
+    )  # fmt: skip
     for name, expected in zip(("tangent", "bitangent", "normal"), frame, strict=True):
         error = np.linalg.norm(got[name][hit] - expected, axis=1)
         assert np.median(error) < 1e-6, name

@@ -62,11 +62,9 @@ def bodies():
 MESHES = {
     "tube": lambda: meshes.tube(segments_along=40, segments_around=24),
     "snake": lambda: meshes.snake(scale_rows=9, ventrals=20, segments=2),
-    "sphere": lambda: trimesh.creation.icosphere(subdivisions=3),
-    "large and tiny faces": box_on_floor,
-    "plates": plates,
-    "bodies": bodies,
-}
+    "sphere": lambda: trimesh.creation.icosphere(subdivisions=3), "large and tiny faces": box_on_floor,
+    "plates": plates, "bodies": bodies,
+}  # fmt: skip
 
 
 def points_on(surface, light, count, rng):
@@ -89,14 +87,9 @@ def occluded(grid, light, origins, threads=1):
     result = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
     launch(
-        trace_shadow_rays,
-        len(origins),
-        [grid, places, 0, pixels],
-        [result],
-        device=device,
-        threads=threads,
+        trace_shadow_rays, len(origins), [grid, places, 0, pixels], [result], device=device, threads=threads,
         in_runs=True,
-    )
+    )  # fmt: skip
     return result.numpy()
 
 

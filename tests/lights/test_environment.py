@@ -112,13 +112,9 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
     per_luminance = (products[:, 1] / (nm * 1e-3) ** 2).sum() / products[:, 1].sum()
     rho = wd.reflectance(
-        heightfield,
-        lights,
-        np.array(view.eye) / np.linalg.norm(view.eye),
-        illuminant=spectrum,
-        coherence=window,
+        heightfield, lights, np.array(view.eye) / np.linalg.norm(view.eye), illuminant=spectrum, coherence=window,
         ior=math.inf,
-    )
+    )  # fmt: skip
     radiance = 1.0 + 0.8 * lights[:, 1] + 0.5 * np.sin(3.0 * lights[:, 0] + 1.0)
     exact = step**2 * 4.0 * math.pi * 4.0**2 * per_luminance * (radiance / lights[:, 2]) @ rho
     assert found == pytest.approx(exact, rel=within)
@@ -144,14 +140,9 @@ def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
         [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=-1
     ).reshape(-1, 3)
     rho = wd.reflectance(
-        heightfield,
-        along,
-        np.array(view.eye) / 4.0,
-        illuminant=spectrum,
-        coherence=window,
-        ior=math.inf,
+        heightfield, along, np.array(view.eye) / 4.0, illuminant=spectrum, coherence=window, ior=math.inf,
         tolerance=3e-2,
-    )
+    )  # fmt: skip
     exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
     sky = wd.Environment(radiance, rotation_deg=150.0, directions=256)
     found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]

@@ -114,14 +114,11 @@ def test_a_file_says_where_it_is_from(tmp_path):
 
 
 BAD_FILES = {
-    "": "there is no index of refraction n in it",
-    "wl,n\n": "there is no index of refraction n in it",
-    "wl,q\n1,2\n": "columns must be a wavelength, n and k",
-    "wl,k\n0.3,1\n": "there is no index of refraction n",
-    "0.3,nan\n": "must be finite",
-    "0.3,-1\n0.8,-1\n": "n must lie within",
+    "": "there is no index of refraction n in it", "wl,n\n": "there is no index of refraction n in it",
+    "wl,q\n1,2\n": "columns must be a wavelength, n and k", "wl,k\n0.3,1\n": "there is no index of refraction n",
+    "0.3,nan\n": "must be finite", "0.3,-1\n0.8,-1\n": "n must lie within",
     "3e-5,1\n": "wavelengths_nm must lie within 100",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", BAD_FILES)

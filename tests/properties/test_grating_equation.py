@@ -12,14 +12,11 @@ import warpdiff as wd
 
 # Each grating with its period along x [µm].
 GRATINGS = {
-    "sinusoidal": (wd.gratings.sinusoidal(2.0, 0.3), 2.0),
-    "lamellar": (wd.gratings.lamellar(1.2, 0.15), 1.2),
-    "blazed": (wd.gratings.blazed(2.5, 0.25), 2.5),
-    "CD": (wd.gratings.disc("CD"), 1.6),
-    "DVD": (wd.gratings.disc("DVD"), 0.74),
-    "Blu-ray": (wd.gratings.disc("Blu-ray"), 0.32),
+    "sinusoidal": (wd.gratings.sinusoidal(2.0, 0.3), 2.0), "lamellar": (wd.gratings.lamellar(1.2, 0.15), 1.2),
+    "blazed": (wd.gratings.blazed(2.5, 0.25), 2.5), "CD": (wd.gratings.disc("CD"), 1.6),
+    "DVD": (wd.gratings.disc("DVD"), 0.74), "Blu-ray": (wd.gratings.disc("Blu-ray"), 0.32),
     "bumps": (wd.gratings.bumps(), None),
-}
+}  # fmt: skip
 INCIDENCES_DEG = (0.0, 20.0, 45.0, 60.0, 75.0)
 WAVELENGTHS_UM = (0.40, 0.50, 0.60, 0.70)
 

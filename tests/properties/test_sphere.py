@@ -12,15 +12,11 @@ import warpdiff as wd
 from bench.truth.numpy_methods import best_effort
 
 COHERENCES = {
-    "averaged": wd.Coherence(),
-    "averaged, short": wd.Coherence(sigma_um=0.3),
-    "averaged, long": wd.Coherence(sigma_um=1000.0),
-    "centred": wd.Coherence("centred", 2.0),
-    "source": wd.Coherence("source"),
-    "source, wide": wd.Coherence("source", angular_diameter_deg=30.0),
-    "one copy": wd.Coherence("replicas", periods=(1, 1)),
-    "periods": wd.Coherence("replicas", periods=(3, 5000)),
-}
+    "averaged": wd.Coherence(), "averaged, short": wd.Coherence(sigma_um=0.3),
+    "averaged, long": wd.Coherence(sigma_um=1000.0), "centred": wd.Coherence("centred", 2.0),
+    "source": wd.Coherence("source"), "source, wide": wd.Coherence("source", angular_diameter_deg=30.0),
+    "one copy": wd.Coherence("replicas", periods=(1, 1)), "periods": wd.Coherence("replicas", periods=(3, 5000)),
+}  # fmt: skip
 METHODS = ("auto", "low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred")
 CASES = [
     (name, method)

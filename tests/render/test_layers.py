@@ -35,12 +35,9 @@ def box(*, size=1.0, normals=True):
     # Each face's own plane: u and v are the two axes across its normal.
     uvs = np.array([v[np.abs(n) < 0.5] for v, n in zip(vertices, facets, strict=True)])
     return trimesh.Trimesh(
-        vertices,
-        np.arange(len(corners)).reshape(-1, 3),
-        vertex_normals=facets if normals else None,
-        visual=TextureVisuals(uv=uvs),
-        process=False,
-    )
+        vertices, np.arange(len(corners)).reshape(-1, 3), vertex_normals=facets if normals else None,
+        visual=TextureVisuals(uv=uvs), process=False,
+    )  # fmt: skip
 
 
 def ball():

@@ -331,15 +331,10 @@ def test_errors_are_estimated_by_those_beside(size, slices, rng):
     unevenness = kernels.Unevenness()
     unevenness.scattering_vectors = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
     given = [
-        wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
-        unevenness,
-        wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
-        size[1],
-        wp.array([0.8], dtype=wp.float32, device="cpu"),
-        0.3,
-        False,
-        True,
-    ]
+        wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"), unevenness,
+        wp.array(hit.ravel(), dtype=wp.int32, device="cpu"), size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
+        0.3, False, True,
+    ]  # fmt: skip
     found = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
@@ -382,13 +377,11 @@ def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table
     """Bars of a third of a pixel's width, one in 5.3 pixels."""
     bars = [
         trimesh.Trimesh(
-            [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)],
-            [(0, 1, 2), (0, 2, 3)],
-            visual=TextureVisuals(uv=[(0, 0), (1, 0), (1, 1), (0, 1)]),
-            process=False,
+            [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)], [(0, 1, 2), (0, 2, 3)],
+            visual=TextureVisuals(uv=[(0, 0), (1, 0), (1, 1), (0, 1)]), process=False,
         )
         for x in np.arange(-9.0, 9.0, 5.3) + 0.05
-    ]
+    ]  # fmt: skip
     camera = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=18.0, width=24, height=18)
     mesh = trimesh.util.concatenate(bars)
     options = {"plan": table, "refine": False}

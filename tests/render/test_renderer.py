@@ -74,15 +74,11 @@ def plans(fingers):
 
 
 CASES = {
-    "footprints": ("footprints", 1, {}),
-    "footprints and two lights": ("footprints", 2, {}),
-    "four rays with footprints": ("footprints", 1, {"samples_per_pixel": 4}),
-    "points": ("points", 2, {}),
-    "four rays": ("points", 1, {"samples_per_pixel": 4}),
-    "sampled": ("sampled", 1, {}),
-    "source": ("source", 1, {}),
+    "footprints": ("footprints", 1, {}), "footprints and two lights": ("footprints", 2, {}),
+    "four rays with footprints": ("footprints", 1, {"samples_per_pixel": 4}), "points": ("points", 2, {}),
+    "four rays": ("points", 1, {"samples_per_pixel": 4}), "sampled": ("sampled", 1, {}), "source": ("source", 1, {}),
     "no shadows": ("footprints", 1, {"shadows": False}),
-}
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -320,12 +316,9 @@ def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
     tallies = wp.zeros(tile_lists.GROUPS * (1 + tile_lists.BINS), dtype=wp.int32, device="cpu")
     floor = wp.empty(1, dtype=wp.float32, device="cpu")
     wp.launch(
-        tile_lists.luminance_histogram,
-        dim=1,
-        inputs=[colours, flags, 0, len(illuminated)],
-        outputs=[tallies],
+        tile_lists.luminance_histogram, dim=1, inputs=[colours, flags, 0, len(illuminated)], outputs=[tallies],
         device="cpu",
-    )
+    )  # fmt: skip
     wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
     # As many are brighter as a hundredth of them, rounded down.

@@ -332,9 +332,7 @@ def test_a_coarse_pitch_is_said_to_alias(rough):
     coarse = wd.gratings.sinusoidal(6.4, 0.1).resampled(0.2)
     with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
         wd.plan(coarse, method="direct")
-    with pytest.warns(
-        wd.WarpdiffWarning, match=r"directions reach 1\.5: higher orders alias onto lower ones"
-    ):
+    with pytest.warns(wd.WarpdiffWarning, match=r"directions reach 1\.5: higher orders alias onto lower ones"):
         wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
         wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))

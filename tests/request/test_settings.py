@@ -205,14 +205,12 @@ def test_warnings_name_the_line_of_the_caller():
     calls = [
         lambda: wd.reflectance(coarse, *steep, **window),
         lambda: wd.spectral_reflectance(coarse, *steep, [400.0], **window),
-        lambda: wd.brdf(coarse, *steep, [400.0], **window),
-        lambda: wd.reflectance_map(coarse, UP, size=8, **window),
-        lambda: wd.plan(coarse, **window),
-        lambda: wd.order_efficiencies(coarse, UP, 400.0),
+        lambda: wd.brdf(coarse, *steep, [400.0], **window), lambda: wd.reflectance_map(coarse, UP, size=8, **window),
+        lambda: wd.plan(coarse, **window), lambda: wd.order_efficiencies(coarse, UP, 400.0),
         lambda: wd.Renderer(disc, coarse, light, view, **window),
         lambda: wd.shade(disc, coarse, light, wd.View((0, -2.9, 0.4), (0, 0, 0), width=6, height=4), **window),
         lambda: wd.HeightField(1e3 * coarse.heights_um, 0.4),
-    ]
+    ]  # fmt: skip
     for number, call in enumerate(calls):
         files = warned(call)
         assert files, number

@@ -23,13 +23,9 @@ MESH = wd.meshes.disc(segments=8, rings=1)
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
-    xyz=np.ones((3, 4, 3), np.float32),
-    mask=np.ones((3, 4), bool),
-    illuminated=np.ones((3, 4), bool),
-    coverage=np.ones((3, 4), np.float32),
-    error=np.zeros((3, 4), np.float32),
-    plan=PLAN,
-)
+    xyz=np.ones((3, 4, 3), np.float32), mask=np.ones((3, 4), bool), illuminated=np.ones((3, 4), bool),
+    coverage=np.ones((3, 4), np.float32), error=np.zeros((3, 4), np.float32), plan=PLAN,
+)  # fmt: skip
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -64,9 +60,7 @@ SHARED = [
     ("method", None, ValueError, "method must be one of 'auto'.* got None"),
     ("method", ["taylor"], ValueError, r"method must be one of 'auto'.* got \['taylor'\]"),
     (
-        "integration",
-        "order-wise",
-        ValueError,
+        "integration", "order-wise", ValueError,
         "integration must be one of 'auto', 'sampled', 'table', got 'order-wise'",
     ),
     ("coherence", "averaged", TypeError, r"coherence must be a warpdiff\.Coherence, got str"),
@@ -96,9 +90,7 @@ SHARED = [
     ("progress", "bar", TypeError, "progress must be True, a callable or None, got str"),
     ("illuminant", "D66", ValueError, "illuminant must be one of .*D65.* got 'D66'"),
     (
-        "illuminant",
-        6500,
-        TypeError,
+        "illuminant", 6500, TypeError,
         "illuminant must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got int",
     ),
     ("illuminant", "ISO 7589 Photographic Daylight", ValueError, "illuminant must cover 380 to 780 nm"),
@@ -122,7 +114,7 @@ SHARED = [
     ("layers", "normal", TypeError, "layers must be a tuple or list of 'normal', 'depth', 'geometry', got 'normal'"),
     ("layers", None, TypeError, "layers must be a tuple or list of"),
     ("layers", ["albedo"], ValueError, "layers must be one of 'normal', 'depth', 'geometry', got 'albedo'"),
-]
+]  # fmt: skip
 
 # Everything else; each call is given an empty folder.
 SINGLE = [
@@ -506,9 +498,7 @@ SAVES = [
     ("old.png", {"exposure": "auto"}, TypeError, "exposure must be a number, got str"),
     ("old.png", {"exposure": True}, TypeError, "exposure must be a number, got bool"),
     (
-        "old.png",
-        {"exposure_stops": 1e9},
-        ValueError,
+        "old.png", {"exposure_stops": 1e9}, ValueError,
         "exposure_stops must be a finite number, at least -30 and at most 30",
     ),
     ("old.png", {"exposure_from": 2.0}, TypeError, "exposure_from must be a warpdiff.Image, got float"),
@@ -521,7 +511,7 @@ SAVES = [
     ("old.png", {"bits": 12}, ValueError, "bits must be 8 or 16, got 12"),
     ("old.png", {"bits": "8"}, TypeError, "bits must be an integer, got str"),
     ("old.png", {"bits": True}, TypeError, "bits must be an integer, got bool"),
-]
+]  # fmt: skip
 
 
 def shade(mesh=MESH, light=LIGHT, view=VIEW, **options):

@@ -68,9 +68,7 @@ def test_processes_that_begin_at_once_draw_the_same(tries, tmp_path):
     folders = {"WARP_CACHE_PATH": str(tmp_path / "kernels"), "WARPDIFF_CACHE_DIR": str(tmp_path / "kept")}
     tries.number = 8
     running = [
-        subprocess.Popen(
-            [sys.executable, "-c", PICTURE], cwd=FOLDER, env=os.environ | folders, stdout=subprocess.PIPE
-        )
+        subprocess.Popen([sys.executable, "-c", PICTURE], cwd=FOLDER, env=os.environ | folders, stdout=subprocess.PIPE)
         for _ in range(8)
     ]
     found = {process.communicate(timeout=300)[0].decode().splitlines()[-1] for process in running}

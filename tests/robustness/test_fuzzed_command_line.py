@@ -20,12 +20,10 @@ SMALL = ["--heightfield", "blazed", "--tolerance", "0.1", "--sigma-um", "3"]
 FRAME = ["disc.ply", *SMALL, "--width", "4", "--height", "3"]
 # Arguments that make each command quick.
 COMMANDS = {
-    "render": [*FRAME, "-o", "a.png"],
-    "brdf": [*SMALL, "--size", "4", "-o", "a.png"],
-    "sequence": [*FRAME, "--count", "2", "-o", "frames"],
-    "info": ["--heightfield", "blazed", "--tolerance", "0.1"],
+    "render": [*FRAME, "-o", "a.png"], "brdf": [*SMALL, "--size", "4", "-o", "a.png"],
+    "sequence": [*FRAME, "--count", "2", "-o", "frames"], "info": ["--heightfield", "blazed", "--tolerance", "0.1"],
     "cache": [],
-}
+}  # fmt: skip
 VALUES = [
     *("", "x", "nan", "inf", "-inf", "-1", "0", "-0", "1e300", "1e-300", "5e-324", "9" * 400, "1e15", "1e-15", "0x10"),
     *("1,5", "٣", "½", "\udcff", "--", "-", "1", "3", "1000000000", "0.1", "sinusoidal", "a.npy", "gaps.npy", "no.png"),

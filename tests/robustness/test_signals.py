@@ -34,13 +34,10 @@ def begun(arguments, folder):
     names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "kept", "TMPDIR": "temporary"}
     (folder / "temporary").mkdir()
     return subprocess.Popen(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=os.environ | {name: str(folder / value) for name, value in names.items()},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+        [sys.executable, *arguments], cwd=folder,
+        env=os.environ | {name: str(folder / value) for name, value in names.items()}, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
 def left_behind(folder):

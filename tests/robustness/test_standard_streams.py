@@ -19,12 +19,10 @@ def in_shell(command, folder, **environment):
     """Run a shell's command, ``$W`` standing for the command line; its exit code, output and errors."""
     names = {key: value for key, value in os.environ.items() if key not in ("PYTHONUNBUFFERED", "PYTHONIOENCODING")}
     ran = subprocess.run(
-        ["/bin/sh", "-c", command.replace("$W", '"$PYTHON" -m warpdiff')],
-        cwd=folder,
-        env=names | {"PYTHON": sys.executable, "WARPDIFF_CACHE_DIR": ""} | environment,
-        capture_output=True,
+        ["/bin/sh", "-c", command.replace("$W", '"$PYTHON" -m warpdiff')], cwd=folder,
+        env=names | {"PYTHON": sys.executable, "WARPDIFF_CACHE_DIR": ""} | environment, capture_output=True,
         check=False,
-    )
+    )  # fmt: skip
     assert b"Traceback" not in ran.stderr
     assert b"Exception ignored" not in ran.stderr
     return ran.returncode, ran.stdout.decode(), ran.stderr.decode(errors="surrogateescape")

@@ -42,10 +42,8 @@ def test_blaze_rises_with_x() -> None:
 
 
 DISC_TRUTH = {
-    "CD": (1.6, 0.126, 0.278, 3, 11),
-    "DVD": (0.74, 0.105, 0.1333, 3, 11),
-    "Blu-ray": (0.32, 0.063, 0.0745, 2, 8),
-}
+    "CD": (1.6, 0.126, 0.278, 3, 11), "DVD": (0.74, 0.105, 0.1333, 3, 11), "Blu-ray": (0.32, 0.063, 0.0745, 2, 8),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", DISC_TRUTH)

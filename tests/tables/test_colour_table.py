@@ -215,10 +215,8 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     scattering_vectors = np.column_stack([uv, rng.uniform(-1.9, -1.0, 400)])
     xyz = wp.zeros(400, dtype=wp.vec3f, device="cpu")
     arrays = [
-        wp.array(scattering_vectors, dtype=wp.vec3d),
-        wp.empty(400, dtype=wp.vec3f),
-        wp.ones(400, dtype=wp.float32),
-    ]
+        wp.array(scattering_vectors, dtype=wp.vec3d), wp.empty(400, dtype=wp.vec3f), wp.ones(400, dtype=wp.float32),
+    ]  # fmt: skip
     ColourLookup(fingers, plan, plan.direction_range, **options).accumulate(*arrays, IlluminatedMaterial("D65"), xyz)
 
     turns = (angles / (2.0 * np.pi)) % 1.0

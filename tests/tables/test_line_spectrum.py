@@ -122,12 +122,9 @@ def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
             spectral += powers[:, order] * np.exp(-0.5 * exponent)
         exact.append(spectral @ products)
     gains = reflectance_factors.gain(
-        np.tile(to_light, (17, 1)),
-        views,
-        normal=reflectance_factors.normal_reflectance(1.5),
-        masking=True,
+        np.tile(to_light, (17, 1)), views, normal=reflectance_factors.normal_reflectance(1.5), masking=True,
         per_light_cosine=True,
-    )
+    )  # fmt: skip
     exact = gains[:, None] * np.array(exact)
     plan = wd.plan(sine, coherence=source, method="low-rank", strict=False)
     tabled = dataclasses.replace(plan, rings_per_octave=64, azimuths_per_width=4.0)

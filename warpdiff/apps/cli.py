@@ -354,11 +354,8 @@ def _words() -> dict[str, str]:
     words |= {"mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film"}
     words |= {"lights": "--light", "light": "--light", "to_light": "--light", "illuminant": "--illuminant"}
     return words | {
-        "coherence": "--coherence",
-        "view": "--width and --height",
-        "size_um": "--crop-um",
-        "order": "--level",
-    }
+        "coherence": "--coherence", "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
+    }  # fmt: skip
 
 
 def _progress() -> bool:

@@ -79,14 +79,9 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     def snake(heightfield: HeightField, view: View, tangent: Tangent = "around") -> Callable[[Progress], Image]:
         # A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
         return lambda progress: shade(
-            meshes.snake(tangent=tangent),
-            heightfield,
-            snake_lights,
-            view,
-            tolerance=3e-2,
-            pigment=0.05,
+            meshes.snake(tangent=tangent), heightfield, snake_lights, view, tolerance=3e-2, pigment=0.05,
             progress=progress,
-        )
+        )  # fmt: skip
 
     def discs(progress: Progress) -> Image:
         scene = trimesh.Scene()
@@ -125,19 +120,15 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
         scan = cleaned_scan(data / SCAN)
         result += [
             DemoPicture(
-                "snake_elaphe",
-                "the scan of Elaphe guttata on the snake, its fingers along the body",
-                snake(scan, half_snake),
-                1.0,
+                "snake_elaphe", "the scan of Elaphe guttata on the snake, its fingers along the body",
+                snake(scan, half_snake), 1.0,
             ),
             DemoPicture(
-                "snake_elaphe_across",
-                "the same with its fingers across the body",
-                snake(scan, half_snake, "along"),
+                "snake_elaphe_across", "the same with its fingers across the body", snake(scan, half_snake, "along"),
                 0.4,
             ),
             DemoPicture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), -1.3),
-        ]
+        ]  # fmt: skip
         if (data / MESH).is_file():
             result.append(
                 DemoPicture(
@@ -148,11 +139,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
                         scan,
                         [DirectionalLight((1.0, 1.0, 0.8)), DirectionalLight((0.2, 1.0, 0.3))],
                         View(
-                            (0.2, 0.42, 0.2),
-                            (0.0, 0.0, 0.11),
-                            up=(0, 0, 1),
-                            fov_y_deg=27.0,
-                            width=pixels(360),
+                            (0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=pixels(360),
                             height=pixels(480),
                         ),
                         pigment=0.25,
@@ -161,7 +148,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
                     ),
                     -1.3,
                 )
-            )
+            )  # fmt: skip
     return result
 
 

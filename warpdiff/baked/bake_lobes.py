@@ -140,13 +140,9 @@ class _Bakery:
                 f"{plan.wavelengths:,} wavelengths, about {seconds:,.0f} s on one core in all"
             )
         self._lookup = ColourLookup(
-            evaluation.heightfield,
-            plan,
-            direction_range,
-            zeroth_order=False,
-            device=evaluation.device,
+            evaluation.heightfield, plan, direction_range, zeroth_order=False, device=evaluation.device,
             threads=evaluation.threads,
-        )
+        )  # fmt: skip
         self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
         # As many nodes of |w| as a power of the shortest wavelength oscillates over them.
         phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um

@@ -96,12 +96,10 @@ class BakedLobes:
             if np.ndim(getattr(self, name)) == 0 or len(getattr(self, name)) < 2:
                 raise ArgumentValueError(f"{ref(name)} must have at least two entries")
         table_files.check(
-            self,
-            functions=(np.float32, (len(self.functions), count)),
-            exponents=(np.uint8, (nodes, 3)),
+            self, functions=(np.float32, (len(self.functions), count)), exponents=(np.uint8, (nodes, 3)),
             mantissas=(np.int16 if self.mantissas.dtype == np.int16 else np.int8, (nodes, 3, count)),
             zeroth=(np.float32, (len(self.zeroth),)),
-        )
+        )  # fmt: skip
         if self.reflectances is not None:
             table_files.check(self, reflectances=(np.float32, np.shape(self.reflectances)))
             if self.reflectances.ndim != 2 or min(self.reflectances.shape) < 2:

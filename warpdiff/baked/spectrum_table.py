@@ -58,11 +58,9 @@ class BakedSpectrum:
             raise ArgumentValueError(f"{ref('powers')} must have 2 to {_MOST_SIZE} cells along a side, got {size}")
         entries = np.shape(self.zeroth)[0] if np.ndim(self.zeroth) else 0
         table_files.check(
-            self,
-            powers=(np.float32, (size, size, count)),
-            functions=(np.float32, (entries, count)),
+            self, powers=(np.float32, (size, size, count)), functions=(np.float32, (entries, count)),
             zeroth=(np.float32, (entries,)),
-        )
+        )  # fmt: skip
 
     @property
     def coherence(self) -> Coherence:

@@ -23,12 +23,9 @@ class _Bar:
             from tqdm import tqdm
 
         self._bar: Any = tqdm(
-            total=1.0,
-            desc=name,
-            delay=_DELAY_S,
-            leave=False,
+            total=1.0, desc=name, delay=_DELAY_S, leave=False,
             bar_format="{desc}  {bar}  {percentage:3.0f} %  {remaining}",
-        )
+        )  # fmt: skip
 
     def __call__(self, share: float) -> None:
         self._bar.update(share - self._bar.n)

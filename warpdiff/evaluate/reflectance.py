@@ -254,13 +254,9 @@ class _Call:
         if energy is not None:
             self._gains[illuminated] *= energy.between(self._lights[illuminated], self._views[illuminated])
         self._scope = DirectionRange.of(
-            request.heightfield,
-            request.coherence,
-            self._scattering_vectors,
-            self._lights,
-            illuminated,
+            request.heightfield, request.coherence, self._scattering_vectors, self._lights, illuminated,
             request.wavelengths_nm,
-        )
+        )  # fmt: skip
         if request.plan is None:
             sample = DirectionSample.among(self._scattering_vectors, self._lights, self._gains)
             self.plan = plan_for(request, self._scope, sample, float(np.count_nonzero(illuminated)))
@@ -305,14 +301,9 @@ class _Call:
         heightfield, (illuminated,) = self._request.heightfield, self._request.illuminated
         if self.plan.method == "direct":
             return direct_colour(
-                heightfield,
-                self._scattering_vectors,
-                self._lights,
-                self._gains,
-                self.plan,
-                illuminated,
+                heightfield, self._scattering_vectors, self._lights, self._gains, self.plan, illuminated,
                 progress=progress,
-            )
+            )  # fmt: skip
         lookup = ColourLookup(heightfield, self.plan, self._scope, **self._where)
         xyz = wp.zeros(len(self._lights), dtype=wp.vec3f, device=self._request.device)
         lookup.accumulate(*self._on_device(), illuminated, xyz, progress=progress)

@@ -90,15 +90,13 @@ class HeightFieldSummary:
         return "\n".join(
             [
                 f"size              {self.size_um[1]:.4g} × {self.size_um[0]:.4g} µm (x × y), {nx} × {ny} samples",
-                f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)",
-                *gaps,
+                f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)", *gaps,
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
                 f"slope             rms {self.rms_slope:.3g} ({slope_deg:.1f}°), mean {self.mean_slope:.3g}",
-                f"periods           {periods}",
-                f"supports          {supported} at {LAMBDA_MIN_NM} nm",
+                f"periods           {periods}", f"supports          {supported} at {LAMBDA_MIN_NM} nm",
                 f"scalar theory     {scalar_error_text(self.scalar_error)}",
             ]
-        )
+        )  # fmt: skip
 
 
 def summarise(heightfield: HeightField) -> HeightFieldSummary:

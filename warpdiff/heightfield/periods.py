@@ -129,12 +129,10 @@ def _strongest(
     return Period(
         period_um=1.0 / frequency,
         standard_error_um=math.sqrt(max(float(along @ covariance @ along), 0.0)) / frequency**2,
-        direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0,
-        harmonics_um=tuple(harmonics.tolist()),
+        direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0, harmonics_um=tuple(harmonics.tolist()),
         share=max(float(np.mean(heights[known] ** 2) - np.mean(residual[known] ** 2)) / variance, 0.0),
-        frequency=(qy, qx),
-        is_waviness=math.hypot(qy * means.sizes[0], qx * means.sizes[1]) < FEWEST_PERIODS,
-    ), heights - residual
+        frequency=(qy, qx), is_waviness=math.hypot(qy * means.sizes[0], qx * means.sizes[1]) < FEWEST_PERIODS,
+    ), heights - residual  # fmt: skip
 
 
 @dataclass

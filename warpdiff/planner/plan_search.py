@@ -101,15 +101,11 @@ def search_sampled(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
     share = predicted_error(error, plan, trial) / (truncation + neighbourhood + quadrature + rounding)
     return dataclasses.replace(
-        plan,
-        truncation=share * truncation,
-        neighbourhood=share * neighbourhood,
-        quadrature=share * quadrature,
+        plan, truncation=share * truncation, neighbourhood=share * neighbourhood, quadrature=share * quadrature,
         rounding=share * rounding,
-        multiply_adds=cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates),
-        is_measured=True,
+        multiply_adds=cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates), is_measured=True,
         validation_size=len(trial.validation_set),
-    )
+    )  # fmt: skip
 
 
 def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
@@ -168,17 +164,11 @@ def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, aff
         if error < least:
             least = error
             best = dataclasses.replace(
-                candidate,
-                footprint=footprint,
-                truncation=min(truncation, predicted),
-                neighbourhood=0.0,
-                quadrature=max(0.0, predicted - truncation),
-                rounding=0.0,
-                multiply_adds=cost_model.look_up_multiply_adds(candidate),
-                table_multiply_adds=table_cost,
-                is_measured=True,
-                validation_size=len(trial.validation_set),
-            )
+                candidate, footprint=footprint, truncation=min(truncation, predicted), neighbourhood=0.0,
+                quadrature=max(0.0, predicted - truncation), rounding=0.0,
+                multiply_adds=cost_model.look_up_multiply_adds(candidate), table_multiply_adds=table_cost,
+                is_measured=True, validation_size=len(trial.validation_set),
+            )  # fmt: skip
         if error <= target:
             break
         # Pilots may have missed what takes more terms.

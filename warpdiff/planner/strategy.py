@@ -129,8 +129,8 @@ def plan(
     if result.scalar_error >= diagnostics.SCALAR_INVALID:
         warn(
             f"scalar diffraction is {diagnostics.scalar_error_text(result.scalar_error)}; {ref('heightfield')} has "
-            f"a standard deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: use "
-            "a rigorous solver, or interpret the colours only qualitatively"
+            f"a standard deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: "
+            "use a rigorous solver, or interpret the colours only qualitatively"
         )
     return result
 

@@ -133,14 +133,9 @@ def _order_light(
 ) -> NDArray[np.float64]:
     """How much light directions may see of each of the strongest orders but the mirror's, by the logarithm, (n, m)."""
     coefficients, block, grid = coefficient_table.coefficients_for(
-        heightfield,
-        plan.method,
-        plan.coherence,
-        direction_range,
-        coefficient_table.neighbour_extent(plan, heightfield),
-        terms=plan.terms,
-        threads=threads,
-    )
+        heightfield, plan.method, plan.coherence, direction_range,
+        coefficient_table.neighbour_extent(plan, heightfield), terms=plan.terms, threads=threads,
+    )  # fmt: skip
     strongest, powers = coefficients.strongest
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))

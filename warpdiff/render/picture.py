@@ -717,11 +717,7 @@ class Picture:
             coverage=coverage,
             error=error,
             plan=replace(
-                plan,
-                light_sample_count=light_sample_count,
-                refined_share=split,
-                unconverged_share=inside,
-                unconverged_edge_share=at_edges,
-                errors=(percentiles[0], percentiles[1]),
+                plan, light_sample_count=light_sample_count, refined_share=split, unconverged_share=inside,
+                unconverged_edge_share=at_edges, errors=(percentiles[0], percentiles[1]),
             ),
-        )
+        )  # fmt: skip

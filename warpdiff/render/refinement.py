@@ -93,13 +93,8 @@ class LightRefinement:
             gbuffer.gains, buffers.tiles[level], self.colours, self.errors, sums.ranks, weights, level,
         ]  # fmt: skip
         outputs = [
-            sums.filtered_sums,
-            sums.means,
-            sums.level_difference,
-            sums.levels,
-            sums.has_unlit_quadrant,
-            sums.has_edge,
-        ]
+            sums.filtered_sums, sums.means, sums.level_difference, sums.levels, sums.has_unlit_quadrant, sums.has_edge,
+        ]  # fmt: skip
         return [
             *steps,
             KernelCall(subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)),

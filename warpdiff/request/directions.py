@@ -140,13 +140,10 @@ class DirectionRange:
         if self.max_w == 0.0:
             return other
         return DirectionRange(
-            max(self.max_uv, other.max_uv),
-            max(self.max_order_rate, other.max_order_rate),
-            min(self.min_w, other.min_w),
-            max(self.max_w, other.max_w),
-            min(self.lambda_min_nm, other.lambda_min_nm),
+            max(self.max_uv, other.max_uv), max(self.max_order_rate, other.max_order_rate),
+            min(self.min_w, other.min_w), max(self.max_w, other.max_w), min(self.lambda_min_nm, other.lambda_min_nm),
             max(self.lambda_max_nm, other.lambda_max_nm),
-        )
+        )  # fmt: skip
 
     @property
     def kappas(self) -> tuple[float, float]:

@@ -49,17 +49,11 @@ _NUMBERS = (
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 _FINDINGS = (
     *(
-        "light_sample_count",
-        "refined_share",
-        "unconverged_share",
-        "unconverged_edge_share",
-        "errors",
-        "energy_spread",
-        "aliasing",
-        "scalar_error",
+        "light_sample_count", "refined_share", "unconverged_share", "unconverged_edge_share", "errors", "energy_spread",
+        "aliasing", "scalar_error",
     ),
     *("multiply_adds", "table_multiply_adds", "is_measured", "validation_size"),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)

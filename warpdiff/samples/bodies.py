@@ -215,9 +215,6 @@ def _mesh(
     import trimesh
 
     return trimesh.Trimesh(
-        vertices=vertices.reshape(-1, 3),
-        faces=faces,
-        vertex_normals=normals.reshape(-1, 3),
-        visual=trimesh.visual.TextureVisuals(uv=uvs.reshape(-1, 2)),
-        process=False,
-    )
+        vertices=vertices.reshape(-1, 3), faces=faces, vertex_normals=normals.reshape(-1, 3),
+        visual=trimesh.visual.TextureVisuals(uv=uvs.reshape(-1, 2)), process=False,
+    )  # fmt: skip

@@ -29,25 +29,17 @@ Tangent = Literal["around", "along"]
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
 _HEAD = np.array(
     [
-        [0.00, 0.36, 0.22, 0.16, 2.4],
-        [0.25, 0.47, 0.32, 0.22, 2.6],
-        [0.50, 0.60, 0.41, 0.27, 2.7],
-        [0.75, 0.71, 0.46, 0.33, 2.6],
-        [0.90, 0.68, 0.46, 0.35, 2.4],
+        [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
+        [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
     ]
-)
+)  # fmt: skip
 _BODY = np.array(
     [
-        [0.02, 0.55, 0.46, 0.39, 2.2],
-        [0.06, 0.56, 0.52, 0.42, 2.2],
-        [0.20, 0.80, 0.78, 0.60, 2.3],
-        [0.40, 1.00, 0.96, 0.72, 2.4],
-        [0.60, 0.98, 0.94, 0.70, 2.4],
-        [0.78, 0.72, 0.68, 0.54, 2.3],
-        [0.90, 0.38, 0.36, 0.30, 2.1],
-        [1.00, 0.06, 0.06, 0.06, 2.0],
+        [0.02, 0.55, 0.46, 0.39, 2.2], [0.06, 0.56, 0.52, 0.42, 2.2], [0.20, 0.80, 0.78, 0.60, 2.3],
+        [0.40, 1.00, 0.96, 0.72, 2.4], [0.60, 0.98, 0.94, 0.70, 2.4], [0.78, 0.72, 0.68, 0.54, 2.3],
+        [0.90, 0.38, 0.36, 0.30, 2.1], [1.00, 0.06, 0.06, 0.06, 2.0],
     ]
-)
+)  # fmt: skip
 # On the head, (share of its length, share of the way around from the middle of the back): middles of the shields of one
 # side, from the rostral to the gulars, as they are on colubrids; the eyes; the slit of the mouth.
 _SHIELDS = np.array(
@@ -312,11 +304,9 @@ def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> t
     bow_a, bow_b = np.sin(math.pi * a), np.sin(math.pi * b)
     dome = 16.0 * a * (1.0 - a) * b * (1.0 - b)
     return (
-        x + fade * _BOW_SIDEWAYS * (bow_b - bow_a),
-        tau + fade * _BOW * (bow_a + bow_b),
-        fade * _OVERHANG * rear,
+        x + fade * _BOW_SIDEWAYS * (bow_b - bow_a), tau + fade * _BOW * (bow_a + bow_b), fade * _OVERHANG * rear,
         fade * (_STAND_OFF * rear + _DOME * dome),
-    )
+    )  # fmt: skip
 
 
 def _patches(
@@ -355,13 +345,10 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
     # Rows, places along them, the part of the rhombus that exists, and its free edges. Where a scale is
     # cut the diagonals of its cells lie along the cut.
     kinds: list[tuple[ArrayLike, ArrayLike, NDArray[np.bool_], tuple[bool, bool], bool]] = [
-        (odd, np.arange(1, skin.count), a < 2.0, (True, True), False),
-        (even, middles, a < 2.0, (True, True), False),
-        (odd, 0, a + b > 1.0 - 1e-9, (True, True), False),
-        (odd, skin.count, a + b < 1.0 + 1e-9, (False, False), False),
-        (0, middles, a > b - 1e-9, (True, False), True),
-        (skin.breadth, middles, a < b + 1e-9, (False, True), True),
-    ]
+        (odd, np.arange(1, skin.count), a < 2.0, (True, True), False), (even, middles, a < 2.0, (True, True), False),
+        (odd, 0, a + b > 1.0 - 1e-9, (True, True), False), (odd, skin.count, a + b < 1.0 + 1e-9, (False, False), False),
+        (0, middles, a > b - 1e-9, (True, False), True), (skin.breadth, middles, a < b + 1e-9, (False, True), True),
+    ]  # fmt: skip
     patches = []
     for rows, along, is_inside, free, rising in kinds:
         x, tau = (grid.reshape(-1, 1) for grid in np.meshgrid(rows, along))
@@ -612,9 +599,6 @@ def _mesh(vertices: Floats, faces: NDArray[np.int64], normals: Floats, uvs: Floa
     image = PIL.Image.fromarray(np.round(255.0 * colours).astype(np.uint8))
     material = trimesh.visual.material.SimpleMaterial(image=image)
     return trimesh.Trimesh(
-        vertices=vertices[used],
-        faces=(np.cumsum(used) - 1)[faces],
-        vertex_normals=normals[used],
-        visual=trimesh.visual.TextureVisuals(uv=uvs[used], material=material),
-        process=False,
-    )
+        vertices=vertices[used], faces=(np.cumsum(used) - 1)[faces], vertex_normals=normals[used],
+        visual=trimesh.visual.TextureVisuals(uv=uvs[used], material=material), process=False,
+    )  # fmt: skip

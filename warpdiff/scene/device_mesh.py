@@ -69,11 +69,9 @@ class SceneArrays:
                 # Made in half the time there, where a moving mesh's waits for it.
                 constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
                 self._mesh = wp.Mesh(
-                    points=self.bare.positions,
-                    indices=self.bare.faces.flatten(),
-                    bvh_constructor=constructor,
+                    points=self.bare.positions, indices=self.bare.faces.flatten(), bvh_constructor=constructor,
                     bvh_leaf_size=leaf,
-                )
+                )  # fmt: skip
                 self.bare.mesh_id = self._mesh.id
         return self.bare
 

@@ -237,16 +237,10 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
             f"got {faces.min()} to {faces.max()}"
         )
     part = _Part(
-        vertices=vertices,
-        faces=faces,
-        source=np.arange(len(vertices)),
-        count=len(vertices),
-        normals=_own_normals(mesh, vertices, faces),
-        uvs=_own_uvs(mesh, len(vertices)),
-        texture=None,
-        colours=None,
+        vertices=vertices, faces=faces, source=np.arange(len(vertices)), count=len(vertices),
+        normals=_own_normals(mesh, vertices, faces), uvs=_own_uvs(mesh, len(vertices)), texture=None, colours=None,
         geometries=np.zeros(len(faces), np.int32),
-    )
+    )  # fmt: skip
     if colours:
         _take_colours(mesh, part)
     part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
@@ -426,14 +420,11 @@ def _join(parts: list[_Part]) -> _Part:
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
         source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
-        count=int(source_start[-1]),
-        normals=gather("normals", 3),
-        uvs=gather("uvs", 2),
-        texture=textures[0] if textures else None,
-        colours=colours,
+        count=int(source_start[-1]), normals=gather("normals", 3), uvs=gather("uvs", 2),
+        texture=textures[0] if textures else None, colours=colours,
         geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
         label=without_uvs[0] if without_uvs else ref("mesh"),
-    )
+    )  # fmt: skip
 
 
 def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -502,20 +493,13 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
         texture, colours = colours[:1].reshape(1, 1, 3).astype(np.float32), None
     uvs = np.zeros((2, len(index))) if uvs is None else np.nan_to_num(uvs)
     return Surface(
-        vertices=vertices.T.astype(np.float32, order="C"),
-        faces=faces.T.astype(np.int32, order="C"),
-        normals=normals.T.astype(np.float32, order="C"),
-        tangents=field.T.astype(np.float32, order="C"),
-        handedness=handedness.astype(np.float32),
-        uvs=uvs.T.astype(np.float32, order="C"),
-        texture=texture,
-        vertex_colours=None if colours is None else colours.astype(np.float32),
-        has_base_colour=has_colour,
-        geometries=geometries,
-        is_convex=is_convex(vertices, faces, geometry.normals, welded),
-        centre=centre,
+        vertices=vertices.T.astype(np.float32, order="C"), faces=faces.T.astype(np.int32, order="C"),
+        normals=normals.T.astype(np.float32, order="C"), tangents=field.T.astype(np.float32, order="C"),
+        handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"), texture=texture,
+        vertex_colours=None if colours is None else colours.astype(np.float32), has_base_colour=has_colour,
+        geometries=geometries, is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre,
         radius=radius,
-    )
+    )  # fmt: skip
 
 
 def _check_tangents(part: _Part, tangents: NDArray[np.float64] | None) -> None:

@@ -175,15 +175,9 @@ def coefficients_for(
             )
         else:
             series, _, _ = coefficients_for(
-                heightfield,
-                "jacobi-anger",
-                coherence,
-                direction_range,
-                neighbour_extent,
-                terms=terms,
-                threads=threads,
+                heightfield, "jacobi-anger", coherence, direction_range, neighbour_extent, terms=terms, threads=threads,
                 to_fit=True,
-            )
+            )  # fmt: skip
             made = coefficient_basis.fitted(heightfield, method, series, (low, high), adds_powers=coherence.adds_powers)
         return vars(made)
 
@@ -225,14 +219,9 @@ def table_for(
     # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
-        heightfield,
-        plan.method,
-        coherence,
-        direction_range,
-        neighbour_extent(plan, heightfield),
-        terms=plan.terms,
+        heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
         threads=threads,
-    )
+    )  # fmt: skip
     terms = min(plan.terms, coefficients.terms)
     lanes = lanes_of(terms)
     kernels = kernels_for(plan.method, coherence, terms)

@@ -190,13 +190,9 @@ def _prepared(
     """Prepare layout, terms and projection, before any rows are made."""
     coefficient_range = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
     numbers = (
-        plan.terms,
-        plan.least_weight,
-        plan.rings_per_octave,
-        plan.azimuths_per_width,
-        plan.w_basis_size,
+        plan.terms, plan.least_weight, plan.rings_per_octave, plan.azimuths_per_width, plan.w_basis_size,
         plan.tolerance,
-    )
+    )  # fmt: skip
     key = device.alias, plan.method, plan.coherence, numbers, coefficient_range
 
     def make() -> tuple[_Source, dict[IlluminatedMaterial, Projection]]:

@@ -96,15 +96,11 @@ def gathered(
     at = 2.0 * math.pi * np.arange(azimuths) / azimuths
     values = wp.empty(azimuths * rings, dtype=sampler.row, device=device)
     inputs = [
-        coefficients,
-        wp.array(lines.rows[repeated], dtype=wp.int32, device=device),
-        wp.array(rotated, dtype=wp.float32, device=device),
-        wp.array(places[repeated], dtype=wp.float32, device=device),
+        coefficients, wp.array(lines.rows[repeated], dtype=wp.int32, device=device),
+        wp.array(rotated, dtype=wp.float32, device=device), wp.array(places[repeated], dtype=wp.float32, device=device),
         wp.array(np.exp(-2.0 * lines.log_frequencies[repeated]), dtype=wp.float32, device=device),
         wp.array(np.searchsorted(rotated, at - far), dtype=wp.int32, device=device),
-        wp.array(np.searchsorted(rotated, at + far), dtype=wp.int32, device=device),
-        rings,
-        blur,
-    ]
+        wp.array(np.searchsorted(rotated, at + far), dtype=wp.int32, device=device), rings, blur,
+    ]  # fmt: skip
     launch(sampler.gather, azimuths, inputs, [values], device=device, **options)
     return values

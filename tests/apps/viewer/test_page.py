@@ -322,12 +322,9 @@ def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, w
     server = served(*files)
     made = Page(chromium, server.url)
     simple = {
-        "height": "240",
-        "tolerance": "1e-1",
-        "environment_directions": "256",
-        "shadows": False,
+        "height": "240", "tolerance": "1e-1", "environment_directions": "256", "shadows": False,
         "material": "perfect mirror",
-    }
+    }  # fmt: skip
     for name, value in simple.items():
         made.set(name, value)
     first = made.rest()

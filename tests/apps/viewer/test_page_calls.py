@@ -157,12 +157,9 @@ def test_scenes_are_written_as_they_are_made():
     _, _, lights, view, options = by_python(scene.python(VIEW, 0.5, {}))
     assert (lights, view) == ([scene.light.make()], VIEW)
     assert options == {
-        "tolerance": 0.5,
-        "coherence": wd.Coherence("source", angular_diameter_deg=0.53),
-        "ior": np.inf,
-        "masking": False,
-        "pigment": 0.05,
-    }
+        "tolerance": 0.5, "coherence": wd.Coherence("source", angular_diameter_deg=0.53), "ior": np.inf,
+        "masking": False, "pigment": 0.05,
+    }  # fmt: skip
     words = scene.command(VIEW, 0.5, {"display": "clip"}).split()
     assert words[:5] == ["warpdiff", "render", "disc", "--heightfield", "blazed:period_um=2.0,depth_um=0.25"]
     assert words[words.index("--ior") + 1] == "inf"

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _WRITERS: dict[str, tuple[str, dict[str, Any]]] = {
-    ".webp": ("WEBP", {"quality": 90, "method": 4}),
-    ".png": ("PNG", {}),
-    ".gif": ("GIF", {"disposal": 2}),
-}
+    ".webp": ("WEBP", {"quality": 90, "method": 4}), ".png": ("PNG", {}), ".gif": ("GIF", {"disposal": 2}),
+}  # fmt: skip
 
 
 def check_target(path: Any, suffixes: Sequence[str]) -> Path:

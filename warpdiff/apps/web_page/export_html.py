@@ -185,11 +185,8 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
     arrays.add_differences("tangents", octahedral(surface.tangents))
     arrays.add_differences("faces", surface.faces.reshape(-1, 1))
     header: dict[str, Any] = {
-        "vertices": count,
-        "closed": surface.is_closed,
-        "radius": surface.radius,
-        "centre": surface.centre.tolist(),
-    }
+        "vertices": count, "closed": surface.is_closed, "radius": surface.radius, "centre": surface.centre.tolist(),
+    }  # fmt: skip
     if (surface.handedness < 0.0).any():
         arrays.add("handedness", "int8", surface.handedness.astype(np.int8).tobytes())
     texture = np.rint(255.0 * colorimetry.srgb_encode(surface.texture)).astype(np.uint8)
